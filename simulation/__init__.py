@@ -1,0 +1,1 @@
+"""How a physical model answers: cases, FMUs, designs, trajectories."""

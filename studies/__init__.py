@@ -1,0 +1,1 @@
+"""What we ask of both: studies, tracking, calibration, reports, and the command line."""
