@@ -1,0 +1,47 @@
+"""The house rules that tools can check: style, strict types, direction of imports."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["ruff", "check", "."],
+        ["ruff", "format", "--check", "."],
+        ["mypy"],
+        ["lint-imports"],
+    ],
+    ids=lambda command: command[0] + "-" + command[-1].strip("-."),
+)
+def test_tool_finds_nothing(command: list[str]) -> None:
+    tool = Path(sys.executable).parent / command[0]
+    if not tool.exists():
+        pytest.skip(f"{command[0]} is not installed: pip install -e '.[test]'")
+    done = subprocess.run([tool, *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_package_is_installed_with_the_project() -> None:
+    declared = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    found = {
+        ".".join(init.parent.relative_to(ROOT).parts)
+        for room in ("simulation", "pelsvae", "studies")
+        for init in (ROOT / room).rglob("__init__.py")
+    }
+    assert found == declared
+
+
+def test_nothing_of_the_recording_is_tracked() -> None:
+    git = subprocess.run(
+        ["git", "ls-files", "data/office-recorded", "mlruns"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if git.returncode != 0:
+        pytest.skip("not a git checkout")
+    assert git.stdout.split() == ["mlruns/README.md"]
