@@ -1,0 +1,131 @@
+"""Where everything lies: the project's root, its cases, and what a run leaves behind."""
+
+import os
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from simulation.errors import InputError
+
+ROOT_VARIABLE = "STUDIES_ROOT"
+
+
+@dataclass(frozen=True)
+class ProjectPaths:
+    """The folders of one project.
+
+    Args:
+        root: folder that holds `fmus/`, `data/` and `mlruns/`.
+    """
+
+    root: Path
+
+    @property
+    def fmus(self) -> Path:
+        """Folder of the cases and their FMUs."""
+        return self.root / "fmus"
+
+    @property
+    def data(self) -> Path:
+        """Folder of the recordings."""
+        return self.root / "data"
+
+    @property
+    def mlruns(self) -> Path:
+        """Folder of everything a run leaves behind."""
+        return self.root / "mlruns"
+
+    @property
+    def tracking_database(self) -> Path:
+        """MLflow's SQLite file."""
+        return self.mlruns / "mlflow.db"
+
+    @property
+    def artifacts(self) -> Path:
+        """Root of MLflow's artifacts."""
+        return self.mlruns / "artifacts"
+
+    @property
+    def optuna_journal(self) -> Path:
+        """Optuna's journal file."""
+        return self.mlruns / "optuna.journal"
+
+    def generated(self, case_name: str) -> Path:
+        """Folder of the simulated trajectories of a case."""
+        return self.data / case_name / "generated"
+
+    def champions(self, label: str) -> Path:
+        """Folder of the best surrogate per training-set size."""
+        return self.mlruns / "champions" / label
+
+    def champion(self, label: str, n_train: int) -> Path:
+        """Folder of the best surrogate for one training-set size."""
+        return self.champions(label) / size_name(n_train)
+
+    def results(self, label: str) -> Path:
+        """Folder of stage manifests and calibration results."""
+        return self.mlruns / "results" / label
+
+    def report(self, label: str) -> Path:
+        """Folder of tables and figures."""
+        return self.mlruns / "reports" / label
+
+    def show(self, path: Path) -> str:
+        """Return a path as a reader in the project's root would type it."""
+        resolved = path.resolve()
+        return str(resolved.relative_to(self.root)) if resolved.is_relative_to(self.root) else str(resolved)
+
+
+def size_name(n_train: int) -> str:
+    """Return the zero-padded name of a training-set size, so that names sort as numbers."""
+    return f"n{n_train:04d}"
+
+
+def find_project() -> ProjectPaths:
+    """Find the project: `$STUDIES_ROOT`, else a folder above the working one, else above this package.
+
+    Raises:
+        InputError: `$STUDIES_ROOT` is set and is no folder.
+    """
+    declared = os.environ.get(ROOT_VARIABLE)
+    if declared:
+        root = Path(declared).expanduser()
+        if not root.is_dir():
+            raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
+        return ProjectPaths(root.resolve())
+    working = Path.cwd().resolve()
+    for folder in (working, *working.parents):
+        if (folder / "fmus").is_dir() and (folder / "pyproject.toml").is_file():
+            return ProjectPaths(folder)
+    return ProjectPaths(Path(__file__).resolve().parent.parent)
+
+
+def find_case(paths: ProjectPaths, case: str) -> Path:
+    """Return the case file that a name, a file or a folder means.
+
+    A name is looked for as `fmus/<name>/case.toml`, then as `fmus/*/<name>.toml`.
+
+    Raises:
+        InputError: nothing of that name exists; the line lists the cases there are.
+    """
+    named = _named_cases(paths)
+    if case in named:
+        return named[case]
+    given = Path(case).expanduser()
+    if given.is_dir():
+        if (given / "case.toml").is_file():
+            return given / "case.toml"
+        raise InputError(f"the folder {case} has no case.toml; give a case's name, its file or its folder")
+    if given.is_file():
+        return given
+    if given.suffix or len(given.parts) > 1:
+        raise InputError(f"there is no case file {case}; cases by name: {', '.join(named) or 'none'}")
+    close = get_close_matches(case, named, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    raise InputError(f"there is no case {case!r}; {hint}cases in {paths.fmus}: {', '.join(named) or 'none'}")
+
+
+def _named_cases(paths: ProjectPaths) -> dict[str, Path]:
+    named = {file.stem: file for file in sorted(paths.fmus.glob("*/*.toml")) if file.name != "case.toml"}
+    named |= {file.parent.name: file for file in sorted(paths.fmus.glob("*/case.toml"))}
+    return dict(sorted(named.items()))

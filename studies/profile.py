@@ -1,0 +1,189 @@
+"""Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
+
+import tomllib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from simulation.errors import InputError
+
+PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
+
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0.0)]
+_STRICT = ConfigDict(extra="forbid", strict=False)
+
+
+@dataclass(frozen=True, config=_STRICT)
+class DataBudget:
+    """How often the physical model is simulated for the surrogate.
+
+    Args:
+        n_train: training-set sizes, ascending; one nested design serves all of them.
+        n_validation: simulations that choose epochs and hyperparameters.
+        n_test: simulations that only judge.
+    """
+
+    n_train: tuple[Annotated[int, Field(ge=4)], ...]
+    n_validation: Count = 320
+    n_test: Count = 320
+
+    def __post_init__(self) -> None:
+        if not self.n_train or list(self.n_train) != sorted(set(self.n_train)):
+            raise ValueError(f"n_train must be ascending sizes without repetition, got {list(self.n_train)}")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class SensitivityBudget:
+    """How many simulations the Sobol indices get.
+
+    Args:
+        n_base: base samples, a power of two; costs n_base (p + 2) simulations.
+        n_resamples: bootstrap draws of the confidence intervals.
+    """
+
+    n_base: Count = 256
+    n_resamples: Count = 100
+
+    def __post_init__(self) -> None:
+        if self.n_base & (self.n_base - 1):
+            raise ValueError(f"n_base must be a power of two, got {self.n_base}")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class SearchRanges:
+    """Ranges of the hyperparameters, both ends included.
+
+    Args:
+        n_latent: latent dimension, searched in powers of two.
+        n_hidden: hidden width, searched in powers of two.
+        beta: weight of the reconstruction term (Eq. 4), searched on a logarithmic scale.
+        learning_rate: searched on a logarithmic scale; None holds the variant's.
+        n_layers: number of linear layers; None holds the variant's.
+    """
+
+    n_latent: tuple[Count, Count] = (8, 128)
+    n_hidden: tuple[Count, Count] = (64, 256)
+    beta: tuple[Positive, Positive] = (1.0, 1000.0)
+    learning_rate: tuple[Positive, Positive] | None = None
+    n_layers: tuple[Count, Count] | None = None
+
+    def __post_init__(self) -> None:
+        for name, span in asdict(self).items():
+            if span is not None and span[0] > span[1]:
+                raise ValueError(f"{name} must be [low, high], got {list(span)}")
+
+
+@dataclass(frozen=True, config=_STRICT)
+class TuningBudget:
+    """How long the surrogate is tuned.
+
+    Args:
+        n_trials: trials per training-set size, in total.
+        variant: named form of the surrogate that the trials start from.
+        max_epochs: limit of one training; None holds the variant's.
+        patience: epochs without a better validation error; None holds the variant's.
+        search: ranges of the hyperparameters.
+    """
+
+    n_trials: Count
+    variant: Literal["paper", "refined"] = "refined"
+    max_epochs: Count | None = None
+    patience: Count | None = None
+    search: SearchRanges = Field(default_factory=SearchRanges)
+
+
+@dataclass(frozen=True, config=_STRICT)
+class ScreeningBudget:
+    """Differential evolution on the surrogate.
+
+    Args:
+        popsize: population per parameter.
+        maxiter: generations.
+    """
+
+    popsize: Count = 20
+    maxiter: Count = 300
+
+
+@dataclass(frozen=True, config=_STRICT)
+class PolishBudget:
+    """Least squares on the physical model.
+
+    Args:
+        max_calls: simulations the polish may ask for.
+        ftol: relative change of the cost that ends it.
+    """
+
+    max_calls: Count = 400
+    ftol: Positive = 1e-4
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Profile:
+    """The budget of a study: a case says what is calibrated, a profile how much may be spent on it.
+
+    Args:
+        name: part of every label a user sees.
+        note: one sentence on what the budget is for.
+        seed: every random draw of a study derives from it.
+        data: sizes of the simulated sets.
+        sensitivity: budget of the Sobol indices.
+        tuning: budget of Optuna's studies.
+        screening: budget of differential evolution.
+        polish: budget of the polish.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+    data: DataBudget
+    tuning: TuningBudget
+    sensitivity: SensitivityBudget = Field(default_factory=SensitivityBudget)
+    screening: ScreeningBudget = Field(default_factory=ScreeningBudget)
+    polish: PolishBudget = Field(default_factory=PolishBudget)
+    note: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    schema: Literal[1] = 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the profile as plain values for digests and JSON."""
+        return asdict(self)
+
+
+_READER = TypeAdapter(Profile)
+
+
+def load_profile(profile: str) -> Profile:
+    """Read a profile by its name or its path.
+
+    Raises:
+        InputError: no such profile, no TOML, an unknown key or a value out of its range.
+    """
+    file = _find_profile(profile)
+    try:
+        return _READER.validate_python(tomllib.loads(file.read_text(encoding="utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{file} is no TOML: {error}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise InputError(f"{file}: {key}: {first['msg']} (profiles to compare with: {PROFILE_FOLDER})") from None
+
+
+def profile_names() -> list[str]:
+    """Return the names of the shipped profiles."""
+    return sorted(file.stem for file in PROFILE_FOLDER.glob("*.toml"))
+
+
+def _find_profile(profile: str) -> Path:
+    shipped = PROFILE_FOLDER / f"{profile}.toml"
+    if shipped.is_file() and Path(profile).name == profile:
+        return shipped
+    given = Path(profile).expanduser()
+    if given.is_file():
+        return given
+    raise InputError(
+        f"there is no profile {profile!r}; give {', '.join(profile_names())} or the path of a profile file"
+    )
