@@ -1,0 +1,77 @@
+"""The one place where calls of a model are counted and limited."""
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.forward_model import ForwardModel
+from simulation.parameters import ParameterSpace
+from simulation.trajectories import Trajectories
+
+
+class BudgetExceeded(RuntimeError):  # noqa: N818 - the end of a budget is an event, not a mistake
+    """A batch was refused because it would exceed the budget; none of its rows was simulated."""
+
+
+class CountingModel:
+    """A model that counts the rows it is asked for and refuses to exceed a budget.
+
+    Optimizers are never trusted to count: SciPy leaves finite differences out of `nfev`, for one.
+    """
+
+    def __init__(self, model: ForwardModel, budget: int | None = None) -> None:
+        """Wrap a model.
+
+        Args:
+            model: The model to ask.
+            budget: Most rows that may ever be asked for; None for no limit.
+        """
+        if budget is not None and budget < 0:
+            raise ValueError(f"budget is {budget}; give a number of rows, at least 0")
+        self._model = model
+        self._budget = budget
+        self._n_calls = 0
+
+    @property
+    def n_calls(self) -> int:
+        """Rows asked for so far, failed ones included."""
+        return self._n_calls
+
+    @property
+    def budget(self) -> int | None:
+        """Most rows that may ever be asked for; None for no limit."""
+        return self._budget
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The wrapped model's parameters."""
+        return self._model.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The wrapped model's outputs."""
+        return self._model.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """The wrapped model's output times. Shape (t,). [s]."""
+        return self._model.time
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Count the rows and simulate them.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            The wrapped model's answer.
+
+        Raises:
+            BudgetExceeded: If the rows would exceed the budget; nothing is simulated or counted then.
+        """
+        n = len(np.asarray(theta))
+        if self._budget is not None and self._n_calls + n > self._budget:
+            raise BudgetExceeded(
+                f"{n} more calls would exceed the budget of {self._budget} ({self._n_calls} used)"
+            )
+        self._n_calls += n
+        return self._model.simulate(theta)

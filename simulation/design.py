@@ -1,0 +1,57 @@
+"""Which parameter rows to simulate: designs over the whole box, nested in their size."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.parameters import ParameterSpace
+
+
+def uniform_design(space: ParameterSpace, n: int, seed: int) -> FloatArray:
+    """Sample the box uniformly in physical units, as the paper does (Eq. 2).
+
+    A design is nested: the rows of a smaller design are the first rows of a larger one of the same seed.
+
+    Args:
+        space: The box.
+        n: Number of rows.
+        seed: Seed of the draw.
+
+    Returns:
+        Parameters. Shape (n, p). [per parameter]
+    """
+    return spread_design(space, n, 1.0, seed)
+
+
+def spread_design(
+    space: ParameterSpace, n: int, spread: float, seed: int, *, columns: Iterable[str] | None = None
+) -> FloatArray:
+    """Sample a box shrunk around the middle of the bounds (sec. 3.2).
+
+    Args:
+        space: The box.
+        n: Number of rows; designs of one seed and spread are nested.
+        spread: The paper's delta: fraction of the distance from the middle to the bounds, 0 to 1. [1]
+        seed: Seed of the draw.
+        columns: Names of the parameters that are shrunk; the others keep their bounds. None for all.
+
+    Returns:
+        Parameters. Shape (n, p). [per parameter]
+
+    Raises:
+        ValueError: If n or spread is out of range or a name is unknown.
+    """
+    if n < 0:
+        raise ValueError(f"a design of {n} rows cannot be made; ask for 0 or more")
+    if not 0.0 <= spread <= 1.0:
+        raise ValueError(f"spread is {spread}; it is a fraction of the box, from 0 to 1")
+    chosen = space.names if columns is None else tuple(columns)
+    unknown = [name for name in chosen if name not in space.names]
+    if unknown:
+        raise ValueError(f"no parameter is named {unknown[0]!r}; there are {', '.join(space.names)}")
+    shrink = np.where(np.isin(space.names, chosen), spread, 1.0)
+    middle, reach = (space.lower + space.upper) / 2, (space.upper - space.lower) / 2
+    # Generator.random fills row by row, so a longer draw begins with the shorter one.
+    draw = 2.0 * np.random.default_rng(seed).random((n, space.n_parameters)) - 1.0
+    return np.asarray(np.clip(middle + shrink * reach * draw, space.lower, space.upper), dtype=np.float64)

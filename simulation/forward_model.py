@@ -1,0 +1,43 @@
+"""The plug between physics and learning: parameters in, trajectories out, always a batch."""
+
+from typing import Protocol, runtime_checkable
+
+from simulation.arrays import FloatArray
+from simulation.parameters import ParameterSpace
+from simulation.trajectories import Trajectories
+
+
+@runtime_checkable
+class ForwardModel(Protocol):
+    """Anything that answers parameter rows with trajectories.
+
+    Promises of every implementation: the row order is kept; rows are independent of each other; the same
+    row gives the same answer at any time; a bad row never raises, it is NaN throughout and says why.
+    Bounds are not enforced: they belong to whoever chooses the rows.
+    """
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The parameters, in the order of the columns of theta."""
+        ...
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the k outputs."""
+        ...
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        ...
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            The trajectories, one per row, in the order of the rows.
+        """
+        ...

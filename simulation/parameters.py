@@ -1,0 +1,165 @@
+"""Physical parameters: bounds, units, scales, and the map between the box and the unit cube."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from simulation.arrays import BoolArray, FloatArray
+from simulation.errors import InputError
+
+Scale = Literal["linear", "log"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical parameter to calibrate.
+
+    Attributes:
+        name: Name of the variable in the model.
+        lower: Lower bound. [unit]
+        upper: Upper bound, above the lower one. [unit]
+        estimate: Expert's estimate inside the bounds, or None. [unit]
+        unit: Unit as the model writes it.
+        scale: Coordinates in which the unit cube is even; "log" needs positive bounds.
+        description: What the parameter means.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    estimate: float | None = None
+    unit: str = "1"
+    scale: Scale = "linear"
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"parameter {self.name}"
+        if not (math.isfinite(self.lower) and math.isfinite(self.upper)):
+            raise InputError(
+                f"{where}: bounds {self.lower:g} to {self.upper:g} are not finite; give two numbers"
+            )
+        if self.lower >= self.upper:
+            raise InputError(
+                f"{where}: lower = {self.lower:g} is not below upper = {self.upper:g}; swap or widen the bounds"
+            )
+        if self.scale not in ("linear", "log"):
+            raise InputError(f'{where}: scale = "{self.scale}" is unknown; use "linear" or "log"')
+        if self.scale == "log" and self.lower <= 0:
+            raise InputError(
+                f'{where}: scale = "log" needs positive bounds, lower is {self.lower:g}; '
+                'raise it above 0 or use scale = "linear"'
+            )
+        if self.estimate is not None and not self.lower <= self.estimate <= self.upper:
+            raise InputError(
+                f"{where}: estimate = {self.estimate:g} lies outside the bounds {self.lower:g} to "
+                f"{self.upper:g}; move the estimate or widen the bounds"
+            )
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """The box of all parameters of a case, in a fixed order."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        if not self.parameters:
+            raise InputError("no parameter is declared; declare at least one to calibrate")
+        for name in self.names:
+            if self.names.count(name) > 1:
+                raise InputError(f"parameter {name} is declared {self.names.count(name)} times; keep one")
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of the columns of theta."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters p."""
+        return len(self.parameters)
+
+    @cached_property
+    def lower(self) -> FloatArray:
+        """Lower bounds. Shape (p,). [per parameter]."""
+        return _read_only([parameter.lower for parameter in self.parameters])
+
+    @cached_property
+    def upper(self) -> FloatArray:
+        """Upper bounds. Shape (p,). [per parameter]."""
+        return _read_only([parameter.upper for parameter in self.parameters])
+
+    @cached_property
+    def is_log(self) -> BoolArray:
+        """Which parameters have logarithmic coordinates. Shape (p,)."""
+        mask = np.array([parameter.scale == "log" for parameter in self.parameters])
+        mask.setflags(write=False)
+        return mask
+
+    def to_unit(self, theta: FloatArray) -> FloatArray:
+        """Map parameters to the unit cube, even in each parameter's own coordinates.
+
+        Args:
+            theta: Parameters. Shape (n, p) or (p,). [per parameter]
+
+        Returns:
+            Unit-cube coordinates, exactly 0 and 1 at the bounds. Shape as theta. [1]
+        """
+        theta = self._checked(theta)
+        lower, upper = self._coordinates(self.lower), self._coordinates(self.upper)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            u: FloatArray = (self._coordinates(theta) - lower) / (upper - lower)
+        return u
+
+    def from_unit(self, u: FloatArray) -> FloatArray:
+        """Map unit-cube coordinates to parameters inside the bounds.
+
+        Args:
+            u: Unit-cube coordinates; those outside 0 to 1 land on the bound. Shape (n, p) or (p,). [1]
+
+        Returns:
+            Parameters, exactly on the bounds at 0 and 1. Shape as u. [per parameter]
+        """
+        u = self._checked(u)
+        lower, upper = self._coordinates(self.lower), self._coordinates(self.upper)
+        inside = lower + u * (upper - lower)
+        theta = np.where(self.is_log, np.exp(np.where(self.is_log, inside, 0.0)), inside)
+        theta = np.where(u <= 0.0, self.lower, np.where(u >= 1.0, self.upper, theta))
+        # NaN coordinates stay NaN through the clip: they are a failed row of the model, not a corner of the box.
+        clipped: FloatArray = np.clip(theta, self.lower, self.upper)
+        return clipped
+
+    def contains(self, theta: FloatArray) -> BoolArray:
+        """Tell which rows lie inside the bounds (bounds included, NaN outside).
+
+        Args:
+            theta: Parameters. Shape (n, p) or (p,). [per parameter]
+
+        Returns:
+            One truth value per row. Shape (n,) or ().
+        """
+        theta = self._checked(theta)
+        inside: BoolArray = np.all((theta >= self.lower) & (theta <= self.upper), axis=-1)
+        return inside
+
+    def _coordinates(self, theta: FloatArray) -> FloatArray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            coordinates: FloatArray = np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
+        return coordinates
+
+    def _checked(self, array: FloatArray) -> FloatArray:
+        array = np.asarray(array, dtype=np.float64)
+        if array.ndim not in (1, 2) or array.shape[-1] != self.n_parameters:
+            raise ValueError(
+                f"expected shape (n, {self.n_parameters}) or ({self.n_parameters},), got {array.shape}"
+            )
+        return array
+
+
+def _read_only(values: list[float]) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array

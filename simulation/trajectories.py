@@ -1,0 +1,217 @@
+"""Simulated series with the parameters that made them, on disk and in memory."""
+
+import hashlib
+import os
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from simulation.arrays import BoolArray, FloatArray
+from simulation.errors import InputError
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """What a model answered to a batch of parameters.
+
+    Attributes:
+        theta: Parameters. Shape (n, p). [per parameter]
+        y: Outputs, NaN throughout in failed rows. Shape (n, t, k). [per output]
+        time: Output times. Shape (t,). [s]
+        parameter_names: Names of the p columns of theta.
+        output_names: Names of the k outputs.
+        failures: Why each row failed; "" where it is good. Length n.
+    """
+
+    theta: FloatArray
+    y: FloatArray
+    time: FloatArray
+    parameter_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    failures: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n, p = len(self.failures), len(self.parameter_names)
+        expected = (n, len(self.time), len(self.output_names))
+        if self.theta.shape != (n, p) or self.y.shape != expected:
+            raise ValueError(
+                f"theta {self.theta.shape} and y {self.y.shape} do not fit; expected {(n, p)} and {expected}"
+            )
+
+    @classmethod
+    def checked(
+        cls,
+        theta: FloatArray,
+        y: FloatArray,
+        *,
+        time: FloatArray,
+        parameter_names: Sequence[str],
+        output_names: Sequence[str],
+        failures: Sequence[str] | None = None,
+    ) -> "Trajectories":
+        """Collect the rows of a model and make every bad one NaN throughout.
+
+        A row is bad when a reason is given, when its parameters are not finite or when its outputs are not.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+            y: Outputs. Shape (n, t, k). [per output]
+            time: Output times. Shape (t,). [s]
+            parameter_names: Names of the p parameters.
+            output_names: Names of the k outputs.
+            failures: Reasons known already, "" for none. Length n.
+
+        Returns:
+            The trajectories, failed rows marked.
+        """
+        theta = np.array(theta, dtype=np.float64)
+        y = np.array(y, dtype=np.float64)
+        reasons = list(failures) if failures is not None else [""] * len(theta)
+        for row in np.flatnonzero(~np.isfinite(theta).all(axis=1)):
+            column = int(np.flatnonzero(~np.isfinite(theta[row]))[0])
+            reasons[row] = reasons[row] or f"parameter {parameter_names[column]} is {theta[row, column]}"
+        for row in np.flatnonzero(~np.isfinite(y).all(axis=(1, 2))):
+            step, column = np.argwhere(~np.isfinite(y[row]))[0]
+            reasons[row] = reasons[row] or (
+                f"output {output_names[column]} is {y[row, step, column]} at {time[step]:g} s"
+            )
+        y[[reason != "" for reason in reasons]] = np.nan
+        return cls(
+            theta=theta,
+            y=y,
+            time=np.asarray(time, dtype=np.float64),
+            parameter_names=tuple(parameter_names),
+            output_names=tuple(output_names),
+            failures=tuple(reasons),
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return len(self.failures)
+
+    @cached_property
+    def failed(self) -> BoolArray:
+        """Which rows failed. Shape (n,)."""
+        return np.array([reason != "" for reason in self.failures], dtype=np.bool_)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the content (names, time, parameters, outputs, reasons), in hexadecimal."""
+        content = hashlib.sha256()
+        for names in (self.parameter_names, self.output_names, self.failures):
+            content.update(repr(names).encode())
+        for array in (self.time, self.theta, self.y):
+            content.update(repr(array.shape).encode())
+            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return content.hexdigest()
+
+    def take(self, indices: npt.ArrayLike) -> "Trajectories":
+        """Select rows.
+
+        Args:
+            indices: Row numbers or a boolean mask. Shape (m,) or (n,).
+
+        Returns:
+            The selected rows, in the order asked for.
+        """
+        rows = np.arange(self.n)[np.asarray(indices)]
+        return Trajectories(
+            theta=self.theta[rows],
+            y=self.y[rows],
+            time=self.time,
+            parameter_names=self.parameter_names,
+            output_names=self.output_names,
+            failures=tuple(self.failures[row] for row in rows),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
+        """Stack batches of the same model.
+
+        Args:
+            parts: At least one batch; all with the same names and times.
+
+        Returns:
+            All rows, in order.
+
+        Raises:
+            ValueError: If there is no batch or the batches differ in names or times.
+        """
+        if not parts:
+            raise ValueError("there is nothing to concatenate")
+        first = parts[0]
+        for part in parts[1:]:
+            same_names = (part.parameter_names, part.output_names) == (
+                first.parameter_names,
+                first.output_names,
+            )
+            if not (same_names and np.array_equal(part.time, first.time)):
+                raise ValueError("trajectories of different models or time grids cannot be concatenated")
+        return cls(
+            theta=np.concatenate([part.theta for part in parts]),
+            y=np.concatenate([part.y for part in parts]),
+            time=first.time,
+            parameter_names=first.parameter_names,
+            output_names=first.output_names,
+            failures=tuple(reason for part in parts for reason in part.failures),
+        )
+
+    def save(self, path: Path) -> None:
+        """Write to an .npz file; a killed process leaves the old file or the new one, never half of one.
+
+        Args:
+            path: File to write; its folder is created when missing.
+        """
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez(
+                    file,
+                    theta=self.theta,
+                    y=self.y,
+                    time=self.time,
+                    parameter_names=np.array(self.parameter_names, dtype=np.str_),
+                    output_names=np.array(self.output_names, dtype=np.str_),
+                    failures=np.array(self.failures, dtype=np.str_),
+                )
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+    @classmethod
+    def load(cls, path: Path) -> "Trajectories":
+        """Read a file written by save().
+
+        Args:
+            path: The .npz file.
+
+        Returns:
+            The same trajectories, bit for bit.
+
+        Raises:
+            InputError: If the file is missing or damaged.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as content:
+                return cls(
+                    theta=content["theta"],
+                    y=content["y"],
+                    time=content["time"],
+                    parameter_names=tuple(str(name) for name in content["parameter_names"]),
+                    output_names=tuple(str(name) for name in content["output_names"]),
+                    failures=tuple(str(reason) for reason in content["failures"]),
+                )
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such file; simulate it first") from None
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: not a readable trajectory file ({error}); delete it") from error
