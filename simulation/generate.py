@@ -44,9 +44,9 @@ def generate(
 ) -> GenerateResult:
     """Simulate the rows of a design that the folder does not hold yet.
 
-    Chunk i holds the rows i * chunk_size to (i + 1) * chunk_size and is replaced as a whole, so a process
-    killed at any point loses the chunk it works on and nothing else. Nested designs share their chunks: asking
-    for more rows later simulates the new ones alone. A damaged chunk is simulated again.
+    Chunk i holds the rows from i * chunk_size on and is replaced as a whole, so a process killed at any point
+    loses the chunk it works on and nothing else. Nested designs share their chunks: asking for more rows
+    later simulates the new ones alone. A damaged chunk is simulated again.
 
     Args:
         model: The model to ask.

@@ -43,7 +43,7 @@ class Parameter:
             )
         if self.lower >= self.upper:
             raise InputError(
-                f"{where}: lower = {self.lower:g} is not below upper = {self.upper:g}; swap or widen the bounds"
+                f"{where}: lower = {self.lower:g} is not below upper = {self.upper:g}; swap or widen them"
             )
         if self.scale not in ("linear", "log"):
             raise InputError(f'{where}: scale = "{self.scale}" is unknown; use "linear" or "log"')
@@ -128,7 +128,7 @@ class ParameterSpace:
         inside = lower + u * (upper - lower)
         theta = np.where(self.is_log, np.exp(np.where(self.is_log, inside, 0.0)), inside)
         theta = np.where(u <= 0.0, self.lower, np.where(u >= 1.0, self.upper, theta))
-        # NaN coordinates stay NaN through the clip: they are a failed row of the model, not a corner of the box.
+        # NaN coordinates stay NaN through the clip: a failed row of the model, not a corner of the box.
         clipped: FloatArray = np.clip(theta, self.lower, self.upper)
         return clipped
 

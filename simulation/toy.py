@@ -20,7 +20,7 @@ def _hourly(n_hours: int) -> FloatArray:
     return np.arange(n_hours + 1, dtype=np.float64) * 3600.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ToyRC:
     """One heated capacity C behind one resistance R: T(t) = T_ambient + q R (1 - exp(-t / (R C))).
 
@@ -68,7 +68,7 @@ class ToyRC:
         return _answer(self, theta, y[:, :, None], failures)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ProductToy:
     """A free decay through R and C that shows only their product: T(t) = T_start exp(-t / (R C)).
 
@@ -107,7 +107,7 @@ class ProductToy:
         return _answer(self, theta, y[:, :, None])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class IshigamiToy:
     """Ishigami's function with a weight that changes in time: exact Sobol indices at every step.
 

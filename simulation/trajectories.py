@@ -16,7 +16,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectories:
     """What a model answered to a batch of parameters.
 
