@@ -1,0 +1,155 @@
+"""Every choice about the network and its training in one frozen record; imports nothing heavy."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
+
+Activation = Literal["relu", "silu"]
+ThetaFeatures = Literal["linear", "linear+log"]
+Optimizer = Literal["adam", "adamw"]
+Schedule = Literal["constant", "one-cycle"]
+Device = Literal["auto", "cpu", "cuda"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurrogateConfig:
+    """Settings of one PELS-VAE and of its training; the defaults are the faithful form.
+
+    Attributes:
+        n_latent: Dimension of the latent code z.
+        n_hidden: Width of every hidden layer.
+        n_layers: Linear layers in each of encoder, decoder and regressor (at least 2).
+        activation: Between the linear layers.
+        theta_features: What the networks see of theta: standardized values, or also their logarithms.
+        beta: Weight of the reconstruction term, Eq. 4; the reverse of its use in a beta-VAE.
+        n_latent_samples: L of Eq. 4, decoded samples averaged in the training loss.
+        n_prediction_samples: L of Eq. 7, decoded samples averaged in a prediction.
+        detach_encoder: Stop the gradient of the regression terms (Eq. 5) before the encoder. Eq. 5 is
+            minimized over all three networks, hence False.
+        batch_size: Rows per optimizer step; a smaller training set is one batch.
+        learning_rate: Of the optimizer; the peak of a one-cycle schedule.
+        weight_decay: Decoupled for "adamw"; "adam" takes none.
+        optimizer: Update rule.
+        schedule: Course of the learning rate over max_epochs.
+        max_epochs: Passes over the training set at most.
+        patience: Epochs without a better validation error after which training stops.
+        validate_every: Epochs from one validation (and report) to the next.
+        device: Where the network lives; "auto" takes CUDA where there is one.
+        n_threads: CPU threads of torch during training and prediction; None leaves the process's setting.
+    """
+
+    n_latent: int = 64
+    n_hidden: int = 128
+    n_layers: int = 4
+    activation: Activation = "relu"
+    theta_features: ThetaFeatures = "linear"
+    beta: float = 100.0
+    n_latent_samples: int = 1
+    n_prediction_samples: int = 16
+    detach_encoder: bool = False
+    batch_size: int = 256
+    learning_rate: float = 1e-3
+    weight_decay: float = 0.0
+    optimizer: Optimizer = "adam"
+    schedule: Schedule = "constant"
+    max_epochs: int = 3000
+    patience: int = 300
+    validate_every: int = 10
+    device: Device = "auto"
+    n_threads: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be trained.
+
+        Raises:
+            ValueError: A setting has the wrong type or lies outside its range.
+        """
+        hints = get_type_hints(SurrogateConfig)
+        for name, hint in hints.items():
+            _check_type(name, getattr(self, name), hint)
+        for name in (
+            "n_latent", "n_hidden", "n_latent_samples", "n_prediction_samples",
+            "batch_size", "max_epochs", "patience", "validate_every",
+        ):  # fmt: skip
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)} must be at least 1")
+        if self.n_layers < 2:
+            raise ValueError(f"n_layers = {self.n_layers} must be at least 2")
+        if self.n_threads is not None and self.n_threads < 1:
+            raise ValueError(f"n_threads = {self.n_threads} must be at least 1, or None")
+        for name in ("beta", "learning_rate"):
+            if not 0.0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} = {getattr(self, name)} must be positive and finite")
+        if not 0.0 <= self.weight_decay < float("inf"):
+            raise ValueError(f"weight_decay = {self.weight_decay} must not be negative")
+        if self.optimizer == "adam" and self.weight_decay != 0.0:
+            raise ValueError("weight_decay belongs to optimizer 'adamw'; set it to 0 for 'adam'")
+
+    def replace(self, **changes: Any) -> SurrogateConfig:
+        """Return a copy with some settings changed.
+
+        Args:
+            changes: Settings by name.
+
+        Returns:
+            The changed copy.
+
+        Raises:
+            ValueError: A name is unknown or a value impossible.
+        """
+        return self.from_dict({**self.to_dict(), **changes})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain values that JSON can hold."""
+        return dataclasses.asdict(self)
+
+    @staticmethod
+    def from_dict(settings: Mapping[str, Any]) -> SurrogateConfig:
+        """Build a config from plain values; what is not named keeps its default.
+
+        Args:
+            settings: Values by name, as `to_dict` writes them.
+
+        Returns:
+            The config.
+
+        Raises:
+            ValueError: A name is unknown or a value impossible.
+        """
+        known = {field.name for field in dataclasses.fields(SurrogateConfig)}
+        unknown = sorted(set(settings) - known)
+        if unknown:
+            raise ValueError(f"unknown surrogate settings {unknown}; known are {sorted(known)}")
+        return SurrogateConfig(**settings)
+
+
+def _check_type(name: str, value: object, hint: object) -> None:
+    """Raise ValueError where a value is not what its annotation says (an int passes for a float)."""
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise ValueError(f"{name} = {value!r} must be one of {list(get_args(hint))}")
+        return
+    kinds = cast("tuple[type, ...]", get_args(hint) or (hint,))
+    if float in kinds:
+        kinds = (*kinds, int)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        raise ValueError(f"{name} = {value!r} must be {' or '.join(kind.__name__ for kind in kinds)}")
+
+
+VARIANTS: dict[str, SurrogateConfig] = {
+    "paper": SurrogateConfig(),
+    "refined": SurrogateConfig(
+        activation="silu",
+        theta_features="linear+log",
+        optimizer="adamw",
+        schedule="one-cycle",
+        learning_rate=3e-3,
+        weight_decay=1e-2,
+        max_epochs=1000,
+        patience=1000,
+    ),
+}
+"""Named forms of the same Eq. 3-7: "paper" as published, "refined" with what was found to help."""

@@ -1,0 +1,59 @@
+"""Where and how torch computes: device by name, thread count and flushed denormals for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+from pelsvae.config import Device
+
+
+def resolve_device(device: Device) -> torch.device:
+    """Turn a device setting into a torch device.
+
+    Args:
+        device: "auto", "cpu" or "cuda".
+
+    Returns:
+        The device; for "auto" CUDA where there is one.
+
+    Raises:
+        ValueError: CUDA was asked for where there is none.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device 'cuda' asked for, but torch finds no CUDA device here; use 'auto' or 'cpu'")
+    return torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+@contextmanager
+def n_threads_set(n_threads: int | None) -> Iterator[None]:
+    """Let torch use so many CPU threads inside the block, and as many as before after it.
+
+    Args:
+        n_threads: Threads, or None to change nothing.
+    """
+    before = torch.get_num_threads()
+    if n_threads is None or n_threads == before:
+        yield
+        return
+    torch.set_num_threads(n_threads)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def denormals_flushed() -> Iterator[None]:
+    """Treat denormal numbers as zero inside the block.
+
+    The second moments of weights that no longer matter decay into denormals, which cost a CPU a hundred
+    times a normal operation. Outside the block, where physics is computed, they are kept.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)

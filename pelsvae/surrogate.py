@@ -1,0 +1,171 @@
+"""A trained PELS-VAE as a function: parameters in, trajectories and Jacobian out, in float64 NumPy."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from pelsvae.config import Device, SurrogateConfig
+from pelsvae.device import n_threads_set
+from pelsvae.network import PelsVae
+from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
+
+_CHUNK_ROWS = 256  # L = 16 samples of 256 rows at h = 128 are 2 MiB: they stay in a core's cache
+_CHUNK_ROWS_CUDA = 4096
+
+
+@dataclass(frozen=True)
+class SurrogateShape:
+    """What goes in and out of a surrogate."""
+
+    n_parameters: int
+    n_times: int
+    n_outputs: int
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """The emulator of Eq. 6-7 with its draws fixed, hence a smooth and repeatable function of theta.
+
+    Attributes:
+        config: How it was built and trained.
+        shape: Parameters, times, outputs.
+        network: Encoder, decoder, regressor, in evaluation mode.
+        eps: The fixed standard normal draws of Eq. 7. Shape (L, z).
+        theta_standardizer: Parameters to features.
+        output_standardizer: Trajectories to network outputs and back.
+    """
+
+    config: SurrogateConfig
+    shape: SurrogateShape
+    network: PelsVae
+    eps: Tensor
+    theta_standardizer: ThetaStandardizer
+    output_standardizer: OutputStandardizer
+
+    def predict(self, theta: npt.ArrayLike) -> Array:
+        """Predict the trajectories of many parameter sets in one call.
+
+        Args:
+            theta: Parameters; a row with NaN is predicted as NaN. Shape (n, p). [per parameter]
+
+        Returns:
+            Predicted outputs. Shape (n, t, k). [output's unit]
+
+        Raises:
+            ValueError: The shape is wrong, or a parameter that enters by its logarithm is not positive.
+        """
+        rows = self._checked(theta, n_dimensions=2)
+        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else _CHUNK_ROWS
+        x = np.empty((len(rows), self.shape.n_times * self.shape.n_outputs))
+        with torch.inference_mode(), n_threads_set(self.config.n_threads):
+            features = self._features(torch.from_numpy(rows).to(self.eps.device))  # (n, f)
+            for start in range(0, len(rows), size):
+                part = self.network.predict(features[start : start + size], self.eps)
+                x[start : start + size] = part.cpu().numpy()
+        return self.output_standardizer.physical(x)
+
+    def jacobian(self, theta: npt.ArrayLike) -> Array:
+        """Differentiate the prediction at one parameter set.
+
+        Args:
+            theta: Parameters. Shape (p,). [per parameter]
+
+        Returns:
+            d y / d theta. Shape (t, k, p). [output's unit / parameter's unit]
+
+        Raises:
+            ValueError: As for `predict`.
+        """
+        point = torch.from_numpy(self._checked(theta, n_dimensions=1)).to(self.eps.device)
+
+        def flat_prediction(at: Tensor) -> Tensor:
+            return self.network.predict(self._features(at[None, :]), self.eps)[0]
+
+        with n_threads_set(self.config.n_threads):
+            slope = torch.func.jacfwd(flat_prediction)(point)  # (t * k, p)
+        shape = (self.shape.n_times, self.shape.n_outputs, self.shape.n_parameters)
+        standardized: Array = slope.detach().cpu().numpy().astype(np.float64).reshape(shape)
+        return standardized * self.output_standardizer.deviation[:, None]
+
+    def in_double(self) -> Surrogate:
+        """Return a copy whose network computes in float64, for whoever takes finite differences."""
+        return dataclasses.replace(self, network=copy.deepcopy(self.network).double(), eps=self.eps.double())
+
+    def save(self, folder: str | Path) -> None:
+        """Write weights.npz and surrogate.json into a folder, without pickle.
+
+        Args:
+            folder: Made if it is missing; holds all that `load` needs, wherever it is moved.
+        """
+        from pelsvae.surrogate_files import save_surrogate
+
+        save_surrogate(self, Path(folder))
+
+    @staticmethod
+    def load(folder: str | Path, device: Device = "auto") -> Surrogate:
+        """Read what `save` wrote; predictions on the same device are the same bits.
+
+        Args:
+            folder: Where weights.npz and surrogate.json lie.
+            device: Where to put the network.
+
+        Returns:
+            The surrogate.
+
+        Raises:
+            FileNotFoundError: One of the two files is missing.
+            ValueError: A file is damaged, or the two do not belong together.
+        """
+        from pelsvae.surrogate_files import load_surrogate
+
+        return load_surrogate(Path(folder), device)
+
+    def _features(self, theta: Tensor) -> Tensor:
+        """Map theta (..., p), float64 -> features (..., f) in the network's precision."""
+        return self.theta_standardizer.features(theta, self.eps.dtype)
+
+    def _checked(self, theta: npt.ArrayLike, n_dimensions: int) -> Array:
+        """Return theta as a fresh contiguous float64 array, or say what is wrong with it."""
+        rows = np.array(theta, dtype=np.float64, order="C")
+        if rows.ndim != n_dimensions or rows.shape[-1] != self.shape.n_parameters:
+            wanted = ("n, " if n_dimensions == 2 else "") + str(self.shape.n_parameters)
+            raise ValueError(f"theta has shape {rows.shape}; this surrogate takes ({wanted})")
+        require_positive(rows, self.theta_standardizer.log_columns)
+        return rows
+
+
+def require_positive(theta: Array, log_columns: npt.NDArray[np.int64]) -> None:
+    """Raise ValueError where a parameter that enters by its logarithm is zero or less; NaN passes.
+
+    Args:
+        theta: Parameters. Shape (..., p).
+        log_columns: Indices of the columns. Shape (q,).
+    """
+    bad = [int(column) for column in log_columns if (theta[..., column] <= 0.0).any()]
+    if bad:
+        raise ValueError(f"parameter columns {bad} enter by their logarithm and must be positive")
+
+
+def draw_prediction_eps(n_samples: int, n_latent: int, generator: torch.Generator) -> Tensor:
+    """Draw the fixed samples of Eq. 7 as antithetic pairs (eps, -eps).
+
+    Each draw alone is standard normal; in pairs their mean is zero, which is what the mean of Eq. 7 tends to.
+
+    Args:
+        n_samples: L.
+        n_latent: Dimension of z.
+        generator: Source (CPU).
+
+    Returns:
+        Shape (L, z), float32.
+    """
+    half = torch.randn((n_samples + 1) // 2, n_latent, generator=generator)
+    return torch.cat([half, -half])[:n_samples]

@@ -1,0 +1,127 @@
+"""The two files of a saved surrogate: weights.npz (arrays, no pickle) and surrogate.json (the rest)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from pelsvae.config import Device, SurrogateConfig
+from pelsvae.device import resolve_device
+from pelsvae.network import PelsVae
+from pelsvae.standardize import OutputStandardizer, ThetaStandardizer
+from pelsvae.surrogate import Surrogate, SurrogateShape
+
+WEIGHTS = "weights.npz"
+DESCRIPTION = "surrogate.json"
+_FORMAT = 1
+_NETWORK = "network."  # prefix of the weights among the arrays
+
+
+def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
+    """Write both files, each put in place by a rename, the description last.
+
+    Args:
+        surrogate: What to save.
+        folder: Made if it is missing.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "eps": surrogate.eps.cpu().numpy(),
+        "theta.log_columns": surrogate.theta_standardizer.log_columns,
+        "theta.mean": surrogate.theta_standardizer.mean,
+        "theta.deviation": surrogate.theta_standardizer.deviation,
+        "output.mean": surrogate.output_standardizer.mean,
+        "output.deviation": surrogate.output_standardizer.deviation,
+    }
+    for name, value in surrogate.network.state_dict().items():
+        arrays[_NETWORK + name] = value.cpu().numpy()
+    part = folder / f".{WEIGHTS}.{os.getpid()}.part"
+    with part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+    digest = hashlib.sha256(part.read_bytes()).hexdigest()
+    part.replace(folder / WEIGHTS)
+    description = {
+        "format": _FORMAT,
+        "n_parameters": surrogate.shape.n_parameters,
+        "n_times": surrogate.shape.n_times,
+        "n_outputs": surrogate.shape.n_outputs,
+        "config": surrogate.config.to_dict(),
+        "weights_sha256": digest,
+    }
+    part = folder / f".{DESCRIPTION}.{os.getpid()}.part"
+    part.write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+    part.replace(folder / DESCRIPTION)
+
+
+def load_surrogate(folder: Path, device: Device) -> Surrogate:
+    """Read both files and check them against each other.
+
+    Args:
+        folder: Where they lie.
+        device: Where to put the network.
+
+    Returns:
+        The surrogate.
+
+    Raises:
+        FileNotFoundError: One of the files is missing.
+        ValueError: A file is damaged, or the two do not belong together.
+    """
+    for name in (DESCRIPTION, WEIGHTS):
+        if not (folder / name).is_file():
+            raise FileNotFoundError(f"no surrogate in {folder}: {name} is missing; train or copy it again")
+    try:
+        config, shape, digest = _read_description(folder / DESCRIPTION)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{folder / DESCRIPTION} is damaged ({error}); train or copy it again") from error
+    content = (folder / WEIGHTS).read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise ValueError(
+            f"{folder / WEIGHTS} is damaged or not the one that {DESCRIPTION} names; train or copy both again"
+        )
+    try:
+        arrays = _read_arrays(folder / WEIGHTS)
+        return _assembled(config, shape, arrays, resolve_device(device))
+    except (KeyError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{folder / WEIGHTS} does not fit {DESCRIPTION}: {error}") from error
+
+
+def _read_description(path: Path) -> tuple[SurrogateConfig, SurrogateShape, str]:
+    """Return config, shape and the digest of the weights."""
+    read = json.loads(path.read_text(encoding="utf-8"))
+    if read["format"] != _FORMAT:
+        raise ValueError(f"format {read['format']!r}, this version reads {_FORMAT}")
+    shape = SurrogateShape(int(read["n_parameters"]), int(read["n_times"]), int(read["n_outputs"]))
+    return SurrogateConfig.from_dict(read["config"]), shape, str(read["weights_sha256"])
+
+
+def _read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return all arrays by name; object arrays are refused."""
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _assembled(
+    config: SurrogateConfig, shape: SurrogateShape, arrays: dict[str, npt.NDArray[Any]], device: torch.device
+) -> Surrogate:
+    """Put the pieces together; KeyError or RuntimeError where they do not fit."""
+    theta = ThetaStandardizer(arrays["theta.log_columns"], arrays["theta.mean"], arrays["theta.deviation"])
+    output = OutputStandardizer(arrays["output.mean"], arrays["output.deviation"])
+    if output.mean.shape != (shape.n_times, shape.n_outputs):
+        raise RuntimeError(f"output.mean has shape {output.mean.shape}")
+    if theta.n_features != shape.n_parameters + theta.log_columns.size:
+        raise RuntimeError(f"theta.mean has shape {theta.mean.shape}")
+    eps = torch.from_numpy(arrays["eps"])
+    network = PelsVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
+    network.load_state_dict(
+        {k.removeprefix(_NETWORK): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(_NETWORK)}
+    )
+    return Surrogate(config, shape, network.to(device).eval(), eps.to(device), theta, output)
