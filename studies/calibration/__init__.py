@@ -1,1 +1,26 @@
 """Calibration: screen a model over the whole box, polish on the physical model."""
+
+from studies.calibration.direct import MultistartResult, best_known, multistart
+from studies.calibration.ledger import Ledger
+from studies.calibration.polish import LeastSquaresTRF, PolishResult
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.recorder import History, Progress
+from studies.calibration.screen import DifferentialEvolution, ScreenResult
+from studies.calibration.two_phase import CalibrationResult, calibrate_two_phase
+
+__all__ = [
+    "CalibrationProblem",
+    "CalibrationResult",
+    "DifferentialEvolution",
+    "Evaluation",
+    "History",
+    "LeastSquaresTRF",
+    "Ledger",
+    "MultistartResult",
+    "PolishResult",
+    "Progress",
+    "ScreenResult",
+    "best_known",
+    "calibrate_two_phase",
+    "multistart",
+]

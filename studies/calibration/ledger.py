@@ -1,0 +1,36 @@
+"""The ledger: every row that a calibration asked of the physical model."""
+
+from dataclasses import asdict, dataclass
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Rows asked of the physical model, by purpose. [1].
+
+    Attributes:
+        n_train: Training set of the surrogate.
+        n_validation: Validation set.
+        n_test: Test set.
+        n_screen_checks: Physical simulations of screened points.
+        n_polish: Polishing.
+    """
+
+    n_train: int = 0
+    n_validation: int = 0
+    n_test: int = 0
+    n_screen_checks: int = 0
+    n_polish: int = 0
+
+    @property
+    def total_paper(self) -> int:
+        """The paper's count: training, screening check and polish, without validation and test."""
+        return self.n_train + self.n_screen_checks + self.n_polish
+
+    @property
+    def total_honest(self) -> int:
+        """Everything that the physical model was asked."""
+        return self.total_paper + self.n_validation + self.n_test
+
+    def to_dict(self) -> dict[str, int]:
+        """Return the counts and both totals."""
+        return asdict(self) | {"total_paper": self.total_paper, "total_honest": self.total_honest}

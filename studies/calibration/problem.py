@@ -1,0 +1,151 @@
+"""The calibration problem: a model, a measurement, and the residuals between them in the unit cube."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.forward_model import ForwardModel
+from simulation.measurement import Measurement
+from simulation.parameters import ParameterSpace
+from simulation.trajectories import Trajectories
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a model answered at n points of the unit cube.
+
+    Attributes:
+        u: Points. Shape (n, p). [1]
+        theta: The same points as parameters. Shape (n, p). [per parameter]
+        y: Trajectories, NaN in failed rows. Shape (n, t, k). [output's unit]
+        residuals: Weighted (simulated - measured), NaN in failed rows. Shape (n, t*k). [first output's unit]
+        mse: Mean of the squared residuals, infinite in failed rows. Shape (n,). [first output's unit squared]
+        failures: Why a row failed; "" where it did not. Length n.
+    """
+
+    u: FloatArray
+    theta: FloatArray
+    y: FloatArray
+    residuals: FloatArray
+    mse: FloatArray
+    failures: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return len(self.u)
+
+    def take(self, index: int) -> "Evaluation":
+        """Return one row as an evaluation of its own."""
+        row = slice(index, index + 1)
+        return Evaluation(
+            u=self.u[row],
+            theta=self.theta[row],
+            y=self.y[row],
+            residuals=self.residuals[row],
+            mse=self.mse[row],
+            failures=self.failures[row],
+        )
+
+
+@dataclass(frozen=True)
+class CalibrationProblem:
+    """Find the parameters with which a model reproduces a measurement.
+
+    The same problem is posed to the surrogate (screening) and to the physical model (polishing): see `on`.
+    One output is weighted by 1, so that the MSE is in its unit squared; further outputs are weighted by the
+    ratio of the first output's uncertainty to their own, which makes their errors comparable with the first.
+
+    Attributes:
+        model: The model that is asked.
+        measurement: The target, on the model's output grid.
+    """
+
+    model: ForwardModel
+    measurement: Measurement
+
+    def __post_init__(self) -> None:
+        """Refuse a measurement that the model cannot be compared with."""
+        if tuple(self.model.output_names) != tuple(self.measurement.output_names):
+            raise InputError(
+                f"the model's outputs {tuple(self.model.output_names)} are not the measured ones "
+                f"{tuple(self.measurement.output_names)}; declare the same outputs in the same order"
+            )
+        time, measured = np.asarray(self.model.time), np.asarray(self.measurement.time)
+        if time.shape != measured.shape or not np.allclose(time, measured, rtol=0.0, atol=1e-6):
+            raise InputError(
+                f"the model answers at {time.size} times up to {time[-1]:g} s, the measurement has "
+                f"{measured.size} up to {measured[-1]:g} s; open both from the same case and window"
+            )
+        if not np.all(np.isfinite(self.measurement.y)):
+            raise InputError("the measurement contains NaN; repair the recording or choose another window")
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The parameters, their bounds and coordinates."""
+        return self.model.parameter_space
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weight of each output's residuals. Shape (k,). [1 for the first output]."""
+        uncertainty = np.asarray(self.measurement.uncertainty, dtype=np.float64)
+        if uncertainty.size == 1:
+            return np.ones(1)
+        return np.asarray(uncertainty[0] / uncertainty, dtype=np.float64)
+
+    def on(self, model: ForwardModel) -> "CalibrationProblem":
+        """Pose the same problem to another model of the same parameters."""
+        mine, theirs = self.space, model.parameter_space
+        same = (
+            mine.names == theirs.names
+            and np.array_equal(mine.lower, theirs.lower)
+            and np.array_equal(mine.upper, theirs.upper)
+            and np.array_equal(mine.is_log, theirs.is_log)
+        )
+        if not same:
+            raise InputError(
+                "the two models do not share parameters, bounds and scales; "
+                "train the surrogate on the case that is calibrated"
+            )
+        return replace(self, model=model)
+
+    def evaluate(self, u: FloatArray) -> Evaluation:
+        """Ask the model at points of the unit cube.
+
+        Args:
+            u: Points; a single one may come flat. Shape (n, p) or (p,). [1]
+
+        Returns:
+            Everything known about them, in the same order.
+        """
+        u = np.atleast_2d(np.asarray(u, dtype=np.float64))
+        theta = np.asarray(self.space.from_unit(u), dtype=np.float64)
+        return self.judge(u, self.model.simulate(theta))
+
+    def judge(self, u: FloatArray, trajectories: Trajectories) -> Evaluation:
+        """Compare trajectories that exist already with the measurement.
+
+        Args:
+            u: The points they belong to. Shape (n, p). [1]
+            trajectories: The model's answers, in the same order.
+        """
+        difference = (trajectories.y - self.measurement.y[None]) * self.weights
+        residuals = difference.reshape(len(u), -1)
+        failed = trajectories.failed | ~np.all(np.isfinite(residuals), axis=1)
+        mse = np.full(len(u), np.inf)
+        mse[~failed] = np.mean(residuals[~failed] ** 2, axis=1)
+        failures = tuple(
+            reason or ("the simulated values are not finite" if bad else "")
+            for reason, bad in zip(trajectories.failures, failed, strict=True)
+        )
+        return Evaluation(u, trajectories.theta, trajectories.y, residuals, mse, failures)
+
+    def residuals(self, u: FloatArray) -> FloatArray:
+        """Return the signed residuals, simulated minus measured. Shape (n, t*k). [first output's unit]."""
+        return self.evaluate(u).residuals
+
+    def mse(self, u: FloatArray) -> FloatArray:
+        """Return the mean squared error, infinite where a row failed. Shape (n,). [unit squared]."""
+        return self.evaluate(u).mse

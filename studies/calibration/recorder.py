@@ -1,0 +1,128 @@
+"""What a calibration pays and what it has found so far; optimizers count nothing themselves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
+from simulation.counting import CountingModel
+from studies.calibration.problem import CalibrationProblem, Evaluation
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One report of a running search.
+
+    Attributes:
+        phase: "screen" or "polish".
+        n_done: Model rows asked so far in this phase.
+        n_total: Most rows that this phase may ask, or None without a limit.
+        best_mse: Best MSE so far. [first output's unit squared]
+    """
+
+    phase: str
+    n_done: int
+    n_total: int | None
+    best_mse: float
+
+
+OnProgress = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class History:
+    """Best error over the number of model rows paid for.
+
+    Attributes:
+        n_calls: Rows asked when the entry was made, rising. Shape (h,). [1]
+        best_mse: Best MSE of all rows until then, falling. Shape (h,). [first output's unit squared]
+    """
+
+    n_calls: IntArray
+    best_mse: FloatArray
+
+    def calls_to(self, target: float) -> int | None:
+        """Return the rows paid when the best MSE first was at most `target`; None if it never was."""
+        reached = np.flatnonzero(self.best_mse <= target)
+        return int(self.n_calls[reached[0]]) if reached.size else None
+
+    def after(self, n_calls: int) -> "History":
+        """Return the same history for somebody who had paid `n_calls` rows before it began."""
+        return History(self.n_calls + n_calls, self.best_mse)
+
+
+class Recorder:
+    """Ask a problem's model through a counter; keep the best point and the history.
+
+    A batch is one entry of the history: its rows were bought together.
+    """
+
+    def __init__(
+        self,
+        problem: CalibrationProblem,
+        *,
+        phase: str,
+        max_calls: int | None = None,
+        n_total: int | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> None:
+        """Start counting at zero.
+
+        Args:
+            problem: The problem; its model is wrapped, so counting is not the optimizer's business.
+            phase: Name of the phase in progress reports.
+            max_calls: Most rows that may be asked; the next batch beyond raises `BudgetExceeded`.
+            n_total: Most rows expected, for progress reports; `max_calls` when not given.
+            on_progress: Called after each batch.
+        """
+        self._counter = CountingModel(problem.model, budget=max_calls)
+        self._problem = problem.on(self._counter)
+        self._phase = phase
+        self._n_total = max_calls if n_total is None else n_total
+        self._on_progress = on_progress
+        self._entries: list[tuple[int, float]] = []
+        self.best: Evaluation | None = None
+
+    @property
+    def n_calls(self) -> int:
+        """Rows asked of the model so far."""
+        return self._counter.n_calls
+
+    @property
+    def best_mse(self) -> float:
+        """Best MSE so far, infinite before anything succeeded."""
+        return float(self.best.mse[0]) if self.best is not None else float("inf")
+
+    @property
+    def history(self) -> History:
+        """Best MSE over rows asked."""
+        return History(
+            np.array([calls for calls, _ in self._entries], dtype=np.int64),
+            np.array([mse for _, mse in self._entries], dtype=np.float64),
+        )
+
+    def know(self, evaluation: Evaluation) -> None:
+        """Take note of rows that somebody else has paid for."""
+        self._note(evaluation)
+
+    def evaluate(self, u: FloatArray) -> Evaluation:
+        """Ask the model, pay, and take note.
+
+        Args:
+            u: Points of the unit cube. Shape (n, p). [1]
+
+        Raises:
+            BudgetExceeded: The rows do not fit into what is left; nothing was simulated.
+        """
+        evaluation = self._problem.evaluate(u)
+        self._note(evaluation)
+        if self._on_progress is not None:
+            self._on_progress(Progress(self._phase, self.n_calls, self._n_total, self.best_mse))
+        return evaluation
+
+    def _note(self, evaluation: Evaluation) -> None:
+        index = int(np.argmin(evaluation.mse))
+        if self.best is None or evaluation.mse[index] < self.best_mse:
+            self.best = evaluation.take(index)
+        self._entries.append((self.n_calls, self.best_mse))

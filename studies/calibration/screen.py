@@ -1,0 +1,175 @@
+"""Screening: SciPy's differential evolution over the whole box, a generation per batch."""
+
+import time
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import OptimizeResult, differential_evolution
+
+from simulation.arrays import FloatArray
+from simulation.counting import BudgetExceeded
+from simulation.errors import InputError
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.recorder import History, OnProgress, Recorder
+
+
+@dataclass(frozen=True)
+class ScreenResult:
+    """The best point of the box and the population around it.
+
+    Attributes:
+        u: Best point in the unit cube. Shape (p,). [1]
+        theta: The same as parameters. Shape (p,). [per parameter]
+        y: The screened model's trajectory there. Shape (t, k). [output's unit]
+        mse: The screened model's error there, infinite when every row failed. [first output's unit squared]
+        population_u: Last population, best first. Shape (s, p). [1]
+        population_mse: Its errors, rising. Shape (s,). [first output's unit squared]
+        n_evaluations: Rows asked of the model.
+        n_generations: Generations after the first population.
+        history: Best MSE over rows asked, an entry per generation.
+        stop_reason: Why it ended, in words.
+        converged: True when the population's spread fell below the tolerance.
+    """
+
+    u: FloatArray
+    theta: FloatArray
+    y: FloatArray
+    mse: float
+    population_u: FloatArray
+    population_mse: FloatArray
+    n_evaluations: int
+    n_generations: int
+    history: History
+    stop_reason: str
+    converged: bool
+
+
+@dataclass(frozen=True)
+class DifferentialEvolution:
+    """Differential evolution in the unit cube (doi 10.1023/A:1008202821328), without a hidden polish.
+
+    Attributes:
+        popsize: Population per parameter, at least 5 in all; the Sobol start rounds it up to a power of two.
+        maxiter: Most generations after the first population.
+        tol: Stop when the population's standard deviation falls below this fraction of its mean error.
+        strategy: SciPy's name of the mutation; "best1bin" is greedy, "rand1bin" slower and more thorough.
+        mutation: Range from which each generation draws its differential weight. [1]
+        recombination: Probability that a coordinate comes from the mutant. [1]
+        max_calls: Most rows that may be asked of the model, or None: for use on a physical model.
+        max_wall_s: Stop after the generation in which this time is over, or None. Not repeatable. [s]
+    """
+
+    popsize: int = 15
+    maxiter: int = 300
+    tol: float = 1e-3
+    strategy: Literal["best1bin", "rand1bin", "currenttobest1bin", "randtobest1bin"] = "best1bin"
+    mutation: tuple[float, float] = (0.5, 1.0)
+    recombination: float = 0.7
+    max_calls: int | None = None
+    max_wall_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no search can run with."""
+        if self.popsize < 1 or self.maxiter < 0:
+            raise InputError(
+                f"screening: popsize is {self.popsize} and maxiter {self.maxiter}; give at least 1 and 0"
+            )
+
+    def minimize(
+        self, problem: CalibrationProblem, *, seed: int, on_progress: OnProgress | None = None
+    ) -> ScreenResult:
+        """Search the whole box.
+
+        Args:
+            problem: The problem, posed to the model that is asked.
+            seed: Seed of the population and all draws.
+            on_progress: Called after each generation.
+
+        Returns:
+            The best point seen; never raises for failed rows or a spent budget.
+
+        Raises:
+            InputError: The budget does not even hold the first population.
+        """
+        p = problem.space.n_parameters
+        n_population = 1 << (max(5, self.popsize * p) - 1).bit_length()
+        if self.max_calls is not None and self.max_calls < n_population:
+            raise InputError(
+                f"screening: max_calls is {self.max_calls}, the first population has {n_population} rows; "
+                "raise max_calls or lower popsize"
+            )
+        recorder = Recorder(
+            problem,
+            phase="screen",
+            max_calls=self.max_calls,
+            n_total=n_population * (self.maxiter + 1),
+            on_progress=on_progress,
+        )
+        search = _Search(recorder, self.max_wall_s)
+        converged = False
+        try:
+            found = differential_evolution(
+                search.mse,
+                bounds=[(0.0, 1.0)] * p,
+                strategy=self.strategy,
+                maxiter=self.maxiter,
+                popsize=self.popsize,
+                tol=self.tol,
+                mutation=self.mutation,
+                recombination=self.recombination,
+                rng=np.random.default_rng(seed),
+                callback=search.after_generation,
+                polish=False,
+                init="sobol",
+                updating="deferred",
+                vectorized=True,
+            )
+            converged = bool(found.success) and not search.time_is_over
+            search.after_generation(found)
+            reason = "the population has converged" if converged else "the limit of generations is reached"
+        except BudgetExceeded:
+            reason = f"the budget of {self.max_calls} calls is spent"
+        if search.time_is_over:
+            reason = f"the time limit of {self.max_wall_s:g} s is over"
+        best = recorder.best
+        assert best is not None, "the budget holds the first population"
+        order = np.argsort(search.population_mse, kind="stable")
+        return ScreenResult(
+            u=best.u[0],
+            theta=best.theta[0],
+            y=best.y[0],
+            mse=float(best.mse[0]),
+            population_u=search.population_u[order],
+            population_mse=search.population_mse[order],
+            n_evaluations=recorder.n_calls,
+            n_generations=recorder.history.n_calls.size - 1,
+            history=recorder.history,
+            stop_reason=reason,
+            converged=converged,
+        )
+
+
+class _Search:
+    """The two callbacks of one differential evolution, and the population they have seen last."""
+
+    def __init__(self, recorder: Recorder, max_wall_s: float | None) -> None:
+        self._recorder = recorder
+        self._deadline = None if max_wall_s is None else time.monotonic() + max_wall_s
+        self.time_is_over = False
+        self.population_u: FloatArray = np.empty((0, 0))
+        self.population_mse: FloatArray = np.empty(0)
+
+    def mse(self, columns: FloatArray) -> FloatArray:
+        """Return the errors of a generation, which SciPy hands over as (p, S). Shape (S,)."""
+        evaluation = self._recorder.evaluate(columns.T)
+        if not self.population_mse.size:
+            self.population_u, self.population_mse = evaluation.u.copy(), evaluation.mse.copy()
+        return evaluation.mse
+
+    def after_generation(self, intermediate_result: OptimizeResult) -> bool:
+        """Keep the population; return True, which ends the search, when the time is over."""
+        self.population_u = np.array(intermediate_result.population)
+        self.population_mse = np.array(intermediate_result.population_energies)
+        self.time_is_over = self._deadline is not None and time.monotonic() >= self._deadline
+        return self.time_is_over
