@@ -1,0 +1,69 @@
+"""A lock on a file that the operating system releases when its owner dies, however it dies."""
+
+import os
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+
+
+class FileLock:
+    """An exclusive lock between processes, held through an open file.
+
+    A lock that is a mere file outlives a killed owner; this one does not, so that whoever gets it knows that
+    no living process holds it.
+
+    Args:
+        file: the file to lock; created empty where absent, never removed.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._descriptor: int | None = None
+
+    def try_acquire(self) -> bool:
+        """Take the lock if no other process has it; return whether it is held now."""
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            _lock_now(descriptor)
+        except OSError:
+            os.close(descriptor)
+            return False
+        self._descriptor = descriptor
+        return True
+
+    def acquire(self) -> None:
+        """Wait until the lock is held."""
+        wait_s = 0.0005
+        while not self.try_acquire():
+            time.sleep(wait_s)
+            wait_s = min(2.0 * wait_s, 0.02)
+
+    def release(self) -> None:
+        """Give the lock back; without effect where it is not held."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def __enter__(self) -> "FileLock":
+        self.acquire()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock_now(descriptor: int) -> None:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock_now(descriptor: int) -> None:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,0 +1,61 @@
+"""The data sets of a study and the settings its trials share, checked before a trial is spent on them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pelsvae.config import VARIANTS, SurrogateConfig
+from simulation.errors import InputError
+from simulation.trajectories import Trajectories
+from studies.study_spec import StudySpec
+
+_Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class StudyData:
+    """The data sets of a study without their failed rows: pairs of theta (n, p) and y (n, t, k)."""
+
+    train: _Pair
+    validation: _Pair
+    test: _Pair
+
+
+def load_data(spec: StudySpec) -> StudyData:
+    """Read a study's data sets and leave out failed simulations.
+
+    Raises:
+        InputError: a file does not hold what the study was declared with, or no good row is left.
+    """
+    train = Trajectories.load(spec.train_file)
+    sets = [
+        (spec.train_file, train.take(np.arange(min(spec.n_train, train.n))), spec.train_digest),
+        (spec.validation_file, Trajectories.load(spec.validation_file), spec.validation_digest),
+        (spec.test_file, Trajectories.load(spec.test_file), spec.test_digest),
+    ]
+    pairs = []
+    for file, rows, digest in sets:
+        if rows.digest != digest:
+            raise InputError(f"{file} has changed since the study was set up; start the command again")
+        good = rows.take(~rows.failed)
+        if good.n < 2:
+            raise InputError(
+                f"{file} has {good.n} good simulations of {rows.n}; a surrogate needs at least 2"
+            )
+        pairs.append((good.theta, good.y))
+    return StudyData(*pairs)
+
+
+def base_config(spec: StudySpec) -> SurrogateConfig:
+    """Return the variant's settings with those that all trials of the study share.
+
+    Raises:
+        InputError: no such variant or setting.
+    """
+    if spec.variant not in VARIANTS:
+        raise InputError(f"there is no variant {spec.variant!r}; choose among {sorted(VARIANTS)}")
+    try:
+        return VARIANTS[spec.variant].replace(**spec.shared_settings)
+    except ValueError as error:
+        raise InputError(f"training settings of {spec.label}: {error}") from None

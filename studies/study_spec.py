@@ -1,0 +1,220 @@
+"""What a tuning study is given, what it reports while it runs, and what it leaves: plain, picklable data."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from simulation.errors import InputError
+from simulation.parameters import ParameterSpace
+from simulation.trajectories import Trajectories
+from studies.paths import size_name
+from studies.profile import SearchRanges
+
+TrialState = Literal["complete", "pruned", "failed"]
+EventKind = Literal["study-started", "trial-started", "epoch", "trial-finished", "study-finished"]
+
+
+@dataclass(frozen=True)
+class StudySpec:
+    """One Optuna study: the surrogate of one case for one training-set size.
+
+    Args:
+        label: what the user calls the case and profile; MLflow's experiment.
+        n_train: rows of the training design that are used (failed simulations among them are left out).
+        case_name: name of the case.
+        case_digest: sha256 of the physics.
+        fmu_sha256: sha256 of the FMU.
+        parameter_space: physical parameters; the surrogate is told which ones are logarithmic.
+        output_names: simulated outputs.
+        output_unit: unit of the outputs and so of the errors.
+        train_file: training trajectories, at least `n_train` rows.
+        validation_file: trajectories that choose epochs and hyperparameters.
+        test_file: trajectories that only judge.
+        train_digest: sha256 of the first `n_train` rows.
+        validation_digest: sha256 of the validation trajectories.
+        test_digest: sha256 of the test trajectories.
+        variant: named form of the surrogate the trials start from.
+        overrides: settings of the surrogate that every trial shares; a None holds the variant's.
+        search: ranges of the hyperparameters.
+        seed: every random draw derives from it.
+        note: shown where the numbers are shown.
+    """
+
+    label: str
+    n_train: int
+    case_name: str
+    case_digest: str
+    fmu_sha256: str
+    parameter_space: ParameterSpace
+    output_names: tuple[str, ...]
+    output_unit: str
+    train_file: Path
+    validation_file: Path
+    test_file: Path
+    train_digest: str
+    validation_digest: str
+    test_digest: str
+    variant: str
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    search: SearchRanges = field(default_factory=SearchRanges)
+    seed: int = 0
+    note: str = ""
+
+    @classmethod
+    def from_files(
+        cls,
+        *,
+        train_file: Path,
+        validation_file: Path,
+        test_file: Path,
+        n_train: int,
+        parameter_space: ParameterSpace,
+        **declared: Any,
+    ) -> "StudySpec":
+        """Build a study from trajectory files, taking digests and output names from their content.
+
+        Raises:
+            InputError: a file is missing, has fewer than `n_train` rows, or the parameters differ.
+        """
+        train = Trajectories.load(train_file)
+        validation = Trajectories.load(validation_file)
+        test = Trajectories.load(test_file)
+        if train.n < n_train:
+            raise InputError(
+                f"{train_file} has {train.n} rows, n_train is {n_train}; simulate more or ask for less"
+            )
+        for file, rows in ((train_file, train), (validation_file, validation), (test_file, test)):
+            if tuple(rows.parameter_names) != parameter_space.names:
+                raise InputError(f"{file} has other parameters than the case; simulate it again")
+        return cls(
+            n_train=n_train,
+            parameter_space=parameter_space,
+            output_names=tuple(train.output_names),
+            train_file=train_file,
+            validation_file=validation_file,
+            test_file=test_file,
+            train_digest=train.take(np.arange(n_train)).digest,
+            validation_digest=validation.digest,
+            test_digest=test.digest,
+            **declared,
+        )
+
+    @property
+    def shared_settings(self) -> dict[str, Any]:
+        """Settings of the surrogate that every trial shares, without those left to the variant."""
+        return {name: value for name, value in self.overrides.items() if value is not None}
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """Sha256 of what the study is about, by name."""
+        return {
+            "case": self.case_digest,
+            "fmu": self.fmu_sha256,
+            "train": self.train_digest,
+            "validation": self.validation_digest,
+            "test": self.test_digest,
+        }
+
+    @cached_property
+    def digest(self) -> str:
+        """Sha256 over all that decides the trials; the number of trials, names of files and notes do not."""
+        settings = {name: value for name, value in self.shared_settings.items() if name != "device"}
+        decisive = {
+            "case": self.case_digest,
+            "n_train": self.n_train,
+            "train": self.train_digest,
+            "validation": self.validation_digest,
+            "variant": self.variant,
+            "settings": settings,
+            "search": asdict(self.search),
+            "seed": self.seed,
+        }
+        return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def name(self) -> str:
+        """Name of the Optuna study, for example `office-quick/n0064/1a2b3c4d`."""
+        return f"{self.label}/{size_name(self.n_train)}/{self.digest[:8]}"
+
+    def folder(self, mlruns: Path) -> Path:
+        """Folder of the study's finished trials."""
+        return mlruns / "trials" / self.label / f"{size_name(self.n_train)}-{self.digest[:8]}"
+
+
+@dataclass(frozen=True)
+class TuneEvent:
+    """Something a progress bar may want to know; sent at most a few times a second per study.
+
+    Args:
+        kind: what happened.
+        study: name of the study.
+        n_train: its training-set size.
+        n_trials: trials the study shall have in total.
+        n_finished: trials it has.
+        index: the trial in question, from 0; -1 where the event is about the study.
+        epoch: epochs of that trial so far.
+        max_epochs: most epochs it may take.
+        state: how a finished trial ended.
+        value: validation error of the trial so far. [output's unit]
+        best: least validation error among the study's completed trials, if any. [output's unit]
+        message: reason of a failed or pruned trial.
+    """
+
+    kind: EventKind
+    study: str
+    n_train: int
+    n_trials: int
+    n_finished: int
+    index: int = -1
+    epoch: int = 0
+    max_epochs: int = 0
+    state: TrialState | None = None
+    value: float | None = None
+    best: float | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class StudySummary:
+    """What a study has come to.
+
+    Args:
+        study: name of the study.
+        label: label of the study.
+        n_train: training-set size.
+        n_complete: trials trained to their end.
+        n_pruned: trials stopped early.
+        n_failed: trials that failed for a reason of their own.
+        best_index: best completed trial, None without one.
+        best_metrics: its errors by name (`val/mae`, `val/p90`, `test/mae`, `test/p90`). [output's unit]
+        best_config: its settings.
+        wall_s: training time of all trials together. [s]
+        champion: folder of the best surrogate, None without one.
+    """
+
+    study: str
+    label: str
+    n_train: int
+    n_complete: int
+    n_pruned: int
+    n_failed: int
+    best_index: int | None
+    best_metrics: dict[str, float]
+    best_config: dict[str, Any]
+    wall_s: float
+    champion: Path | None = None
+
+    @property
+    def n_trials(self) -> int:
+        """Number of finished trials."""
+        return self.n_complete + self.n_pruned + self.n_failed
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the summary as values that JSON knows."""
+        return {**asdict(self), "n_trials": self.n_trials, "champion": self.champion and str(self.champion)}
