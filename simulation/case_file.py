@@ -1,0 +1,170 @@
+"""The case file's schema: every key a case.toml may hold, and nothing else."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from simulation.errors import InputError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class TimeTable(_Table):
+    """Key [time]: the window in days since the recording's first row, and the two steps in seconds."""
+
+    # TOML arrays arrive as lists; strict mode would take no list for a tuple.
+    window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
+    communication_step_s: Positive
+    output_step_s: Positive
+
+
+class InputTable(_Table):
+    """Key [[inputs]]: where an FMU input comes from."""
+
+    name: Name
+    file: Name
+    column: Name | None = None
+    sum: dict[str, Finite] | None = None
+    unit: str
+    interpolation: Literal["held", "linear", "smooth"]
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "InputTable":
+        if (self.column is None) == (not self.sum):
+            raise ValueError("give either column or sum, not both and not neither")
+        return self
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each column in the input."""
+        return {self.column: 1.0} if self.column is not None else dict(self.sum or {})
+
+
+class OutputTable(_Table):
+    """Key [[outputs]]: an FMU output and its measurement."""
+
+    name: Name
+    unit: str
+    file: Name
+    column: Name
+    uncertainty: Positive
+
+
+class ParameterTable(_Table):
+    """Key [[parameters]]: a parameter to calibrate."""
+
+    name: Name
+    estimate: Finite | None = None
+    lower: Finite
+    upper: Finite
+    unit: str = "1"
+    scale: Literal["linear", "log"] = "linear"
+    description: str = ""
+
+
+class FirstMeasured(_Table):
+    """Value of [fixed]: the first measured value of an output in the window."""
+
+    first_measured: Name
+
+
+class CaseFile(_Table):
+    """A whole case.toml."""
+
+    # Later schemas must say so, else an old program would read a new file wrongly.
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    title: str = ""
+    note: str = ""
+    fmu: Name
+    interface: Literal["co-simulation"] = "co-simulation"
+    data: str = "."
+    time: TimeTable
+    inputs: list[InputTable] = []
+    outputs: Annotated[list[OutputTable], Field(min_length=1)]
+    parameters: Annotated[list[ParameterTable], Field(min_length=1)]
+    fixed: dict[str, Finite | FirstMeasured] = {}
+
+
+def read_case_file(path: Path) -> CaseFile:
+    """Read and validate a case file.
+
+    Args:
+        path: The case.toml.
+
+    Returns:
+        Its content.
+
+    Raises:
+        InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; a case is a folder with a case.toml") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a text file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}; correct that line") from None
+    try:
+        return CaseFile.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_in_one_line(error, content)}") from None
+
+
+def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
+    """Say the first fault as key, value and remedy."""
+    fault = error.errors(include_url=False)[0]
+    location = fault["loc"]
+    # A union (number or table) reports each branch under its own name, which is no key of the file.
+    if location[:1] == ("fixed",):
+        location = location[:2]
+    key = _key(location, content)
+    if fault["type"] == "extra_forbidden":
+        return f"unknown key {key}{_suggestion(location)}; remove or correct it"
+    if fault["type"] == "missing":
+        return f"key {key} is missing; add it"
+    if location[:1] == ("fixed",):
+        return f'{key} = {fault["input"]!r}: give a number or {{ first_measured = "<output>" }}'
+    value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
+    return f"{key}{value}: {fault['msg'].removeprefix('Value error, ')}; correct it"
+
+
+def _key(location: tuple[int | str, ...], content: Any) -> str:
+    words = ""
+    for part in location:
+        content = content[part] if _holds(content, part) else None
+        if isinstance(part, int):
+            name = content.get("name") if isinstance(content, dict) else None
+            words += f"[{name}]" if isinstance(name, str) else f"[{part}]"
+        else:
+            words += f".{part}" if words else part
+    return words or "the file"
+
+
+def _holds(content: Any, part: int | str) -> bool:
+    if isinstance(content, dict):
+        return part in content
+    return isinstance(content, list) and isinstance(part, int) and part < len(content)
+
+
+def _suggestion(location: tuple[int | str, ...]) -> str:
+    tables: dict[str, type[_Table]] = {
+        "time": TimeTable,
+        "inputs": InputTable,
+        "outputs": OutputTable,
+        "parameters": ParameterTable,
+    }
+    table = tables.get(str(location[0]), CaseFile) if len(location) > 1 else CaseFile
+    known = [field.alias or name for name, field in table.model_fields.items()]
+    close = difflib.get_close_matches(str(location[-1]), known, n=1)
+    return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known)})"

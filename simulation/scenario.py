@@ -1,0 +1,98 @@
+"""Boundary conditions of a co-simulation: which input value holds over which communication step."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator, PPoly
+
+from simulation.arrays import FloatArray
+
+Interpolation = Literal["held", "linear", "smooth"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """What drives a model, and when it is looked at.
+
+    Attributes:
+        time_communication: Edges of the m communication steps. Shape (m + 1,). [s]
+        inputs: Input values, each constant over its step. Shape (m, n_inputs). [model's units]
+        input_names: Names of the inputs.
+        output_every: Communication steps between two outputs; divides m.
+    """
+
+    time_communication: FloatArray
+    inputs: FloatArray
+    input_names: tuple[str, ...]
+    output_every: int
+
+    def __post_init__(self) -> None:
+        n_steps = len(self.time_communication) - 1
+        if self.inputs.shape != (n_steps, len(self.input_names)):
+            raise ValueError(
+                f"inputs have shape {self.inputs.shape}; expected {(n_steps, len(self.input_names))}"
+            )
+        if n_steps < 1 or self.output_every < 1 or n_steps % self.output_every:
+            raise ValueError(f"{n_steps} steps cannot be looked at every {self.output_every}")
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """Output times, the first edge included. Shape (t,). [s]."""
+        return self.time_communication[:: self.output_every].copy()
+
+
+def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:
+    """Tell whether a series is known over all communication steps.
+
+    A held sample is good for one sample step beyond its time, the others end with the last sample.
+
+    Args:
+        time: Sample times. Shape (m,). [s]
+        edges: Edges of the communication steps. Shape (s + 1,). [s]
+        interpolation: How the series is read between its samples.
+
+    Returns:
+        Whether no step needs a value from outside.
+    """
+    slack = 1e-9 * (time[1] - time[0])
+    end = time[-1] + (time[1] - time[0] if interpolation == "held" else 0.0)
+    return bool(time[0] <= edges[0] + slack and edges[-1] <= end + slack)
+
+
+def values_over_steps(
+    time: FloatArray, values: FloatArray, edges: FloatArray, *, interpolation: Interpolation
+) -> FloatArray:
+    """Give the constant that stands for a series over each communication step.
+
+    Args:
+        time: Sample times. Shape (m,). [s]
+        values: Samples. Shape (m,).
+        edges: Edges of the communication steps, inside what the series covers. Shape (s + 1,). [s]
+        interpolation: "held": the sample last taken when the step starts; "linear": exact mean of the
+            straight lines between samples; "smooth": exact mean of the monotone cubic (pchip) through them.
+
+    Returns:
+        One value per step. Shape (s,).
+
+    Raises:
+        ValueError: If the series does not cover the steps: it is never extended silently.
+    """
+    if not covers(time, edges, interpolation):
+        raise ValueError(
+            f"the series from {time[0]:g} to {time[-1]:g} s does not cover {edges[0]:g} to {edges[-1]:g} s"
+        )
+    if interpolation == "held":
+        # A millionth of a sample step forgives edges whose sum of floats falls just short of a sample.
+        at = np.searchsorted(time, edges[:-1] + 1e-6 * (time[1] - time[0]), side="right") - 1
+        return np.asarray(values[at], dtype=np.float64)
+    # Integrated relative to the start of the window and to the mean: no digits are lost in large integrals.
+    start, level = edges[0], float(np.mean(values))
+    if interpolation == "linear":
+        slopes = np.diff(values) / np.diff(time)
+        curve = PPoly(np.stack([slopes, values[:-1] - level]), time - start)
+    else:
+        curve = PchipInterpolator(time - start, values - level)
+    integral = curve.antiderivative()(edges - start)
+    return np.asarray(np.diff(integral) / np.diff(edges) + level, dtype=np.float64)
