@@ -47,6 +47,11 @@ class FmuSettings:
     output_offsets: FloatArray
     fixed: Mapping[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        both = [name for name in self.fixed if name in self.parameter_space.names]
+        if both:
+            raise InputError(f"{self.path}: {both[0]} is both fixed and calibrated; drop one of the two")
+
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the picklable recipe that worker processes are given."""
         return FmuModel(self)
@@ -71,9 +76,6 @@ class FmuModel:
         self._settings = settings
         description = read_description(settings.path)
         space, scenario = settings.parameter_space, settings.scenario
-        both = [name for name in settings.fixed if name in space.names]
-        if both:
-            raise InputError(f"{settings.path}: {both[0]} is both fixed and calibrated; drop one of the two")
         self._parameter_references = _references(description, [*settings.fixed, *space.names], "parameter")
         self._input_references = _references(description, scenario.input_names, "input")
         self._output_references = _references(description, settings.output_names, "output")
