@@ -142,6 +142,10 @@ class StudySpec:
         """Name of the Optuna study, for example `office-quick/n0064/1a2b3c4d`."""
         return f"{self.label}/{size_name(self.n_train)}/{self.digest[:8]}"
 
+    def lock_file(self, mlruns: Path) -> Path:
+        """File whose lock the process holds that works on the study."""
+        return self.folder(mlruns) / ".lock"
+
     def folder(self, mlruns: Path) -> Path:
         """Folder of the study's finished trials."""
         return mlruns / "trials" / self.label / f"{size_name(self.n_train)}-{self.digest[:8]}"

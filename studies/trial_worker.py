@@ -32,7 +32,6 @@ from studies.trial_record import (
     write_record,
 )
 
-LOCK_FILE = ".lock"
 N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would cost more than a training
 PRUNE_AFTER = 0.1  # part of the epochs in which no trial is judged
 EVENT_PERIOD_S = 0.25
@@ -84,7 +83,7 @@ def run_study(
         StudyInterruptedError: `should_stop` said so.
     """
     folder = spec.folder(mlruns)
-    lock = FileLock(folder / LOCK_FILE)
+    lock = FileLock(spec.lock_file(mlruns))
     if not lock.try_acquire():
         raise InputError(f"study {spec.name} is being tuned by another process; wait for it or stop it")
     try:

@@ -1,0 +1,84 @@
+"""Small studies on toy models, and an MLflow database that is made once and copied."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from simulation.design import uniform_design
+from simulation.toy import ToyRC
+from studies.paths import ProjectPaths
+from studies.profile import SearchRanges
+from studies.study_spec import StudySpec
+from studies.tracking import Tracker
+
+SMALL_SEARCH = SearchRanges(n_latent=(2, 8), n_hidden=(8, 32), beta=(1.0, 1000.0), learning_rate=(1e-3, 1e-2))
+SMALL_TRAINING = {"max_epochs": 20, "validate_every": 1, "patience": 20, "device": "cpu", "n_threads": 1}
+
+
+@pytest.fixture(scope="session")
+def toy_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with train, validation and test trajectories of a two-parameter RC network."""
+    folder = tmp_path_factory.mktemp("toy-data")
+    model = ToyRC()
+    for seed, (name, n) in enumerate({"train": 32, "validation": 24, "test": 24}.items()):
+        theta = uniform_design(model.parameter_space, n, seed)
+        model.simulate(theta).save(folder / f"{name}.npz")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def make_spec(toy_data: Path) -> Callable[..., StudySpec]:
+    """Make a study on the toy data; settings may be changed by name."""
+    model = ToyRC()
+
+    def make(n_train: int = 16, **changes: object) -> StudySpec:
+        spec = StudySpec.from_files(
+            train_file=toy_data / "train.npz",
+            validation_file=toy_data / "validation.npz",
+            test_file=toy_data / "test.npz",
+            n_train=n_train,
+            parameter_space=model.parameter_space,
+            label="toy-small",
+            case_name="toy",
+            case_digest="c" * 64,
+            fmu_sha256="f" * 64,
+            output_unit="K",
+            variant="refined",
+            overrides=SMALL_TRAINING,
+            search=SMALL_SEARCH,
+            seed=5,
+            note="A toy.",
+        )
+        return replace(spec, **changes)
+
+    return make
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> ProjectPaths:
+    """An empty project."""
+    (tmp_path / "fmus").mkdir()
+    return ProjectPaths(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An MLflow database with its schema and nothing in it; making one takes seconds, a copy none."""
+    from studies.mlflow_tracker import MlflowTracker
+
+    folder = tmp_path_factory.mktemp("mlflow-template")
+    MlflowTracker(folder / "mlflow.db", folder / "artifacts")
+    return folder / "mlflow.db"
+
+
+@pytest.fixture
+def tracker(project: ProjectPaths, empty_database: Path) -> Tracker:
+    """An MLflow tracker on a database of its own."""
+    from studies.mlflow_tracker import MlflowTracker
+
+    project.mlruns.mkdir()
+    shutil.copy(empty_database, project.tracking_database)
+    return MlflowTracker(project.tracking_database, project.artifacts)
