@@ -1,0 +1,223 @@
+"""What each picture says, in one sentence made of numbers from the data."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from studies.report.data import ReportData
+from studies.report.findings import (
+    best_trials,
+    calls_to_most,
+    enclosed_fraction,
+    good_rows,
+    mean_over_time,
+    ranking,
+    residual_of,
+    strongest_correlation,
+)
+from studies.report.records import (
+    CalibrationRecord,
+    CoverageSet,
+    LearningCurves,
+    MeasuredSeries,
+    ParameterBox,
+    SensitivityRecord,
+    TrialsRecord,
+)
+from studies.report.wording import (
+    count,
+    difference_unit,
+    listed,
+    percent,
+    quantity,
+    shown_unit,
+    significant,
+    squared,
+)
+
+SECONDS_PER_DAY = 86400.0
+
+
+def mse_unit(measurement: MeasuredSeries) -> str:
+    """Return the unit of an MSE: the first output's, squared."""
+    return squared(difference_unit(measurement.units[0]))
+
+
+def headline_sentence(data: ReportData) -> str:
+    """Say the result of the study in one sentence."""
+    c = data.headline
+    if c is None:
+        return "Nothing has been calibrated yet."
+    unit = mse_unit(data.measurement)
+    sentence = (
+        f"{count(c.calls_paper, 'model call')} ({count(c.n_train)} for training, {count(c.n_screen_checks)} "
+        f"to check the screened point, {count(c.n_polish)} to polish) calibrated "
+        f"{count(len(data.parameters.names), 'parameter')} without an initial guess to an MSE of "
+        f"{quantity(c.mse_polished, unit)}"
+    )
+    known = [r for r in data.references if not r.is_target and r.mse > 0]
+    if known:
+        best = min(known, key=lambda r: r.mse)
+        sentence += (
+            f", {significant(c.mse_polished / best.mse)} times {quantity(best.mse, unit)} ({best.label})"
+        )
+    return f"{sentence}; with the validation and test sets {count(c.calls_honest, 'simulation')} were run."
+
+
+def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRecord) -> str:
+    """Say how well the polished model follows the measurement."""
+    parts = []
+    for k, name in enumerate(measurement.output_names):
+        unit, residual = difference_unit(measurement.units[k]), residual_of(measurement, calibration, k)
+        if residual is None:
+            parts.append(f"{name} could not be simulated")
+            continue
+        day, side = residual.largest_at_s / SECONDS_PER_DAY, "high" if residual.bias > 0 else "low"
+        part = (
+            f"{name} differs from the measurement by {quantity(residual.rms, unit)} (root mean square) and "
+            f"at most by {quantity(abs(residual.largest), unit)} (day {day:.1f}), "
+            f"its mean is {quantity(abs(residual.bias), unit, 2)} too {side}"
+        )
+        if math.isfinite(residual.within):
+            sensor = f"±{float(measurement.uncertainty[k]):g} {unit}".strip()
+            part += f", and {percent(residual.within)} of the values lie within the sensor's {sensor}"
+        parts.append(part)
+    return f"After the polish {'; '.join(parts)}."
+
+
+def polish_caption(calibration: CalibrationRecord, unit: str) -> str:
+    """Say what the surrogate promised, what the model answered, and what the polish made of it."""
+    c = calibration
+    promise, answer = quantity(c.mse_surrogate, unit), quantity(c.mse_screened, unit)
+    if not math.isfinite(c.mse_screened):
+        said = (
+            f"The surrogate promised {promise} at the screened point, where the model could not be simulated"
+        )
+    else:
+        said = f"The surrogate promised {promise} at the screened point and the model answered {answer}"
+    most = calls_to_most(c)
+    if most is None:
+        gained = f"{count(c.n_polish, 'polish call')} left it at {quantity(c.mse_polished, unit)}"
+    else:
+        gained = (
+            f"{count(c.n_polish, 'polish call')} brought it to {quantity(c.mse_polished, unit)}, the first "
+            f"{count(most)} of them nine tenths of the way (in the logarithm)"
+        )
+    ended = f"; it ended because {c.stop_reason}" if c.stop_reason else ""
+    return f"{said}; {gained}{ended}."
+
+
+def overview_caption(calibrations: tuple[CalibrationRecord, ...], unit: str) -> str:
+    """Say how the screening gap and the cost change with the size of the training set."""
+    first, last = calibrations[0], calibrations[-1]
+    cheapest = min(calibrations, key=lambda c: c.calls_paper)
+    lowest = min(calibrations, key=lambda c: c.mse_polished)
+    ends = (
+        f"The cheapest calibration took {count(cheapest.calls_paper, 'call')} (n = {cheapest.n_train}), "
+        f"the lowest final MSE is {quantity(lowest.mse_polished, unit)} (n = {lowest.n_train})."
+    )
+    if first is last:
+        return f"The screening gap at n = {first.n_train} is {quantity(first.screening_gap, unit)}. {ends}"
+    return (
+        f"The screening gap goes from {quantity(first.screening_gap, unit)} at n = {first.n_train} to "
+        f"{quantity(last.screening_gap, unit)} at n = {last.n_train}. {ends}"
+    )
+
+
+def trials_caption(trials: TrialsRecord, unit: str) -> str:
+    """Say how much tuning mattered, beside how much the number of simulations did."""
+    states = [
+        f"{count(trials.state.count(s))} {s}" for s in ("complete", "pruned", "failed") if s in trials.state
+    ]
+    sentence = f"Of {count(len(trials.state), 'trial')} {listed(states)}" if states else "No trial has ended"
+    spreads = []
+    for size in sorted({int(n) for n in trials.n_train}):
+        errors = trials.test_mae[(trials.n_train == size) & np.isfinite(trials.test_mae)]
+        if len(errors) > 1:
+            spreads.append(
+                (float(errors.max() / errors.min()), size, float(errors.min()), float(errors.max()))
+            )
+    if spreads:
+        ratio, size, low, high = max(spreads)
+        sentence += (
+            f"; hyperparameters matter most at n = {size}, where the test MAE spans {significant(low, 2)} to "
+            f"{quantity(high, unit, 2)}, a factor of {significant(ratio, 2)}"
+        )
+    best = best_trials(trials)
+    if best.size:
+        ratio = float(trials.test_p90[best[-1]] / trials.test_mae[best[-1]])
+        if math.isfinite(ratio):
+            size = int(trials.n_train[best[-1]])
+            sentence += f"; the best one's 90th percentile at n = {size} is {ratio:.1f} times its MAE"
+    return f"{sentence}."
+
+
+def coverage_caption(measurement: MeasuredSeries, coverage: CoverageSet) -> str:
+    """Say whether the simulated set could have produced the measurement."""
+    good = good_rows(coverage)
+    n_failed = len(coverage.y) - len(good)
+    failed = f" ({count(n_failed)} failed)" if n_failed else ""
+    if not len(good):
+        return f"All {count(len(coverage.y), f'{coverage.name} simulation')} failed."
+    unit = shown_unit(measurement.units[0])
+    simulated, measured = (
+        f"from {quantity(float(values.min()), unit)} to {quantity(float(values.max()), unit)}"
+        for values in (good[..., 0], measurement.y[:, 0])
+    )
+    return (
+        f"{count(len(good), f'{coverage.name} simulation')}{failed} range {simulated} in "
+        f"{measurement.output_names[0]}, the measurement {measured}; "
+        f"{percent(enclosed_fraction(measurement, coverage))} of the measured values lie between the lowest "
+        f"and the highest simulated one."
+    )
+
+
+def pairs_caption(parameters: ParameterBox, coverage: CoverageSet) -> str:
+    """Say how evenly the parameters were sampled."""
+    strongest = strongest_correlation(coverage)
+    if strongest is None:
+        return f"{count(len(coverage.theta), 'sample')} are too few to speak of correlations."
+    value, i, j = strongest
+    return (
+        f"The largest correlation among the sampled parameters is {value:.2f} ({parameters.names[i]} with "
+        f"{parameters.names[j]}); {count(len(coverage.theta))} independent draws give sizes of about "
+        f"{1 / math.sqrt(len(coverage.theta)):.2f} by chance."
+    )
+
+
+def sensitivity_caption(sensitivity: SensitivityRecord) -> str:
+    """Say which parameters matter, and how much lies in interactions."""
+    parts = []
+    for k, output in enumerate(sensitivity.output_names):
+        order = ranking(sensitivity, k)
+        first = mean_over_time(sensitivity.first_order[:, k])
+        if not np.isfinite(first).any():
+            parts.append(f"{output} does not vary, so its indices are undefined")
+            continue
+        top = [
+            f"{sensitivity.names[i]} {percent(float(first[i]))}" for i in order[:6] if np.isfinite(first[i])
+        ]
+        rest = max(0.0, 1.0 - float(np.nansum(first)))
+        parts.append(
+            f"of the variance of {output}, {listed(top)} are due to that parameter alone and {percent(rest)} "
+            f"to interactions of parameters"
+        )
+    by_whom = f" from {count(sensitivity.n_calls)} simulations" if sensitivity.n_calls else ""
+    model = f" of {sensitivity.model}" if sensitivity.model else ""
+    return f"Averaged over time{by_whom}{model}: {'. '.join(parts)}."
+
+
+def learning_caption(curves: LearningCurves, unit: str) -> str:
+    """Say how a training went."""
+    finite = curves.validation_mae[np.isfinite(curves.validation_mae)]
+    if not finite.size:
+        return "The training was never validated."
+    ended = f" ({curves.stop_reason})" if curves.stop_reason else ""
+    return (
+        f"The validation MAE fell from {quantity(float(finite[0]), unit)} to "
+        f"{quantity(float(finite.min()), unit)} at epoch {count(curves.best_epoch)}, "
+        f"whose weights were kept; the training ended at epoch "
+        f"{count(int(curves.epoch[-1]))}{ended}."
+    )

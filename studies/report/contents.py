@@ -1,0 +1,172 @@
+"""What one study's report holds: which pictures and tables there are, before any of them is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from studies.report import captions
+from studies.report.data import ReportData
+from studies.report.figures_calibration import calibration_figure, overview_figure, polish_figure
+from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
+from studies.report.figures_sensitivity import sensitivity_figure
+from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
+from studies.report.records import CalibrationRecord, LearningCurves
+from studies.report.tables import (
+    Table,
+    calibrations_table,
+    parameters_table,
+    sensitivity_table,
+    tuning_table,
+)
+from studies.report.wording import difference_unit
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture still to be drawn."""
+
+    name: str
+    heading: str
+    caption: str
+    draw: Callable[[Path], Path]
+
+    @property
+    def file(self) -> str:
+        """Name of the PNG."""
+        return f"{self.name}.png"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Everything that one study's report holds, by the part of the page it belongs to."""
+
+    calibration: tuple[Picture, ...]
+    overview: tuple[Picture, ...]
+    others: tuple[tuple[CalibrationRecord, tuple[Picture, ...]], ...]
+    surrogate: tuple[Picture, ...]
+    model: tuple[Picture, ...]
+    tables: dict[str, Table]
+
+    @property
+    def pictures(self) -> tuple[Picture, ...]:
+        """All pictures in the order of the page."""
+        others = tuple(picture for _, pictures in self.others for picture in pictures)
+        return self.calibration + self.overview + self.surrogate + self.model + others
+
+
+def contents_of(data: ReportData) -> Contents:
+    """Decide what a report shows; what the data does not hold is left out."""
+    headline = data.headline
+    foot = f"{data.label} · {data.note}" if data.note else data.label
+    unit = difference_unit(data.measurement.units[0])
+    mse_unit = captions.mse_unit(data.measurement)
+    others = tuple(c for c in data.by_size if c is not headline)
+    tables = {
+        t.name: t
+        for t in (
+            calibrations_table(data) if data.calibrations else None,
+            *(parameters_table(data.parameters, c) for c in data.by_size),
+            tuning_table(data),
+            sensitivity_table(data),
+        )
+        if t is not None
+    }
+    overview: tuple[Picture, ...] = ()
+    if data.calibrations:
+        overview = (
+            Picture(
+                "overview",
+                "All training-set sizes",
+                captions.overview_caption(data.by_size, mse_unit),
+                lambda path: overview_figure(
+                    data.by_size, data.references, path, mse_unit=mse_unit, footnote=foot
+                ),
+            ),
+        )
+    return Contents(
+        calibration=_pictures_of(data, headline, foot) if headline else (),
+        overview=overview,
+        others=tuple((c, _pictures_of(data, c, foot)) for c in others),
+        surrogate=_surrogate_pictures(data, unit, foot),
+        model=_model_pictures(data, foot),
+        tables=tables,
+    )
+
+
+def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Picture, ...]:
+    mse_unit = captions.mse_unit(data.measurement)
+    return (
+        Picture(
+            f"calibration-n{c.n_train:04d}",
+            f"Measured, screened and polished (n = {c.n_train})",
+            captions.calibration_caption(data.measurement, c),
+            lambda path: calibration_figure(data.measurement, c, path, footnote=foot),
+        ),
+        Picture(
+            f"polish-n{c.n_train:04d}",
+            f"MSE over model calls (n = {c.n_train})",
+            captions.polish_caption(c, mse_unit),
+            lambda path: polish_figure(c, data.references, path, mse_unit=mse_unit, footnote=foot),
+        ),
+    )
+
+
+def _surrogate_pictures(data: ReportData, unit: str, foot: str) -> tuple[Picture, ...]:
+    pictures = []
+    trials = data.trials
+    if trials is not None and trials.state:
+        pictures.append(
+            Picture(
+                "mae-over-n",
+                "Error of every trial over the number of training simulations",
+                captions.trials_caption(trials, unit),
+                lambda path: mae_over_n_figure(trials, path, unit=unit, footnote=foot),
+            )
+        )
+
+    def learning(curves: LearningCurves) -> Picture:
+        return Picture(
+            f"learning-n{curves.n_train:04d}",
+            f"Learning curves of the best surrogate (n = {curves.n_train})",
+            captions.learning_caption(curves, unit),
+            lambda path: learning_curves_figure(curves, path, unit=unit, footnote=foot),
+        )
+
+    return (*pictures, *(learning(c) for c in sorted(data.learning_curves, key=lambda c: c.n_train)))
+
+
+def _model_pictures(data: ReportData, foot: str) -> tuple[Picture, ...]:
+    pictures = []
+    coverage, sensitivity, headline = data.coverage, data.sensitivity, data.headline
+    if coverage is not None:
+        marked = (
+            [MarkedPoint(f"polished (n = {headline.n_train})", headline.theta_polished)] if headline else []
+        )
+        pictures += [
+            Picture(
+                "coverage",
+                f"The {coverage.name} set and the measurement",
+                captions.coverage_caption(data.measurement, coverage),
+                lambda path: coverage_figure(data.measurement, coverage, path, footnote=foot),
+            ),
+            Picture(
+                "coverage-pairs",
+                f"The {coverage.name} set, every pair of parameters",
+                captions.pairs_caption(data.parameters, coverage),
+                lambda path: coverage_pairs_figure(
+                    data.parameters, coverage, path, marked=marked, footnote=foot
+                ),
+            ),
+        ]
+    if sensitivity is not None:
+        pictures.append(
+            Picture(
+                "sensitivity",
+                "Sobol indices over time",
+                captions.sensitivity_caption(sensitivity),
+                lambda path: sensitivity_figure(sensitivity, path, footnote=foot),
+            )
+        )
+    return tuple(pictures)

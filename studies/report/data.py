@@ -1,0 +1,114 @@
+"""What a whole report is made of: the records of one study, their references and how to get them again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from studies.report.records import (
+    CalibrationRecord,
+    CoverageSet,
+    LearningCurves,
+    MeasuredSeries,
+    ParameterBox,
+    SensitivityRecord,
+    TrialsRecord,
+    require_shape,
+)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A known MSE to draw beside the results.
+
+    Attributes:
+        label: What it is, e.g. "best known (24 starts on the FMU)".
+        mse: [output unit squared]
+        is_target: True adds the calls needed to reach it to the table.
+    """
+
+    label: str
+    mse: float
+    is_target: bool = False
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What it takes to get these numbers again; each entry is a pair of a name and a value, shown as given.
+
+    Attributes:
+        commands: Shell commands, in order.
+        settings: Profile, budgets and seeds.
+        digests: Digests of the case, the FMU, the sets, the surrogates.
+        versions: Python, packages, platform.
+        created: When the numbers were made, in words; empty keeps a rebuilt page identical.
+    """
+
+    commands: tuple[str, ...] = ()
+    settings: tuple[tuple[str, str], ...] = ()
+    digests: tuple[tuple[str, str], ...] = ()
+    versions: tuple[tuple[str, str], ...] = ()
+    created: str = ""
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything a report shows. Only the measurement and the parameters are required.
+
+    Attributes:
+        label: The study's label, e.g. "office-quick".
+        title: The case's title.
+        note: The case's note (what must be known before reading a number), shown first; may be empty.
+        measurement: What was calibrated against.
+        parameters: What was calibrated.
+        calibrations: One per training-set size, any order.
+        coverage: The training set to draw.
+        sensitivity: Sobol indices, if they were asked for.
+        trials: Every trial of the studies.
+        learning_curves: One per training worth showing.
+        references: Known MSEs.
+        provenance: How to do it again.
+        headline_n_train: The size the headline speaks of; None takes the lowest final MSE.
+    """
+
+    label: str
+    title: str
+    note: str
+    measurement: MeasuredSeries
+    parameters: ParameterBox
+    calibrations: tuple[CalibrationRecord, ...] = ()
+    coverage: CoverageSet | None = None
+    sensitivity: SensitivityRecord | None = None
+    trials: TrialsRecord | None = None
+    learning_curves: tuple[LearningCurves, ...] = ()
+    references: tuple[Reference, ...] = ()
+    provenance: Provenance = Provenance()
+    headline_n_train: int | None = None
+
+    def __post_init__(self) -> None:
+        sizes = [calibration.n_train for calibration in self.calibrations]
+        if len(set(sizes)) != len(sizes):
+            raise ValueError(f"more than one calibration for one training-set size in {sorted(sizes)}")
+        if self.headline_n_train is not None and self.headline_n_train not in sizes:
+            raise ValueError(f"headline_n_train is {self.headline_n_train}, the sizes are {sorted(sizes)}")
+        for calibration in self.calibrations:
+            for what in ("y_screened", "y_polished"):
+                require_shape(
+                    f"the calibration's {what}", getattr(calibration, what), self.measurement.y.shape
+                )
+            for what in ("theta_screened", "theta_polished"):
+                expected = self.parameters.lower.shape
+                require_shape(f"the calibration's {what}", getattr(calibration, what), expected)
+
+    @property
+    def headline(self) -> CalibrationRecord | None:
+        """The calibration put first: the asked one, else the one of lowest MSE, of equals the cheapest."""
+        if not self.calibrations:
+            return None
+        if self.headline_n_train is not None:
+            return next(c for c in self.calibrations if c.n_train == self.headline_n_train)
+        return min(self.calibrations, key=lambda c: (c.mse_polished, c.calls_paper))
+
+    @property
+    def by_size(self) -> tuple[CalibrationRecord, ...]:
+        """The calibrations, smallest training set first."""
+        return tuple(sorted(self.calibrations, key=lambda c: c.n_train))

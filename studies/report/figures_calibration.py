@@ -1,0 +1,287 @@
+"""Pictures of calibrations: temperatures over time, MSE over model calls, and all sizes side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from studies.report.data import Reference
+from studies.report.drawing import (
+    FAINT,
+    INK,
+    MEASURED,
+    MUTED,
+    POLISHED,
+    SCREENED,
+    SURROGATE,
+    TRAINING,
+    EndLabel,
+    day_axis,
+    decimal_log,
+    drawing,
+    end_labels,
+    log_limits,
+)
+from studies.report.records import CalibrationRecord, Floats, MeasuredSeries
+from studies.report.wording import (
+    axis_label,
+    count,
+    difference_unit,
+    quantity,
+    shown_unit,
+    significant,
+    squared,
+)
+
+
+def calibration_figure(
+    measurement: MeasuredSeries, calibration: CalibrationRecord, path: Path, *, footnote: str = ""
+) -> Path:
+    """Draw measured, screened and polished outputs over days, and the residual of the polished below.
+
+    Args:
+        measurement: What was calibrated against.
+        calibration: The calibration to show.
+        path: Where the PNG goes.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    unit = squared(difference_unit(measurement.units[0]))
+    polished = quantity(calibration.mse_polished, unit)
+    screened = quantity(calibration.mse_screened, unit)
+    if not math.isfinite(calibration.mse_polished):
+        title = "No simulation of the model succeeded, neither as screened nor during the polish"
+    elif calibration.mse_polished < calibration.mse_screened:
+        title = f"Polished, the model follows the measurement: MSE {polished} (as screened: {screened})"
+    else:
+        title = f"The polish kept the screened point: its MSE against the measurement is {screened}"
+    n_outputs = len(measurement.output_names)
+    with drawing(path, title=title, height_in=0.7 + 3.9 * n_outputs, footnote=footnote) as figure:
+        panels = figure.subplots(
+            2 * n_outputs, 1, sharex=True, height_ratios=[2.1, 1.0] * n_outputs, squeeze=False
+        )
+        for output in range(n_outputs):
+            _draw_output(panels[2 * output, 0], measurement, calibration, output)
+            _draw_residual(panels[2 * output + 1, 0], measurement, calibration, output)
+        for axes in panels[:-1, 0]:
+            axes.set_xlabel("")
+    return path
+
+
+def _draw_output(
+    axes: Axes, measurement: MeasuredSeries, calibration: CalibrationRecord, output: int
+) -> None:
+    days = day_axis(axes, measurement.time)
+    series = (
+        ("screened", calibration.y_screened[:, output], SCREENED, 1.3),
+        ("polished", calibration.y_polished[:, output], POLISHED, 2.2),
+    )
+    measured = measurement.y[:, output]
+    axes.plot(days, measured, linestyle="none", marker=".", markersize=2.4, color=MEASURED, zorder=5)
+    labels = [EndLabel(_last(measured), "measured", MEASURED)]
+    for name, values, color, width in series:
+        axes.plot(days, values, color=color, linewidth=width, zorder=3)
+        labels.append(EndLabel(_last(values), name, color))
+    axes.set_ylabel(axis_label(measurement.output_names[output], shown_unit(measurement.units[output])))
+    axes.set_ylim(*axes.get_ylim())
+    end_labels(axes, labels)
+
+
+def _draw_residual(
+    axes: Axes, measurement: MeasuredSeries, calibration: CalibrationRecord, output: int
+) -> None:
+    days = day_axis(axes, measurement.time)
+    unit = difference_unit(measurement.units[output])
+    residual = calibration.y_polished[:, output] - measurement.y[:, output]
+    uncertainty = float(measurement.uncertainty[output])
+    largest = float(np.nanmax(np.abs(residual))) if np.isfinite(residual).any() else 0.0
+    reach = max(1.12 * largest, 1.25 * uncertainty if math.isfinite(uncertainty) else 0.0) or 1.0
+    axes.set_ylim(-reach, reach)
+    labels = []
+    if math.isfinite(uncertainty) and uncertainty > 0:
+        axes.axhspan(-uncertainty, uncertainty, color=TRAINING, alpha=0.75, linewidth=0, zorder=0)
+        labels.append(EndLabel(uncertainty, f"sensor\n±{uncertainty:g} {unit}", MUTED))
+    axes.axhline(0.0, color=MEASURED, linewidth=0.8)
+    axes.plot(days, residual, color=POLISHED, linewidth=1.1)
+    labels.append(EndLabel(_last(residual), "polished", POLISHED))
+    axes.set_ylabel(axis_label("residual", unit))
+    end_labels(axes, labels)
+
+
+def _last(values: Floats) -> float:
+    finite = np.flatnonzero(np.isfinite(values))
+    return float(values[finite[-1]]) if finite.size else math.nan
+
+
+def polish_figure(
+    calibration: CalibrationRecord,
+    references: Sequence[Reference],
+    path: Path,
+    *,
+    mse_unit: str,
+    footnote: str = "",
+) -> Path:
+    """Draw the best MSE over counted model calls: the training set shaded, the screening check marked.
+
+    Args:
+        calibration: The calibration to show.
+        references: Known MSEs, drawn as lines; may be empty.
+        path: Where the PNG goes.
+        mse_unit: Unit of the MSE, e.g. "K²".
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    screened, final = calibration.mse_screened, calibration.mse_polished
+    calls, total = count(calibration.n_polish, "call"), count(calibration.calls_paper)
+    title = (
+        f"{calls} of polishing take the MSE from {quantity(screened, mse_unit)} "
+        f"to {quantity(final, mse_unit)}; {total} in all"
+        if final < screened
+        else f"{calls} of polishing do not improve the screened point (MSE {quantity(screened, mse_unit)})"
+    )
+    n_train, n_check = calibration.n_train, calibration.n_train + calibration.n_screen_checks
+    last = max(calibration.calls_paper, int(calibration.history_calls.max(initial=0)), n_check + 1)
+    first = max(0.0, n_train - 0.6 * (last - n_train))
+    known = [final, screened, calibration.mse_surrogate, *(r.mse for r in references)]
+    with drawing(path, title=title, height_in=3.7, footnote=footnote) as figure:
+        axes = figure.subplots()
+        axes.set_xlim(first, last + 0.01 * (last - first))
+        decimal_log(axes, *log_limits(np.concatenate([calibration.history_mse, np.array(known)])))
+        _shade_training(axes, n_train, first)
+        for reference in references:
+            axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
+        _draw_promise(axes, calibration, mse_unit)
+        calls_drawn = np.append(calibration.history_calls, last)
+        best = np.append(calibration.history_mse, np.fmin.reduce(calibration.history_mse, initial=final))
+        axes.step(calls_drawn, best, where="post", color=POLISHED, zorder=3)
+        axes.set_xlabel("model calls (training + screening check + polish)")
+        axes.set_ylabel(axis_label("best MSE", mse_unit))
+        labels = [EndLabel(final, f"polished {significant(final)}", POLISHED)]
+        labels += [EndLabel(r.mse, f"{r.label} {significant(r.mse)}", MUTED) for r in references]
+        end_labels(axes, labels)
+    return path
+
+
+def _shade_training(axes: Axes, n_train: int, first: float) -> None:
+    axes.axvspan(first, n_train, color=TRAINING, linewidth=0, zorder=0)
+    arrow = "← " if first > 0 else ""
+    axes.annotate(
+        f"{arrow}{count(n_train)}\ntraining\nsimulations",
+        xy=(first, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(6, 0),
+        textcoords="offset points",
+        va="top",
+        fontsize=8.5,
+        color=MUTED,
+    )
+
+
+def _draw_promise(axes: Axes, calibration: CalibrationRecord, mse_unit: str) -> None:
+    """Mark what the surrogate promised, what the physical model answered, and the gap between."""
+    n_train, n_check = calibration.n_train, calibration.n_train + calibration.n_screen_checks
+    promise, answer = calibration.mse_surrogate, calibration.mse_screened
+    if math.isfinite(answer):
+        axes.plot([n_train, n_check], [promise, answer], color=FAINT, linewidth=1.2, zorder=1)
+        axes.plot([n_check], [answer], marker="D", markersize=6, color=SCREENED, zorder=5)
+        text, height = f"screening check {quantity(answer, mse_unit)}", answer
+    else:
+        text, height = "screening check: simulation failed", axes.get_ylim()[1]
+    axes.annotate(
+        text, (n_check, height), (8, 3), textcoords="offset points", fontsize=8.5, color=SCREENED, va="bottom"
+    )
+    axes.plot(
+        [n_train], [promise], marker="o", markersize=6, color="white", markeredgecolor=SURROGATE, zorder=5
+    )
+    axes.annotate(
+        f"promised by the\nsurrogate {significant(promise)}",
+        (n_train, promise),
+        (-8, 0),
+        textcoords="offset points",
+        fontsize=8.5,
+        color=SURROGATE,
+        ha="right",
+        va="center",
+        bbox={"facecolor": TRAINING, "edgecolor": "none", "pad": 1.0},
+    )
+
+
+def overview_figure(
+    calibrations: Sequence[CalibrationRecord],
+    references: Sequence[Reference],
+    path: Path,
+    *,
+    mse_unit: str,
+    footnote: str = "",
+) -> Path:
+    """Draw, for every training-set size, the MSE by the surrogate, by the model as screened, and as polished.
+
+    Args:
+        calibrations: One per size, at least one.
+        references: Known MSEs, drawn as lines; may be empty.
+        path: Where the PNG goes.
+        mse_unit: Unit of the MSE, e.g. "K²".
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    ordered = sorted(calibrations, key=lambda c: c.n_train)
+    finals = [c.mse_polished for c in ordered]
+    cheapest = min(ordered, key=lambda c: c.calls_paper)
+    span = (
+        f"an MSE of {quantity(finals[0], mse_unit)}"
+        if len(finals) == 1
+        else f"{significant(min(finals))} to {quantity(max(finals), mse_unit)}"
+    )
+    title = f"Polishing ends at {span}; the cheapest way takes {count(cheapest.calls_paper)} model calls"
+    rows = np.array([[c.mse_surrogate, c.mse_screened, c.mse_polished] for c in ordered])
+    known = np.append(rows.ravel(), [r.mse for r in references])
+    with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
+        axes = figure.subplots()
+        axes.set_xticks(range(len(ordered)), [str(c.n_train) for c in ordered])
+        axes.set_xlim(-0.6, len(ordered) - 0.4)
+        low, high = log_limits(known)
+        decimal_log(axes, low / (high / low) ** 0.12, high)
+        axes.grid(visible=False, axis="x")
+        for reference in references:
+            axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
+        for place, c in enumerate(ordered):
+            _draw_size(axes, place, c)
+        axes.set_xlabel("training simulations (above each: model calls in all, training + check + polish)")
+        axes.set_ylabel(axis_label("MSE", mse_unit))
+        labels = [
+            EndLabel(rows[-1, 0], "by the surrogate", SURROGATE),
+            EndLabel(rows[-1, 1], "by the model,\nas screened", SCREENED),
+            EndLabel(rows[-1, 2], "polished", POLISHED),
+        ]
+        labels += [EndLabel(r.mse, r.label, MUTED) for r in references]
+        end_labels(axes, labels)
+    return path
+
+
+def _draw_size(axes: Axes, place: int, c: CalibrationRecord) -> None:
+    finite = [v for v in (c.mse_surrogate, c.mse_screened, c.mse_polished) if math.isfinite(v)]
+    axes.plot([place] * 2, [min(finite), max(finite)], color=FAINT, linewidth=4, zorder=1)
+    axes.plot(
+        place, c.mse_surrogate, marker="o", markersize=7, color="white", markeredgecolor=SURROGATE, zorder=3
+    )
+    if math.isfinite(c.mse_screened):
+        axes.plot(place, c.mse_screened, marker="D", markersize=6.5, color=SCREENED, zorder=4)
+    axes.plot(place, c.mse_polished, marker="o", markersize=7.5, color=POLISHED, zorder=5)
+    axes.annotate(
+        f"{count(c.calls_paper)}",
+        (place, 0.015),
+        xycoords=("data", "axes fraction"),
+        ha="center",
+        fontsize=8.5,
+        color=INK,
+    )

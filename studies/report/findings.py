@@ -1,0 +1,125 @@
+"""Numbers that figures, tables and sentences derive from the records, each computed once and here."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from studies.report.records import (
+    CalibrationRecord,
+    CoverageSet,
+    Floats,
+    Integers,
+    MeasuredSeries,
+    ParameterBox,
+    SensitivityRecord,
+    TrialsRecord,
+)
+
+# Closer to a bound than this fraction of the box, a calibrated value is flagged.
+AT_BOUND = 1e-3
+
+
+def mean_over_time(indices: Floats) -> Floats:
+    """Average indices over the time steps where they are defined; NaN where they never are.
+
+    Args:
+        indices: Shape (t, ...). [1]
+
+    Returns:
+        Shape (...). [1]
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Mean of empty slice")
+        return np.asarray(np.nanmean(indices, axis=0), dtype=np.float64)
+
+
+def ranking(sensitivity: SensitivityRecord, output: int) -> Integers:
+    """Return the parameters' positions, largest mean first-order index first. Shape (p,)."""
+    mean = mean_over_time(sensitivity.first_order[:, output])
+    return np.argsort(-np.nan_to_num(mean, nan=-np.inf), kind="stable").astype(np.int64)
+
+
+def good_rows(coverage: CoverageSet) -> Floats:
+    """Return the trajectories of the rows that did not fail. Shape (n_good, t, k)."""
+    return coverage.y[np.isfinite(coverage.y).all(axis=(1, 2))]
+
+
+def enclosed_fraction(measurement: MeasuredSeries, coverage: CoverageSet) -> float:
+    """Return the fraction of measured values between the lowest and the highest simulated at their time."""
+    good = good_rows(coverage)
+    if not len(good):
+        return math.nan
+    return float(np.mean((good.min(axis=0) <= measurement.y) & (measurement.y <= good.max(axis=0))))
+
+
+def strongest_correlation(coverage: CoverageSet) -> tuple[float, int, int] | None:
+    """Return the linear correlation of largest size among the sampled parameters, and whose it is."""
+    n, p = coverage.theta.shape
+    if n < 3 or p < 2 or np.any(np.ptp(coverage.theta, axis=0) == 0):
+        return None
+    correlation = np.atleast_2d(np.corrcoef(coverage.theta, rowvar=False))
+    rows, columns = np.tril_indices(p, k=-1)
+    k = int(np.argmax(np.abs(correlation[rows, columns])))
+    return float(correlation[rows[k], columns[k]]), int(columns[k]), int(rows[k])
+
+
+def best_trials(trials: TrialsRecord) -> Integers:
+    """Return the positions of the chosen trials with a known test error, smallest training set first."""
+    best = np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae))
+    return best[np.argsort(trials.n_train[best], kind="stable")].astype(np.int64)
+
+
+def at_bound(parameters: ParameterBox, calibration: CalibrationRecord) -> tuple[str, ...]:
+    """Say for every parameter whether its polished value lies at a bound: "lower", "upper" or nothing."""
+    unit = parameters.to_unit(calibration.theta_polished)
+    return tuple("lower" if u < AT_BOUND else "upper" if u > 1 - AT_BOUND else "" for u in unit.tolist())
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How the polished model differs from the measurement in one output.
+
+    Attributes:
+        rms: Root mean square. [output unit, differences]
+        bias: Mean, positive where the model is above. [output unit, differences]
+        largest: The largest difference in size, with its sign. [output unit, differences]
+        largest_at_s: When that was. [s]
+        within: Fraction of the values within the sensor uncertainty; NaN where that is undeclared. [1]
+    """
+
+    rms: float
+    bias: float
+    largest: float
+    largest_at_s: float
+    within: float
+
+
+def residual_of(measurement: MeasuredSeries, calibration: CalibrationRecord, output: int) -> Residual | None:
+    """Describe the residual of the polished model in one output; None where nothing is known of it."""
+    residual = calibration.y_polished[:, output] - measurement.y[:, output]
+    known = np.flatnonzero(np.isfinite(residual))
+    if not known.size:
+        return None
+    values = residual[known]
+    worst = int(known[np.argmax(np.abs(values))])
+    uncertainty = float(measurement.uncertainty[output])
+    return Residual(
+        rms=float(np.sqrt(np.mean(values**2))),
+        bias=float(np.mean(values)),
+        largest=float(residual[worst]),
+        largest_at_s=float(measurement.time[worst]),
+        within=float(np.mean(np.abs(values) <= uncertainty)) if math.isfinite(uncertainty) else math.nan,
+    )
+
+
+def calls_to_most(calibration: CalibrationRecord, share: float = 0.9) -> int | None:
+    """Return the polish calls that brought a share of the improvement, in the logarithm; None without one."""
+    start, end = calibration.mse_screened, calibration.mse_polished
+    if not (math.isfinite(start) and 0 < end < start):
+        return None
+    reached = calibration.calls_to(start * (end / start) ** share)
+    return None if reached is None else reached - calibration.n_train - calibration.n_screen_checks

@@ -1,0 +1,266 @@
+"""What figures and tables draw: frozen records of plain arrays and strings, and nothing that draws.
+
+Every record is filled by the caller from stored results, so that a report can be rebuilt from files alone.
+Shapes use t time steps, k outputs, p parameters, n parameter sets, m trials, h history entries, e epochs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+TRIAL_STATES = ("complete", "pruned", "failed", "running")
+
+
+def require_shape(what: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
+    """Raise ValueError when an array of a record has not the shape its neighbors imply."""
+    if array.shape != shape:
+        raise ValueError(f"{what} has shape {array.shape}, expected {shape}")
+
+
+@dataclass(frozen=True)
+class MeasuredSeries:
+    """The measurement a case is calibrated against, on its output grid.
+
+    Attributes:
+        time: Shape (t,). Time axis of every trajectory in the report. [s]
+        y: Measured outputs. Shape (t, k). [units]
+        output_names: One name per output.
+        units: Unit of each output as declared by the case, e.g. "degC".
+        uncertainty: Sensor uncertainty, plus or minus; NaN where undeclared. Shape (k,). [units, differences]
+    """
+
+    time: Floats
+    y: Floats
+    output_names: tuple[str, ...]
+    units: tuple[str, ...]
+    uncertainty: Floats
+
+    def __post_init__(self) -> None:
+        n_outputs = len(self.output_names)
+        require_shape("the measured y", self.y, (len(self.time), n_outputs))
+        require_shape("the uncertainty", self.uncertainty, (n_outputs,))
+        if len(self.units) != n_outputs:
+            raise ValueError(f"{len(self.units)} units for {n_outputs} outputs")
+
+
+@dataclass(frozen=True)
+class ParameterBox:
+    """The calibrated parameters and their bounds.
+
+    Attributes:
+        names: One name per parameter, as in the model.
+        units: One unit per parameter.
+        estimate: Declared estimates; NaN where the case has none. Shape (p,). [units]
+        lower: Lower bounds. Shape (p,). [units]
+        upper: Upper bounds. Shape (p,). [units]
+        is_log: True where the case calibrates in the logarithm. Shape (p,).
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    estimate: Floats
+    lower: Floats
+    upper: Floats
+    is_log: Booleans
+
+    def __post_init__(self) -> None:
+        shape = (len(self.names),)
+        if len(self.units) != len(self.names):
+            raise ValueError(f"{len(self.units)} units for {len(self.names)} parameters")
+        for what in ("estimate", "lower", "upper", "is_log"):
+            require_shape(f"the parameters' {what}", getattr(self, what), shape)
+
+    def to_unit(self, theta: Floats) -> Floats:
+        """Map parameter sets into the unit cube, in the logarithm where the case says so.
+
+        Args:
+            theta: Shape (..., p). [units]
+
+        Returns:
+            Shape (..., p). [1]
+        """
+        unit = (theta - self.lower) / (self.upper - self.lower)
+        log = self.is_log
+        if np.any(log):
+            width = np.log(self.upper[log] / self.lower[log])
+            unit[..., log] = np.log(theta[..., log] / self.lower[log]) / width
+        return unit
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """One calibration: the surrogate of one training-set size screened, the physical model polished.
+
+    Attributes:
+        n_train: Size of the training set behind the surrogate.
+        theta_screened: Shape (p,). [parameter units]
+        theta_polished: Shape (p,). [parameter units]
+        mse_surrogate: MSE by the surrogate at the screened point. [output unit squared]
+        mse_screened: MSE by the physical model at the screened point; inf if it failed there.
+        mse_polished: MSE by the physical model at the polished point.
+        y_screened: The physical model at the screened point; NaN if it failed. Shape (t, k).
+        y_polished: The physical model at the polished point. Shape (t, k).
+        history_calls: Model calls so far, training and screening check included, ascending. Shape (h,).
+        history_mse: Best MSE after that many calls. Shape (h,).
+        n_validation: Simulations of the validation set.
+        n_test: Simulations of the test set.
+        n_screen_checks: Calls of the physical model at the screened point.
+        n_polish: Calls during the polish, finite differences included.
+        wall_s: Wall time of screening and polishing. [s]
+        test_mae: MAE of the surrogate on the test set; NaN if unknown. [output unit, differences]
+        test_p90: 90th percentile of the row-wise MAE on the test set; NaN if unknown.
+        stop_reason: Why the polish ended, in words.
+        surrogate: Which surrogate it was (trial, alias, folder), in words.
+    """
+
+    n_train: int
+    theta_screened: Floats
+    theta_polished: Floats
+    mse_surrogate: float
+    mse_screened: float
+    mse_polished: float
+    y_screened: Floats
+    y_polished: Floats
+    history_calls: Integers
+    history_mse: Floats
+    n_validation: int
+    n_test: int
+    n_screen_checks: int
+    n_polish: int
+    wall_s: float
+    test_mae: float = float("nan")
+    test_p90: float = float("nan")
+    stop_reason: str = ""
+    surrogate: str = ""
+
+    def __post_init__(self) -> None:
+        require_shape("the polish history's MSE", self.history_mse, self.history_calls.shape)
+
+    @property
+    def screening_gap(self) -> float:
+        """MSE of the physical model minus MSE of the surrogate, both at the screened point."""
+        return self.mse_screened - self.mse_surrogate
+
+    @property
+    def calls_paper(self) -> int:
+        """Model calls as the paper counts them: training, screening check and polish."""
+        return self.n_train + self.n_screen_checks + self.n_polish
+
+    @property
+    def calls_honest(self) -> int:
+        """Every simulation that was asked of the physical model, validation and test sets included."""
+        return self.calls_paper + self.n_validation + self.n_test
+
+    def calls_to(self, target: float) -> int | None:
+        """Return the model calls (as the paper counts) until the best MSE was at most `target`, or None."""
+        reached = np.flatnonzero(self.history_mse <= target)
+        return int(self.history_calls[reached[0]]) if reached.size else None
+
+
+@dataclass(frozen=True)
+class CoverageSet:
+    """A simulated set of trajectories, to see whether it covers parameters and measurement.
+
+    Attributes:
+        name: What the set is, e.g. "training".
+        theta: Shape (n, p). [parameter units]
+        y: Failed rows are NaN throughout. Shape (n, t, k). [output units]
+    """
+
+    name: str
+    theta: Floats
+    y: Floats
+
+
+@dataclass(frozen=True)
+class SensitivityRecord:
+    """Sobol indices for every time step; NaN where an output does not vary.
+
+    Attributes:
+        time: Shape (t,). [s]
+        names: One name per parameter.
+        output_names: One name per output.
+        first_order: Shape (t, k, p). [1]
+        total_order: Shape (t, k, p). [1]
+        first_order_ci: Half width of the confidence interval. Shape (t, k, p). [1]
+        total_order_ci: Half width of the confidence interval. Shape (t, k, p). [1]
+        n_calls: Simulations it took, all on the model named in `model`.
+        model: Which model answered: the physical model or a surrogate, in words.
+    """
+
+    time: Floats
+    names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    first_order: Floats
+    total_order: Floats
+    first_order_ci: Floats
+    total_order_ci: Floats
+    n_calls: int = 0
+    model: str = ""
+
+    def __post_init__(self) -> None:
+        shape = (len(self.time), len(self.output_names), len(self.names))
+        for what in ("first_order", "total_order", "first_order_ci", "total_order_ci"):
+            require_shape(f"the sensitivity's {what}", getattr(self, what), shape)
+
+
+@dataclass(frozen=True)
+class TrialsRecord:
+    """Every trial of every study, one entry per trial; NaN where an error is unknown.
+
+    Attributes:
+        n_train: Training-set size of the trial's study. Shape (m,).
+        state: One of `TRIAL_STATES` per trial, m entries.
+        validation_mae: For a pruned trial the last one reported. Shape (m,). [output unit, differences]
+        test_mae: Shape (m,). [output unit, differences]
+        test_p90: Shape (m,). [output unit, differences]
+        is_best: True for the trial chosen by validation error, at most one per size. Shape (m,).
+    """
+
+    n_train: Integers
+    state: tuple[str, ...]
+    validation_mae: Floats
+    test_mae: Floats
+    test_p90: Floats
+    is_best: Booleans
+
+    def __post_init__(self) -> None:
+        shape = (len(self.state),)
+        for what in ("n_train", "validation_mae", "test_mae", "test_p90", "is_best"):
+            require_shape(f"the trials' {what}", getattr(self, what), shape)
+        unknown = sorted(set(self.state) - set(TRIAL_STATES))
+        if unknown:
+            raise ValueError(f"unknown trial state {unknown[0]!r}, expected one of {', '.join(TRIAL_STATES)}")
+
+
+@dataclass(frozen=True)
+class LearningCurves:
+    """How one training went; NaN at epochs without a validation.
+
+    Attributes:
+        n_train: Size of the training set.
+        epoch: Shape (e,).
+        validation_mae: Shape (e,). [output unit, differences]
+        terms: Training-loss terms by name ("loss", "kl", "reconstruction", ...), each of shape (e,). [1]
+        best_epoch: The epoch whose weights were kept.
+        stop_reason: Why the training ended, in words.
+    """
+
+    n_train: int
+    epoch: Integers
+    validation_mae: Floats
+    terms: tuple[tuple[str, Floats], ...]
+    best_epoch: int
+    stop_reason: str = ""
+
+    def __post_init__(self) -> None:
+        require_shape("the validation MAE", self.validation_mae, self.epoch.shape)
+        for name, values in self.terms:
+            require_shape(f"the loss term {name}", values, self.epoch.shape)

@@ -1,0 +1,242 @@
+"""Tables of results, each written as Markdown, CSV and HTML from the same cells."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from studies.report.data import ReportData
+from studies.report.findings import at_bound, mean_over_time, ranking
+from studies.report.records import CalibrationRecord, ParameterBox
+from studies.report.wording import MISSING, count, declared, difference_unit, shown_unit, significant, squared
+
+Cell = float | int | str | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its key in files, its title for readers, its unit, and how a cell is written."""
+
+    key: str
+    title: str
+    unit: str = ""
+    write: Callable[[float], str] = significant
+
+    @property
+    def header(self) -> str:
+        """The title with its unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    def text(self, cell: Cell) -> str:
+        """Write one cell for a reader."""
+        if cell is None:
+            return MISSING
+        return cell if isinstance(cell, str) else self.write(cell)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its cells as plain values.
+
+    Attributes:
+        name: File name without ending.
+        title: For readers.
+        columns: What stands where.
+        rows: One cell per column each.
+        emphasized: Position of the row to point out, if any.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    emphasized: int | None = None
+
+    def records(self) -> list[dict[str, Cell]]:
+        """Return the rows as dictionaries of plain values; what is not finite becomes None."""
+        keys = [column.key for column in self.columns]
+        return [dict(zip(keys, map(_plain, row), strict=True)) for row in self.rows]
+
+    def to_csv(self) -> str:
+        """Write the cells in full precision; an unknown or infinite one is left empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([f"{c.key} [{c.unit}]" if c.unit else c.key for c in self.columns])
+        for row in self.rows:
+            writer.writerow(["" if (cell := _plain(value)) is None else cell for value in row])
+        return text.getvalue()
+
+    def to_markdown(self) -> str:
+        """Write the table for a README."""
+        rule = ["---:" if self._is_numeric(i) else "---" for i in range(len(self.columns))]
+        lines = [[c.header for c in self.columns], rule]
+        lines += [[c.text(cell) for c, cell in zip(self.columns, row, strict=True)] for row in self.rows]
+        return "\n".join("| " + " | ".join(map(_markdown_cell, line)) + " |" for line in lines) + "\n"
+
+    def to_html(self) -> str:
+        """Write the table as an HTML fragment, everything escaped."""
+        head = "".join(
+            f'<th scope="col"{self._align(i)}>{html.escape(c.title)}'
+            + (f'<span class="unit">{html.escape(c.unit)}</span>' if c.unit else "")
+            + "</th>"
+            for i, c in enumerate(self.columns)
+        )
+        body = []
+        for number, row in enumerate(self.rows):
+            cells = "".join(
+                f"<td{self._align(i)}>{html.escape(column.text(cell))}</td>"
+                for i, (column, cell) in enumerate(zip(self.columns, row, strict=True))
+            )
+            body.append(
+                f'<tr class="emphasized">{cells}</tr>' if number == self.emphasized else f"<tr>{cells}</tr>"
+            )
+        caption = f"<caption>{html.escape(self.title)}</caption>"
+        return (
+            f'<div class="scroll"><table>{caption}<thead><tr>{head}</tr></thead>'
+            f"<tbody>{''.join(body)}</tbody></table></div>"
+        )
+
+    def _is_numeric(self, column: int) -> bool:
+        return not any(isinstance(row[column], str) for row in self.rows)
+
+    def _align(self, column: int) -> str:
+        return ' class="number"' if self._is_numeric(column) else ""
+
+
+def _plain(cell: Cell) -> Cell:
+    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
+
+
+def _markdown_cell(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
+    return escaped.replace("\r", " ")
+
+
+_CALIBRATIONS_TITLE = (
+    "Calibrations, one per training-set size. MSE surrogate and MSE screened are both at the screened point: "
+    "by the surrogate and by the model; the paper's count is training, screening check and polish"
+)
+
+
+def calibrations_table(data: ReportData) -> Table:
+    """Tabulate the calibrations, one row per training-set size (Table 4 of the paper, with honest counts)."""
+    unit = difference_unit(data.measurement.units[0])
+    mse_unit = squared(unit)
+    targets = [reference for reference in data.references if reference.is_target]
+    columns = (
+        Column("n_train", "training set", "", count),
+        Column("test_mae", "test MAE", unit, _two),
+        Column("test_p90", "test P90", unit, _two),
+        Column("mse_surrogate", "MSE surrogate", mse_unit),
+        Column("mse_screened", "MSE screened", mse_unit),
+        Column("screening_gap", "gap", mse_unit),
+        Column("n_polish", "polish calls", "", count),
+        Column("mse_polished", "final MSE", mse_unit),
+        Column("calls_paper", "calls, paper's count", "", count),
+        Column("calls_honest", "calls, all", "", count),
+        *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
+        Column("wall_s", "time", "s", _two),
+    )
+    rows = tuple(
+        (
+            c.n_train, c.test_mae, c.test_p90, c.mse_surrogate, c.mse_screened, c.screening_gap,
+            c.n_polish, c.mse_polished, c.calls_paper, c.calls_honest,
+            *(c.calls_to(target.mse) for target in targets), c.wall_s,
+        )
+        for c in data.by_size
+    )  # fmt: skip
+    headline = data.headline
+    emphasized = data.by_size.index(headline) if headline else None
+    return Table("calibrations", _CALIBRATIONS_TITLE, columns, rows, emphasized)
+
+
+def _two(value: float) -> str:
+    return significant(value, 2)
+
+
+def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -> Table:
+    """Tabulate the parameters of one calibration with their bounds."""
+    columns = (
+        Column("name", "parameter"),
+        Column("unit", "unit"),
+        Column("estimate", "estimate", "", declared),
+        Column("lower", "lower bound", "", declared),
+        Column("upper", "upper bound", "", declared),
+        Column("screened", "screened", "", _four),
+        Column("polished", "polished", "", _four),
+        Column("at_bound", "at a bound"),
+    )
+    values = zip(
+        parameters.names, map(shown_unit, parameters.units), parameters.estimate.tolist(),
+        parameters.lower.tolist(), parameters.upper.tolist(), calibration.theta_screened.tolist(),
+        calibration.theta_polished.tolist(), at_bound(parameters, calibration), strict=True,
+    )  # fmt: skip
+    title = f"Parameters, calibrated from {count(calibration.n_train, 'training simulation')}"
+    return Table(f"parameters-n{calibration.n_train:04d}", title, columns, tuple(values))
+
+
+def _four(value: float) -> str:
+    return significant(value, 4)
+
+
+def tuning_table(data: ReportData) -> Table | None:
+    """Tabulate the studies, one row per training-set size; None without trials."""
+    trials = data.trials
+    if trials is None:
+        return None
+    unit = difference_unit(data.measurement.units[0])
+    columns = (
+        Column("n_train", "training simulations", "", count),
+        Column("n_complete", "complete trials", "", count),
+        Column("n_pruned", "pruned", "", count),
+        Column("n_failed", "failed", "", count),
+        Column("validation_mae", "best validation MAE", unit),
+        Column("test_mae", "its test MAE", unit),
+        Column("test_p90", "its test 90th percentile", unit),
+    )
+    rows = []
+    for size in sorted({int(n) for n in trials.n_train}):
+        of_size = np.flatnonzero(trials.n_train == size)
+        states = [trials.state[i] for i in of_size]
+        best = [i for i in of_size if trials.is_best[i]]
+        errors: tuple[Cell, ...] = (None, None, None)
+        if best:
+            i = best[0]
+            errors = (float(trials.validation_mae[i]), float(trials.test_mae[i]), float(trials.test_p90[i]))
+        counts = (states.count("complete"), states.count("pruned"), states.count("failed"))
+        rows.append((size, *counts, *errors))
+    return Table("tuning", "Studies, one per training-set size", columns, tuple(rows))
+
+
+def sensitivity_table(data: ReportData) -> Table | None:
+    """Tabulate Sobol indices averaged over time; None without a sensitivity analysis."""
+    sensitivity = data.sensitivity
+    if sensitivity is None:
+        return None
+    columns = (
+        Column("output", "output"),
+        Column("name", "parameter"),
+        Column("first_order", "first order", "", _index),
+        Column("first_order_ci", "±", "", _index),
+        Column("total_order", "total order", "", _index),
+        Column("total_order_ci", "±", "", _index),
+    )
+    s = sensitivity
+    means = [mean_over_time(v) for v in (s.first_order, s.first_order_ci, s.total_order, s.total_order_ci)]
+    rows: list[tuple[Cell, ...]] = []
+    for k, output in enumerate(sensitivity.output_names):
+        rows += [
+            (output, sensitivity.names[i], *(float(mean[k, i]) for mean in means))
+            for i in ranking(sensitivity, k)
+        ]
+    return Table("sensitivity", "Sobol indices, averaged over time", columns, tuple(rows))
+
+
+def _index(value: float) -> str:
+    return MISSING if math.isnan(value) else f"{value:.3f}"

@@ -1,0 +1,87 @@
+"""How numbers, units and counts are written, the same in every figure, table and sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+MISSING = "–"
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Write a number with so many significant digits, without an exponent where it stays readable."""
+    value = float(value)
+    if math.isnan(value):
+        return MISSING
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"{value:,.{decimals}f}"
+
+
+def declared(value: float) -> str:
+    """Write a number as somebody declared it, without rounding and without the noise of floating point."""
+    return MISSING if math.isnan(value) else f"{value:,.10g}"
+
+
+def count(value: float, noun: str = "", plural: str = "") -> str:
+    """Write a count with its noun, e.g. "1 call", "4,096 calls"."""
+    number = f"{round(value):,}"
+    if not noun:
+        return number
+    return f"{number} {noun if round(value) == 1 else plural or noun + 's'}"
+
+
+def percent(fraction: float) -> str:
+    """Write a fraction as a percentage; a nearly-all or nearly-none is not rounded to all or none."""
+    if math.isnan(fraction):
+        return MISSING
+    if 0 < fraction < 0.001 or 0.999 < fraction < 1:
+        return "under 0.1 %" if fraction < 0.5 else "over 99.9 %"
+    text = f"{100 * fraction:.0f}"
+    if text in ("0", "100") and fraction not in (0.0, 1.0):
+        text = f"{100 * fraction:.1f}"
+    return f"{text} %"
+
+
+def shown_unit(unit: str) -> str:
+    """Write a unit as readers know it: °C for degC, nothing for 1."""
+    return {"degC": "°C", "1": ""}.get(unit, unit)
+
+
+def difference_unit(unit: str) -> str:
+    """Return the unit of a difference of two values in `unit`: K for every temperature."""
+    return "K" if unit in ("degC", "°C", "K") else shown_unit(unit)
+
+
+def common_difference_unit(units: Iterable[str]) -> str:
+    """Return the unit of an error over several outputs; empty when they do not share one."""
+    distinct = {difference_unit(unit) for unit in units}
+    return distinct.pop() if len(distinct) == 1 else ""
+
+
+def squared(unit: str) -> str:
+    """Write the square of a unit."""
+    if not unit:
+        return ""
+    return f"({unit})²" if any(sign in unit for sign in " ./*²") else f"{unit}²"
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """Write a number with its unit."""
+    return f"{significant(value, digits)} {unit}".strip()
+
+
+def axis_label(what: str, unit: str) -> str:
+    """Write an axis label, e.g. "TAir [°C]"."""
+    return f"{what} [{unit}]" if unit else what
+
+
+def listed(items: Iterable[str]) -> str:
+    """Join items to a phrase: a, b and c."""
+    words = list(items)
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""

@@ -1,0 +1,173 @@
+"""Synthetic records of the shape that real studies have: an office of fourteen parameters, ten days."""
+
+import numpy as np
+
+from studies.report import (
+    CalibrationRecord,
+    CoverageSet,
+    LearningCurves,
+    MeasuredSeries,
+    ParameterBox,
+    Provenance,
+    Reference,
+    ReportData,
+    SensitivityRecord,
+    TrialsRecord,
+)
+
+NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
+         "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip
+UNITS = ("W/(m2.K)", "K", "m2.K/W", "J/(m2.K)", "1", "m2.K/W", "m2.K/W",
+         "J/(m2.K)", "J/(m2.K)", "m2.K/W", "m2.K/W", "m3/s", "m2", "W/m2")  # fmt: skip
+ESTIMATE = np.array([0.7, 301.15, 0.18, 182e3, 5, 1.06, 0.05, 8500, 7e5, 0.122, 0.183, 0.0111, 0.1, 12])
+
+
+def time_axis(n_steps: int = 480) -> np.ndarray:
+    return np.arange(n_steps) * 1800.0
+
+
+def measured(n_outputs: int = 1, n_steps: int = 480) -> MeasuredSeries:
+    time = time_axis(n_steps)
+    days = time / 86400.0
+    y = np.stack(
+        [
+            21.5 + 0.6 * np.sin(2 * np.pi * days) + 0.25 * np.cos(0.9 * days) + 1.5 * k
+            for k in range(n_outputs)
+        ],
+        1,
+    )
+    y += np.random.default_rng(1).normal(0, 0.04, y.shape)
+    return MeasuredSeries(
+        time, y, ("TAir", "TWall", "TSlab")[:n_outputs], ("degC",) * n_outputs, np.full(n_outputs, 0.5)
+    )
+
+
+def parameter_box(p: int = 14) -> ParameterBox:
+    estimate = ESTIMATE[:p]
+    lower, upper = estimate / 5, estimate * 5
+    if p > 1:
+        lower[1], upper[1] = 293.15, 306.15
+    is_log = np.arange(p) != 1
+    return ParameterBox(NAMES[:p], UNITS[:p], estimate.copy(), lower, upper, is_log)
+
+
+def calibration(
+    n_train: int = 64, *, n_outputs: int = 1, n_polish: int = 124, n_steps: int = 480
+) -> CalibrationRecord:
+    measurement, parameters = measured(n_outputs, n_steps), parameter_box()
+    rng = np.random.default_rng(n_train)
+    days = measurement.time[:, None] / 86400.0
+    y_screened = measurement.y + 0.8 * np.cos(1.3 * days + 1) * np.exp(-n_train / 300) + 0.1
+    y_polished = measurement.y + 0.1 * np.sin(5 * days) + rng.normal(0, 0.04, measurement.y.shape)
+    mse_screened = float(np.mean((y_screened - measurement.y) ** 2))
+    mse_polished = float(np.mean((y_polished - measurement.y) ** 2))
+    steps = np.arange(n_train + 1, n_train + 2 + n_polish)
+    progress = np.clip((steps - steps[0]) // 15 / (max(n_polish, 1) / 15), 0, 1) ** 0.4
+    history = np.exp((1 - progress) * np.log(mse_screened) + progress * np.log(mse_polished))
+    span = parameters.upper - parameters.lower
+    theta = parameters.lower + span * rng.uniform(0, 1, 14)
+    polished = theta.copy()
+    polished[3], polished[5] = parameters.upper[3], parameters.lower[5]
+    return CalibrationRecord(
+        n_train=n_train, theta_screened=theta, theta_polished=polished, mse_surrogate=0.0121 + 1e-5 * n_train,
+        mse_screened=mse_screened, mse_polished=mse_polished, y_screened=y_screened, y_polished=y_polished,
+        history_calls=steps, history_mse=history, n_validation=320, n_test=320, n_screen_checks=1,
+        n_polish=n_polish, wall_s=31.7, test_mae=6.0 / n_train**0.5, test_p90=11.0 / n_train**0.5,
+        stop_reason="the cost changes by less than ftol", surrogate="trial 7 of the study for 64",
+    )  # fmt: skip
+
+
+def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> CoverageSet:
+    rng = np.random.default_rng(2)
+    parameters = parameter_box()
+    theta = parameters.lower + (parameters.upper - parameters.lower) * rng.uniform(0, 1, (n, 14))
+    days = time_axis(n_steps)[None, :, None] / 86400.0
+    level, swing, drift = (
+        rng.uniform(14, 30, (n, 1, 1)),
+        rng.uniform(0.1, 2, (n, 1, 1)),
+        rng.normal(0, 1, (n, 1, 1)),
+    )
+    y = (
+        21.5
+        + (level - 21.5) * (1 - np.exp(-days / 2))
+        + swing * np.sin(2 * np.pi * days)
+        + 0.2 * drift * days
+    )
+    return CoverageSet("training", theta, np.repeat(y, n_outputs, axis=2))
+
+
+def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SensitivityRecord:
+    rng = np.random.default_rng(3)
+    days = time_axis()[:, None, None] / 86400.0
+    weight = np.exp(-0.42 * np.arange(p)) * rng.uniform(0.7, 1.3, p)
+    first = weight * (
+        1.2 + 0.4 * np.sin(2 * np.pi * days + np.arange(p)) + 0.1 * np.arange(n_outputs)[:, None]
+    )
+    first = first * np.exp(-0.05 * days * (np.arange(p) % 3 == 1))
+    first = 0.86 * first / first.sum(axis=2, keepdims=True)
+    first[:n_undefined] = np.nan
+    total = first * 1.2 + 0.01
+    ci = np.full_like(first, 0.012) + 0.05 * first
+    return SensitivityRecord(
+        time_axis(), NAMES[:p], ("TAir", "TWall", "TSlab")[:n_outputs], first, total, ci, ci,
+        n_calls=16_384, model="the office FMU",
+    )  # fmt: skip
+
+
+def trials(sizes: tuple[int, ...] = (32, 64, 128, 256, 512, 1024), n_each: int = 12) -> TrialsRecord:
+    rng = np.random.default_rng(4)
+    n_train = np.repeat(np.array(sizes, dtype=np.int64), n_each)
+    validation = 6.0 / n_train**0.5 * np.exp(rng.gamma(1.2, 0.25, len(n_train)))
+    test, p90 = (
+        validation * rng.uniform(0.95, 1.05, len(n_train)),
+        validation * rng.uniform(1.7, 2.1, len(n_train)),
+    )
+    state = np.array(["complete"] * len(n_train), dtype=object)
+    state[4::n_each] = "pruned"
+    state[7::n_each] = "pruned"
+    if n_each > 2:
+        state[2 :: 3 * n_each] = "failed"
+    is_best = np.zeros(len(n_train), dtype=bool)
+    test[state != "complete"] = np.nan
+    p90[state != "complete"] = np.nan
+    validation[state == "failed"] = np.nan
+    for size in sizes:
+        rows = np.flatnonzero((n_train == size) & (state == "complete"))
+        is_best[rows[np.argmin(validation[rows])]] = True
+    return TrialsRecord(n_train, tuple(str(s) for s in state), validation, test, p90, is_best)
+
+
+def learning_curves(n_train: int = 64) -> LearningCurves:
+    epoch = np.arange(1, 801)
+    validation = 0.6 + 2.0 * np.exp(-epoch / 90) + 0.0002 * np.clip(epoch - 500, 0, None)
+    validation[epoch % 5 != 0] = np.nan
+    reconstruction = 60 * np.exp(-epoch / 60) + 2.0
+    kl = 20 + 10 * np.exp(-epoch / 200)
+    mean, scale = 1.2 * np.exp(-epoch / 150) + 0.02, 0.5 * np.exp(-epoch / 90) + 0.03
+    terms = (("loss", reconstruction + kl + mean + scale), ("reconstruction", reconstruction), ("kl", kl),
+             ("regression_mean", mean), ("regression_scale", scale))  # fmt: skip
+    return LearningCurves(n_train, epoch, validation, terms, 500, "no better for 300 epochs")
+
+
+def report_data(**changes: object) -> ReportData:
+    fields: dict[str, object] = {
+        "label": "office-quick",
+        "title": "Office room, virtual campaign",
+        "note": "A virtual campaign: a white-box office was simulated, no building was measured.",
+        "measurement": measured(),
+        "parameters": parameter_box(),
+        "calibrations": tuple(calibration(n) for n in (256, 32, 64)),
+        "coverage": coverage(),
+        "sensitivity": sensitivity(),
+        "trials": trials(),
+        "learning_curves": (learning_curves(64),),
+        "references": (Reference("best known", 0.0103), Reference("target", 0.0125, is_target=True)),
+        "provenance": Provenance(
+            commands=("studies run office --profile quick", "studies calibrate office --n-train 64"),
+            settings=(("profile", "quick"), ("seed", "0")),
+            digests=(("case", "5a" * 32), ("FMU", "c3" * 32)),
+            versions=(("Python", "3.11.9"), ("torch", "2.9.1")),
+            created="21 November 2026",
+        ),
+    }
+    return ReportData(**{**fields, **changes})  # type: ignore[arg-type]
