@@ -1,0 +1,172 @@
+"""Solve flat model equations for the derivatives and outputs, block by block."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from fmus.compiler.errors import CompileError
+from fmus.compiler.modelica import Check, FlatModel, Variable
+
+
+@dataclass(frozen=True)
+class Ode:
+    """Explicit form of a model: ``der(x) = derivative(t, x, u, p)``, ``y = output(t, x, u, p)``, ``x(0) = start(p)``.
+
+    All expressions are SX columns in the order of the variables.
+    """
+
+    name: str
+    description: str
+    time: Any
+    states: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    derivative: Any
+    output: Any
+    start: Any
+    checks: tuple[Check, ...]
+
+    @property
+    def x(self) -> Any:
+        """States, a column."""
+        return column([v.symbol for v in self.states])
+
+    @property
+    def u(self) -> Any:
+        """Inputs, a column."""
+        return column([v.symbol for v in self.inputs])
+
+    @property
+    def p(self) -> Any:
+        """Parameters, a column."""
+        return column([v.symbol for v in self.parameters])
+
+
+def column(expressions: list[Any]) -> Any:
+    """Stack scalar expressions into a dense SX column."""
+    return ca.densify(ca.vertcat(*expressions)) if expressions else ca.SX.zeros(0, 1)
+
+
+def make_explicit(model: FlatModel) -> Ode:
+    """Solve a flat model for its derivatives and outputs.
+
+    The equations are sorted into the smallest blocks that can be solved one after another (block triangular form);
+    each block must be linear in its own unknowns.
+
+    Args:
+        model: Flat model.
+
+    Returns:
+        The explicit form.
+
+    Raises:
+        CompileError: If equations are missing, superfluous or contradictory, or a block is nonlinear.
+    """
+    unknowns = [*model.derivatives, *(v.symbol for v in model.algebraics)]
+    stacked = column(unknowns)
+    residual = model.residual
+    if residual.numel() != len(unknowns):
+        raise CompileError(f"{model.name}: {residual.numel()} equations for {len(unknowns)} unknowns; they must be equal")
+    pattern = ca.jacobian_sparsity(residual, stacked)
+    n_blocks, row_order, column_order, row_start, column_start, _, coarse = pattern.btf()
+    if coarse[3] < len(unknowns):
+        loose = ", ".join(unknowns[j].name() for j in column_order[: max(1, coarse[1])])
+        raise CompileError(f"{model.name}: no equation determines {loose}; look for a missing or circular equation")
+    solved: dict[int, Any] = {}
+    # CasADi calls the form upper triangular, but orders it as here: a block needs only what earlier blocks give.
+    for block in range(n_blocks):
+        rows = row_order[row_start[block] : row_start[block + 1]]
+        columns = column_order[column_start[block] : column_start[block + 1]]
+        equations = ca.vertcat(*(residual[i] for i in rows))
+        if solved:
+            equations = ca.substitute(equations, column([unknowns[j] for j in solved]), column(list(solved.values())))
+        solved.update(zip(columns, _solve_block(equations, [unknowns[j] for j in columns], model.name), strict=True))
+    n_states = len(model.states)
+    algebraic = {v.name: solved[n_states + i] for i, v in enumerate(model.algebraics)}
+    declared = {v.name: v for v in (*model.algebraics, *model.states)}
+    for name in model.output_names:
+        if name not in declared:
+            raise CompileError(f"{model.name}: the output {name} is neither calculated nor a state")
+    values = {**algebraic, **{v.name: v.symbol for v in model.states}}
+    right_side = ca.cse(
+        column([*(solved[i] for i in range(n_states)), *(values[name] for name in model.output_names)])
+    )
+    return Ode(
+        name=model.name,
+        description=model.description,
+        time=model.time,
+        states=model.states,
+        inputs=model.inputs,
+        parameters=model.parameters,
+        outputs=tuple(declared[name] for name in model.output_names),
+        derivative=right_side[:n_states],
+        output=right_side[n_states:],
+        start=column([v.start for v in model.states]),
+        checks=model.checks,
+    )
+
+
+def _solve_block(equations: Any, unknowns: list[Any], model_name: str) -> list[Any]:
+    stacked = column(unknowns)
+    matrix = ca.jacobian(equations, stacked)
+    if ca.depends_on(matrix, stacked):
+        names = ", ".join(symbol.name() for symbol in unknowns)
+        raise CompileError(
+            f"{model_name}: the equations of {names} are nonlinear in them; solve by hand or give one a storage"
+        )
+    at_zero = ca.substitute(equations, stacked, ca.SX.zeros(stacked.shape))
+    return _eliminate([[matrix[i, j] for j in range(len(unknowns))] for i in range(len(unknowns))],
+                      [-at_zero[i] for i in range(len(unknowns))], model_name, unknowns)
+
+
+def _eliminate(matrix: list[list[Any]], right: list[Any], model_name: str, unknowns: list[Any]) -> list[Any]:
+    """Gaussian elimination on expressions.
+
+    A number is taken as pivot before an expression: in networks of conductances that leaves sums of conductances
+    as pivots, which vanish for no sensible parameter.
+    """
+    n = len(right)
+    free_rows, order = list(range(n)), []
+    for _ in range(n):
+        pivot = _pivot(matrix, free_rows, [j for j in range(n) if j not in {c for _, c in order}])
+        if pivot is None:
+            names = ", ".join(symbol.name() for symbol in unknowns)
+            raise CompileError(f"{model_name}: the equations of {names} contradict each other")
+        row, col = pivot
+        free_rows.remove(row)
+        order.append(pivot)
+        for i in free_rows:
+            if _vanishes(matrix[i][col]):
+                continue
+            factor = matrix[i][col] / matrix[row][col]
+            matrix[i] = [ca.simplify(a - factor * c) for a, c in zip(matrix[i], matrix[row], strict=True)]
+            matrix[i][col] = ca.SX(0)
+            right[i] = right[i] - factor * right[row]
+    values: dict[int, Any] = {}
+    for row, col in reversed(order):
+        rest = right[row]
+        for j, value in values.items():
+            if not _vanishes(matrix[row][j]):
+                rest = rest - matrix[row][j] * value
+        values[col] = rest / matrix[row][col]
+    return [values[j] for j in range(n)]
+
+
+def _vanishes(expression: Any) -> bool:
+    return bool(expression.is_zero()) or expression.nnz() == 0
+
+
+def _pivot(matrix: list[list[Any]], rows: list[int], columns: list[int]) -> tuple[int, int] | None:
+    best: tuple[tuple[int, float, int], tuple[int, int]] | None = None
+    for i in rows:
+        for j in columns:
+            entry = matrix[i][j]
+            if _vanishes(entry):
+                continue
+            fill = sum(not _vanishes(matrix[i][k]) for k in columns) * sum(not _vanishes(matrix[k][j]) for k in rows)
+            key = (0, -abs(float(entry)), fill) if entry.is_constant() else (1, 0.0, fill)
+            if best is None or key < best[0]:
+                best = (key, (i, j))
+    return None if best is None else best[1]

@@ -1,0 +1,231 @@
+"""Read a Modelica model as flat equations in CasADi symbols; the only module that knows pymoca."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+from pymoca import ast, parser
+from pymoca.backends.casadi import generator
+from pymoca.tree import flatten
+
+from fmus.compiler.errors import CompileError
+
+# CasADi 3.8 dropped the Python 2 name of the division that pymoca 0.12 asks for.
+generator.OP_MAP["/"] = "__truediv__"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A scalar variable of the flat model.
+
+    Attributes:
+        name: Flat Modelica name.
+        symbol: Its CasADi symbol (SX).
+        unit: Unit in Modelica's notation; empty when the source gives none.
+        description: Description string.
+        minimum: Least value, or None.
+        maximum: Greatest value, or None.
+        start: Value of a parameter, start value of an input; start expression of a state (SX).
+    """
+
+    name: str
+    symbol: Any
+    unit: str
+    description: str
+    minimum: float | None
+    maximum: float | None
+    start: Any
+
+
+@dataclass(frozen=True)
+class Check:
+    """A quantity of a component that must be finite and lie within its declared limits, such as a capacity."""
+
+    name: str
+    expression: Any
+    unit: str
+    minimum: float
+    maximum: float
+
+
+@dataclass(frozen=True)
+class FlatModel:
+    """Equations ``residual(time, states, derivatives, algebraics, inputs, parameters) = 0``, all SX."""
+
+    name: str
+    description: str
+    time: Any
+    states: tuple[Variable, ...]
+    derivatives: tuple[Any, ...]
+    algebraics: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    output_names: tuple[str, ...]
+    residual: Any
+    checks: tuple[Check, ...]
+
+
+def read_model(sources: list[Path], class_name: str) -> FlatModel:
+    """Read, flatten and resolve a model.
+
+    Constants, parameters of components and parameters that are bound to expressions are replaced by what they are
+    bound to; the other parameters of the model itself remain.
+
+    Args:
+        sources: Modelica files.
+        class_name: Qualified class to read.
+
+    Returns:
+        The flat model.
+
+    Raises:
+        CompileError: If the source does not parse, or leaves the subset that is understood.
+    """
+    symbols, description = _metadata(sources, class_name)
+    try:
+        raw = generator.generate(_parse(sources), class_name)
+    except Exception as error:  # pymoca raises whatever its walk runs into
+        raise CompileError(f"{class_name}: pymoca cannot read it ({_first_line(error)}); keep to its subset") from error
+    return _resolve(raw, class_name, symbols, description)
+
+
+def _first_line(error: Exception) -> str:
+    return (f"{type(error).__name__}: {error}".strip().splitlines() or [""])[0]
+
+
+def _parse(sources: list[Path]) -> Any:
+    tree = None
+    for path in sources:
+        try:
+            part = parser.parse(path.read_text(encoding="utf-8"))
+        except Exception as error:
+            raise CompileError(f"{path}: does not parse ({_first_line(error)})") from error
+        if part is None:
+            raise CompileError(f"{path}: does not parse; see pymoca's message above")
+        if tree is None:
+            tree = part
+        else:
+            tree.extend(part)
+    if tree is None:
+        raise CompileError("no .mo file in the folder; put the Modelica source next to build.toml")
+    return tree
+
+
+def _metadata(sources: list[Path], class_name: str) -> tuple[dict[str, Any], str]:
+    """Flatten once more for what pymoca's CasADi model leaves out: units and descriptions."""
+    try:
+        flat = flatten(_parse(sources), ast.ComponentRef.from_string(class_name))
+    except CompileError:
+        raise
+    except Exception as error:
+        raise CompileError(f"{class_name}: cannot be flattened ({_first_line(error)})") from error
+    flat_class = flat.classes[class_name]
+    return dict(flat_class.symbols), str(flat_class.comment or "")
+
+
+def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: str) -> FlatModel:
+    """Turn pymoca's model into scalar SX expressions of time, states, inputs and free parameters."""
+    if raw.initial_equations:
+        raise CompileError(f"{class_name}: initial equations are not understood; use start with fixed=true")
+    if raw.delay_states:
+        raise CompileError(f"{class_name}: delay is not understood; write a chain of states")
+    everything = [*raw.states, *raw.der_states, *raw.alg_states, *raw.inputs, *raw.constants, *raw.parameters]
+    for variable in everything:
+        if variable.symbol.shape != (1, 1) or not _is_scalar(variable):
+            raise CompileError(f"{class_name}: {variable.symbol.name()} is an array; write its elements out")
+    known = [*raw.constants, *raw.parameters]
+    mx = [raw.time, *(v.symbol for v in everything)]
+    sx = [ca.SX.sym(symbol.name()) for symbol in mx]
+    by_name = {symbol.name(): symbol for symbol in sx}
+
+    def convert(expressions: list[Any]) -> list[Any]:
+        function = ca.Function("convert", mx, [ca.densify(ca.MX(e)) for e in expressions])
+        result = function.call(sx)
+        return list(result)
+
+    values = convert([v.value for v in known])
+    bound = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if not x.is_constant()}
+    numbers = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if x.is_constant()}
+    # A number that a component was built with is part of the model; the parameters are those of the model itself.
+    free = {v.symbol.name() for v in raw.parameters if "." not in v.symbol.name()} & numbers.keys()
+    constants = {name: number for name, number in numbers.items() if name not in free}
+    replaced = _close({**constants, **bound}, by_name, class_name)
+    old = [by_name[name] for name in replaced]
+    new = list(replaced.values())
+
+    def substitute(expressions: list[Any]) -> list[Any]:
+        return list(ca.substitute(expressions, old, new)) if old else expressions
+
+    def limit(value: Any) -> float:
+        number = substitute(convert([value]))[0]
+        if not number.is_constant():
+            raise CompileError(f"{class_name}: min and max must be numbers or expressions of constants")
+        return float(number)
+
+    def make(variable: Any, start: Any) -> Variable:
+        name = variable.symbol.name()
+        low, high = limit(variable.min), limit(variable.max)
+        symbol = symbols[name]
+        return Variable(
+            name=name,
+            symbol=by_name[name],
+            unit=str(symbol.unit.value or ""),
+            description=str(symbol.comment or ""),
+            minimum=low if math.isfinite(low) else None,
+            maximum=high if math.isfinite(high) else None,
+            start=start,
+        )
+
+    for state in raw.states:
+        if not bool(float(ca.MX(state.fixed).to_DM() if isinstance(state.fixed, ca.MX) else state.fixed)):
+            raise CompileError(f"{class_name}: the state {state.symbol.name()} needs start and fixed=true")
+    starts = substitute(convert([v.start for v in raw.states])) if raw.states else []
+    checks = tuple(
+        Check(name, replaced[name], str(symbols[name].unit.value or ""), limit(v.min), limit(v.max))
+        for v in raw.parameters
+        if (name := v.symbol.name()) not in free
+    )
+    for check in checks:
+        if check.expression.is_constant() and not check.minimum <= float(check.expression) <= check.maximum:
+            raise CompileError(f"{class_name}: {check.name} = {float(check.expression)} is missing or out of its limits")
+    return FlatModel(
+        name=class_name,
+        description=description,
+        time=by_name[raw.time.name()],
+        states=tuple(make(v, start) for v, start in zip(raw.states, starts, strict=True)),
+        derivatives=tuple(by_name[v.symbol.name()] for v in raw.der_states),
+        algebraics=tuple(make(v, None) for v in raw.alg_states),
+        inputs=tuple(make(v, limit(v.start)) for v in raw.inputs),
+        parameters=tuple(
+            make(v, _value(numbers[v.symbol.name()], v.symbol.name())) for v in raw.parameters if v.symbol.name() in free
+        ),
+        output_names=tuple(raw.outputs),
+        residual=substitute([ca.vertcat(*convert(raw.equations))])[0],
+        checks=tuple(check for check in checks if not check.expression.is_constant()),
+    )
+
+
+def _is_scalar(variable: Any) -> bool:
+    return all(dim is None for shape in variable.symbol._modelica_shape for dim in shape)
+
+
+def _value(number: Any, name: str) -> float:
+    value = float(number)
+    if not math.isfinite(value):
+        raise CompileError(f"the parameter {name} has no value; give it one")
+    return value
+
+
+def _close(bound: dict[str, Any], by_name: dict[str, Any], class_name: str) -> dict[str, Any]:
+    """Replace bound names inside the bound expressions until only free names remain."""
+    names = list(bound)
+    symbols = [by_name[name] for name in names]
+    expressions = list(bound.values())
+    stacked = ca.vertcat(*symbols)
+    for _ in range(len(names) + 1):
+        if not names or not ca.depends_on(ca.vertcat(*expressions), stacked):
+            return dict(zip(names, expressions, strict=True))
+        expressions = list(ca.substitute(expressions, symbols, expressions))
+    raise CompileError(f"{class_name}: parameters are bound to each other in a circle")

@@ -1,0 +1,100 @@
+"""Compile the C sources and pack the FMU."""
+
+import hashlib
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+from fmus.compiler.causal import make_explicit
+from fmus.compiler.code import write_code, write_data
+from fmus.compiler.description import SOURCE_FILES, write_description
+from fmus.compiler.errors import CompileError
+from fmus.compiler.modelica import read_model
+from fmus.compiler.settings import read_settings
+
+WRAPPER = Path(__file__).parent / "c"
+# No contraction and no build id: the same sources give the same numbers and the same file.
+COMPILER = ("gcc", "-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-fno-ident")
+LINKER = ("-Wl,--build-id=none", "-Wl,-s", "-lm")
+_FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+# The earliest date that a ZIP entry can bear: a build has no time of its own.
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def build_fmu(folder: Path, target: Path | None = None) -> Path:
+    """Build the FMU of a model's folder.
+
+    Args:
+        folder: Folder with build.toml and Modelica sources.
+        target: File to write; by default ``<identifier>.fmu`` in the folder.
+
+    Returns:
+        Path of the FMU.
+
+    Raises:
+        CompileError: If the model, the build file or the toolchain does not allow it.
+    """
+    settings = read_settings(folder)
+    modelica = sorted(folder.glob("*.mo"))
+    ode = make_explicit(read_model(modelica, settings.model))
+    code = write_code(ode, settings)
+    sources = {path.name: path.read_bytes() for path in sorted(WRAPPER.iterdir()) if path.suffix in {".c", ".h"}}
+    sources |= {"model.c": code.functions.encode(), "model.h": code.header.encode()}
+    sources |= {name: (_fmi_headers() / name).read_bytes() for name in _FMI_HEADERS}
+    guid = _guid([*sources.values(), repr(settings).encode(), *(path.read_bytes() for path in modelica)])
+    sources["model_data.h"] = write_data(ode, guid).encode()
+    files = {
+        "modelDescription.xml": write_description(ode, settings, guid).encode(),
+        f"binaries/linux64/{settings.identifier}.so": _compile(sources),
+        **{f"sources/{name}": content for name, content in sources.items()},
+        **{f"resources/{path.name}": path.read_bytes() for path in modelica},
+    }
+    target = target or folder / f"{settings.identifier}.fmu"
+    _pack(files, target)
+    return target
+
+
+def _fmi_headers() -> Path:
+    spec = find_spec("fmpy")
+    if spec is None or spec.origin is None:
+        raise CompileError("FMPy is not installed, whose FMI headers are needed; pip install fmpy")
+    return Path(spec.origin).parent / "c-code"
+
+
+def _guid(parts: list[bytes]) -> str:
+    digest = hashlib.sha256()
+    for part in (*parts, version("pymoca").encode(), version("casadi").encode()):
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    text = digest.hexdigest()
+    return f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
+
+
+def _compile(sources: dict[str, bytes]) -> bytes:
+    if shutil.which(COMPILER[0]) is None:
+        raise CompileError("gcc is not installed; install it, or use the FMU that is already there")
+    with tempfile.TemporaryDirectory(prefix="fmu-build-") as name:
+        build = Path(name)
+        for file, content in sources.items():
+            (build / file).write_bytes(content)
+        # Relative names in the build folder: no path of this machine gets into the binary.
+        command = [*COMPILER, "-I.", "-o", "model.so", *SOURCE_FILES, *LINKER]
+        result = subprocess.run(command, cwd=build, capture_output=True, text=True, check=False)
+        if result.returncode != 0:
+            raise CompileError(f"gcc failed: {(result.stderr.strip().splitlines() or ['no message'])[0]}")
+        return (build / "model.so").read_bytes()
+
+
+def _pack(files: dict[str, bytes], target: Path) -> None:
+    partial = target.with_name(target.name + ".part")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, _ZIP_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+            archive.writestr(entry, files[name])
+    partial.replace(target)

@@ -1,0 +1,96 @@
+"""Units in Modelica's notation, as the powers of the SI base units that FMI asks for."""
+
+import math
+import re
+from dataclasses import dataclass, field
+
+from fmus.compiler.errors import CompileError
+
+
+@dataclass(frozen=True)
+class BaseUnit:
+    """Product of SI base units: ``value in SI = factor * value + offset``.
+
+    Attributes:
+        powers: Exponent of each base unit, such as ``{"kg": 1, "m": 2, "s": -3}``; without zeros.
+        factor: Multiple of the SI unit.
+        offset: Zero of the unit's scale in the SI unit.
+    """
+
+    powers: dict[str, int] = field(default_factory=dict)
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+_WATT = {"kg": 1, "m": 2, "s": -3}
+_KNOWN = {
+    "1": BaseUnit(),
+    "kg": BaseUnit({"kg": 1}),
+    "g": BaseUnit({"kg": 1}, 1e-3),
+    "m": BaseUnit({"m": 1}),
+    "s": BaseUnit({"s": 1}),
+    "min": BaseUnit({"s": 1}, 60.0),
+    "h": BaseUnit({"s": 1}, 3600.0),
+    "d": BaseUnit({"s": 1}, 86400.0),
+    "A": BaseUnit({"A": 1}),
+    "K": BaseUnit({"K": 1}),
+    "degC": BaseUnit({"K": 1}, 1.0, 273.15),
+    "mol": BaseUnit({"mol": 1}),
+    "cd": BaseUnit({"cd": 1}),
+    "rad": BaseUnit({"rad": 1}),
+    "deg": BaseUnit({"rad": 1}, math.pi / 180.0),
+    "Hz": BaseUnit({"s": -1}),
+    "N": BaseUnit({"kg": 1, "m": 1, "s": -2}),
+    "Pa": BaseUnit({"kg": 1, "m": -1, "s": -2}),
+    "J": BaseUnit({"kg": 1, "m": 2, "s": -2}),
+    "W": BaseUnit(_WATT),
+    "kJ": BaseUnit({"kg": 1, "m": 2, "s": -2}, 1e3),
+    "kW": BaseUnit(_WATT, 1e3),
+    "V": BaseUnit({**_WATT, "A": -1}),
+    "l": BaseUnit({"m": 3}, 1e-3),
+}
+_FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d+)?")
+
+
+def parse_unit(unit: str) -> BaseUnit:
+    """Resolve a unit such as ``W/(m2.K)`` into base units.
+
+    Args:
+        unit: Modelica unit: factors joined by points, at most one slash, exponents as digits.
+
+    Returns:
+        The base unit; an offset only for a bare unit such as ``degC``.
+
+    Raises:
+        CompileError: If the unit is unknown or malformed.
+    """
+    if unit in _KNOWN:
+        return _KNOWN[unit]
+    over, slash, under = unit.partition("/")
+    if under.startswith("(") and under.endswith(")"):
+        under = under[1:-1]
+    elif "." in under:
+        raise CompileError(f"unit {unit!r}: put the divisor in brackets, as in W/(m2.K)")
+    powers: dict[str, int] = {}
+    factor = 1.0
+    for sign, part in ((1, over), (-1, under)):
+        if not part and not (sign < 0 and not slash):
+            raise CompileError(f"unit {unit!r}: nothing on one side of the slash")
+        for text in part.split(".") if part else []:
+            match = _FACTOR.fullmatch(text)
+            if match is None or match[1] not in _KNOWN:
+                raise CompileError(f"unit {unit!r}: {text!r} is not known; add it to fmus/compiler/units.py")
+            exponent = sign * int(match[2] or 1)
+            known = _KNOWN[match[1]]
+            factor *= known.factor**exponent
+            for name, power in known.powers.items():
+                powers[name] = powers.get(name, 0) + power * exponent
+    return BaseUnit({name: power for name, power in powers.items() if power}, factor)
+
+
+def derivative_unit(unit: str) -> str:
+    """Give the unit of a time derivative, such as ``K/s`` for ``K``."""
+    over, _, under = unit.partition("/")
+    if not under:
+        return f"{over}/s"
+    return f"{over}/({under.strip('()')}.s)"
