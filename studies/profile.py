@@ -169,7 +169,9 @@ def load_profile(profile: str) -> Profile:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(f"{file}: {key}: {first['msg']} (profiles to compare with: {PROFILE_FOLDER})") from None
+        raise InputError(
+            f"{file}: {key}: {first['msg']} (profiles to compare with: {PROFILE_FOLDER})"
+        ) from None
 
 
 def profile_names() -> list[str]:

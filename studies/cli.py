@@ -1,0 +1,246 @@
+"""The command line `studies`: its words, its help, its exit codes. Imports nothing heavy."""
+
+import argparse
+import re
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from simulation.errors import InputError
+from studies import cli_help
+from studies.console import Console
+
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+DESCRIPTION = """\
+Calibrate a simulation model (an FMU) with a PELS-VAE surrogate.
+
+A study is a case x a profile: the case says what is calibrated (FMU, parameters with bounds, inputs,
+measurement, window), the profile how much may be spent on it. `studies run` does everything in order:
+
+  check         the doctor: is the case sound, how long does a simulation take
+  simulate      training, validation and test simulations
+  sensitivity   Sobol indices per time step
+  tune          one Optuna study per training-set size, every trial an MLflow run
+  calibrate     screen the whole box on the surrogate, polish the found point on the FMU
+  report        tables and figures on one page
+"""
+EPILOG = """\
+examples:
+  studies run                              the office, quick profile: minutes on two cores
+  studies run office-recorded --window 8-16
+  studies check fmus/office/case.toml      what is wrong with a case, and what to do
+  studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
+  studies calibrate --n-train 64 --json    one calibration from the stored surrogate
+  studies ui                               compare the runs in MLflow
+
+where results land (label = <case>-<profile>):
+  data/<case>/generated/    simulations          mlruns/reports/<label>/index.html    the report
+  mlruns/results/<label>/   numbers              mlruns/champions/<label>/            best surrogates
+  mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.journal                Optuna
+
+Finished work is never done twice: interrupt any command, type it again, and it goes on.
+Exit codes: 0 good, 1 a check or a stage failed, 2 the input is wrong, 130 interrupted.
+"""
+
+
+class _UsageError(Exception):
+    """The command line cannot be understood."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise _UsageError(f"{' '.join(message.split())} (`{self.prog} --help` explains)")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    as_json = "--json" in arguments
+    console = Console(as_json=as_json)
+    try:
+        options = build_parser().parse_args(arguments)
+    except _UsageError as error:
+        return _bad_input(console, str(error))
+    except SystemExit as done:
+        return int(done.code or 0)
+    console = Console(as_json=options.json, quiet=options.quiet)
+    try:
+        from studies.cli_commands import COMMANDS
+
+        return COMMANDS[options.command](options, console)
+    except InputError as error:
+        return _bad_input(console, " ".join(str(error).split()))
+    except KeyboardInterrupt:
+        again = shlex.join(["studies", *arguments])
+        console.warn(f"interrupted; what is finished is kept, go on with: {again}")
+        console.document({"error": "interrupted", "go_on_with": again})
+        return INTERRUPTED
+    except BrokenPipeError:
+        # whoever read our output has left; there is nobody to tell
+        sys.stdout = None  # type: ignore[assignment]
+        return FAILED
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    parser = _Parser(
+        prog="studies",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action=_Version, help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+
+    def add(name: str, help_line: str, more: str, *, with_case: bool = True) -> argparse.ArgumentParser:
+        command = commands.add_parser(
+            name,
+            help=help_line,
+            description=f"{help_line[0].upper()}{help_line[1:]}.",
+            epilog=more,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        if with_case:
+            _add_case_options(command)
+        _add_output_options(command)
+        return command
+
+    add("check", "examine a case and say what is wrong and what to do", cli_help.CHECK)
+    add("simulate", "simulate the training, validation and test sets", cli_help.SIMULATE)
+    add("sensitivity", "estimate first- and total-order Sobol indices per time step", cli_help.SENSITIVITY)
+    _add_tuning_options(add("tune", "tune one surrogate per training-set size", cli_help.TUNE))
+    calibrate = add("calibrate", "screen on the surrogate, polish on the FMU", cli_help.CALIBRATE)
+    _add_sizes(calibrate, "sizes to calibrate with; default: all that have a surrogate")
+    _add_calibration_options(calibrate)
+    add("report", "put tables and figures of all results on one page", cli_help.REPORT)
+    ui = add("ui", "open MLflow's user interface on this project's runs", cli_help.UI, with_case=False)
+    ui.add_argument(
+        "--port", type=_port, metavar="N", help="port on 127.0.0.1; default: 5000 or the next free one"
+    )
+    ui.add_argument("--dry-run", action="store_true", help="print what would be started and stop there")
+    recording = add(
+        "import-recording",
+        "check a published recording and store it as a case's CSV",
+        cli_help.IMPORT,
+        with_case=False,
+    )
+    recording.add_argument(
+        "files", nargs="+", metavar="FILE", help="a .mat, the FMU that holds it, CSV files, a folder"
+    )
+    run = add("run", "do everything in order, skipping what is finished", cli_help.RUN)
+    _add_tuning_options(run)
+    _add_calibration_options(run)
+    return parser
+
+
+def _add_case_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "case",
+        nargs="?",
+        default="office",
+        metavar="CASE",
+        help="name, file or folder of a case; default: office",
+    )
+    command.add_argument(
+        "--profile", default="quick", metavar="NAME", help="budget: quick (default), paper, or a profile file"
+    )
+    command.add_argument(
+        "--window",
+        type=_window,
+        metavar="A-B",
+        help="days of the recording, e.g. 8-16; default: the case's own",
+    )
+    command.add_argument(
+        "--seed", type=_whole(0), metavar="N", help="seed of every draw; default: the profile's"
+    )
+    command.add_argument(
+        "--jobs", type=_whole(1), metavar="N", help="processes; default: as many as there are cores"
+    )
+
+
+def _add_output_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--json", action="store_true", help="one JSON document on stdout, everything else on stderr"
+    )
+    command.add_argument("-q", "--quiet", action="store_true", help="only results and errors")
+
+
+def _add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
+    command.add_argument("--n-train", nargs="+", type=_whole(4), metavar="N", help=help_line)
+
+
+def _add_tuning_options(command: argparse.ArgumentParser) -> None:
+    _add_sizes(command, "training-set sizes; default: the profile's")
+    command.add_argument(
+        "--trials", type=_whole(1), metavar="N", help="trials per size in total; default: the profile's"
+    )
+
+
+def _add_calibration_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--max-calls",
+        type=_whole(1),
+        metavar="N",
+        help="most FMU calls of one polish; default: the profile's",
+    )
+    command.add_argument(
+        "--target", type=_positive, metavar="MSE", help="also say how many calls reached this error"
+    )
+    command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None) -> None:
+        super().__init__(option_strings, dest, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            found = version("pelsvae-studies")
+        except PackageNotFoundError:
+            found = "(not installed)"
+        print(f"studies {found}")
+        parser.exit()
+
+
+def _window(text: str) -> tuple[float, float]:
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)", text)
+    if found is None or float(found[1]) >= float(found[2]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no window; give two ascending days, e.g. 0-10")
+    return float(found[1]), float(found[2])
+
+
+def _whole(least: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not re.fullmatch(r"\d+", text) or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+        return int(text)
+
+    return read
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return value
+
+
+def _port(text: str) -> int:
+    if not re.fullmatch(r"\d+", text) or not 1024 <= int(text) <= 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port; give a number from 1024 to 65535")
+    return int(text)
+
+
+def _bad_input(console: Console, line: str) -> int:
+    console.warn(f"error: {line}")
+    console.document({"error": line})
+    return BAD_INPUT

@@ -1,0 +1,108 @@
+"""The stage that learns: one tuned surrogate per training-set size."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from simulation.errors import InputError
+from studies.console import Column
+from studies.pipeline import Outcome, Study, Summary, run_stage
+from studies.report.wording import difference_unit
+from studies.stages_simulate import set_files
+from studies.stages_tracking import tracker_of
+
+
+def tune_stage(study: Study, simulated: Outcome) -> Outcome:
+    """Tune one surrogate per training-set size."""
+    budget, sizes = study.profile.tuning, study.profile.data.n_train
+    inputs = {
+        "simulate": simulated.digest,
+        "sizes": list(sizes),
+        "tuning": asdict(budget),
+        "seed": study.profile.seed,
+    }
+
+    def work() -> tuple[Summary, list[Path]]:
+        from studies.study_spec import StudySpec
+        from studies.tuning import tune
+
+        files = set_files(study, simulated.summary)
+        specs = [
+            StudySpec.from_files(
+                train_file=files["train"],
+                validation_file=files["validation"],
+                test_file=files["test"],
+                n_train=n_train,
+                parameter_space=study.case.parameter_space,
+                label=study.label,
+                case_name=study.case.name,
+                case_digest=study.case.digest,
+                fmu_sha256=study.case.fmu_sha256,
+                output_unit=study.case.outputs[0].unit,
+                variant=budget.variant,
+                overrides={"max_epochs": budget.max_epochs, "patience": budget.patience},
+                search=budget.search,
+                seed=study.profile.seed,
+                note=study.case.note,
+            )
+            for n_train in sizes
+        ]
+        tracker = tracker_of(study.paths)
+        with study.console.bars() as bars:
+            summaries = tune(
+                specs,
+                paths=study.paths,
+                n_trials=budget.n_trials,
+                n_jobs=study.n_jobs,
+                tracker=tracker,
+                on_event=lambda event: bars(
+                    f"n_train {event.n_train}",
+                    event.n_finished + (event.epoch / event.max_epochs if event.kind == "epoch" else 0.0),
+                    event.n_trials,
+                ),
+            )
+        without = [summary.n_train for summary in summaries if summary.champion is None]
+        if without:
+            raise InputError(
+                f"no trial of n_train = {without[0]} was completed; see mlruns/trials/{study.label}, "
+                "give more --trials or epochs"
+            )
+        champions = [study.paths.champion(study.label, n_train) for n_train in sizes]
+        made = [file for folder in champions for file in sorted(folder.iterdir()) if file.is_file()]
+        return {"studies": [_study_summary(study, found.to_dict()) for found in summaries]}, made
+
+    return run_stage(
+        study,
+        "tune",
+        what=f"{budget.n_trials} trials for each n_train of {', '.join(map(str, sizes))}",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
+    )
+
+
+def show_tuning(study: Study, outcome: Outcome) -> None:
+    """Print the best surrogate of each size."""
+    unit = study.case.outputs[0].unit
+    columns = [
+        Column("n_train", True),
+        Column("trials", True),
+        Column("pruned", True),
+        Column("failed", True),
+    ]
+    columns += [
+        Column(f"{name} [{difference_unit(unit)}]", True) for name in ("MAE val", "MAE test", "P90 test")
+    ]
+    columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
+    rows = []
+    for found in outcome.summary["studies"]:
+        errors, config = found["best_metrics"], found["best_config"]
+        cells = [found["n_train"], found["n_trials"], found["n_pruned"], found["n_failed"]]
+        cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
+        rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
+    study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
+
+
+def _study_summary(study: Study, summary: dict[str, Any]) -> dict[str, Any]:
+    """Return a summary whose champion is named relative to the project, so that it can be moved."""
+    return {**summary, "champion": study.paths.show(Path(summary["champion"]))}

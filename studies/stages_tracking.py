@@ -1,0 +1,120 @@
+"""What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
+
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from studies.paths import ProjectPaths, size_name
+from studies.pipeline import Study, Summary
+from studies.report.wording import difference_unit, squared
+from studies.stages_results import StoredCalibration, calibration_record, measured_series
+from studies.tracking import StageRun, Tracker, open_tracker
+
+
+@lru_cache(maxsize=4)
+def tracker_of(paths: ProjectPaths) -> Tracker:
+    """Return the project's tracker; opening it costs seconds, so it is opened once per process."""
+    return open_tracker(paths)
+
+
+def log_calibration(
+    study: Study, stored: StoredCalibration, digest: str, *, started_s: float, wall_s: float
+) -> None:
+    """Tell of a finished calibration, with its figures.
+
+    Args:
+        study: the study.
+        stored: what the calibration left on disk.
+        digest: digest of the stage's inputs.
+        started_s: start of the calibration. [s since 1970, UTC]
+        wall_s: its duration. [s]
+    """
+    from studies.report.figures_calibration import calibration_figure, polish_figure
+
+    numbers, profile, n_train = stored.numbers, study.profile, stored.numbers["n_train"]
+    record, measured = calibration_record(stored), measured_series(study.case)
+    unit = squared(difference_unit(measured.units[0]))
+    metrics = {
+        "mse/surrogate": numbers["mse_surrogate"],
+        "mse/screened": numbers["mse_screened"],
+        "mse/screening_gap": numbers["screening_gap"],
+        "mse/polished": numbers["mse_polished"],
+        "calls/paper": numbers["ledger"]["total_paper"],
+        "calls/all": numbers["ledger"]["total_honest"],
+        "calls/polish": numbers["ledger"]["n_polish"],
+        **numbers["surrogate_errors"],
+    }
+    curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        temperatures, polish = Path(scratch) / "calibration.png", Path(scratch) / "polish.png"
+        calibration_figure(measured, record, temperatures, footnote=study.label)
+        polish_figure(record, (), polish, mse_unit=unit, footnote=study.label)
+        tracker_of(study.paths).log_stage(
+            StageRun(
+                label=study.label,
+                kind="calibration",
+                name=f"{size_name(n_train)} calibration",
+                key=digest,
+                params={
+                    "n_train": n_train,
+                    "seed": profile.seed,
+                    "screening.popsize": profile.screening.popsize,
+                    "screening.maxiter": profile.screening.maxiter,
+                    "polish.max_calls": profile.polish.max_calls,
+                    "polish.ftol": profile.polish.ftol,
+                },
+                metrics={name: value for name, value in metrics.items() if value is not None},
+                curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
+                tags={
+                    "case": study.case.name,
+                    "case_sha256": study.case.digest,
+                    "n_train": n_train,
+                    "surrogate_study": numbers["surrogate"]["study"],
+                    "surrogate_trial": numbers["surrogate"]["trial"],
+                },
+                figures=[temperatures, polish],
+                artifacts=[stored.files.numbers, stored.files.arrays],
+                started_s=started_s,
+                wall_s=wall_s,
+                note=study.case.note,
+            )
+        )
+
+
+def log_sensitivity(study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float) -> None:
+    """Tell of finished Sobol indices."""
+    shares = {f"first_order/{name}": value for name, value in summary["mean_first_order"].items()}
+    shares |= {f"total_order/{name}": value for name, value in summary["mean_total_order"].items()}
+    tracker_of(study.paths).log_stage(
+        StageRun(
+            label=study.label,
+            kind="sensitivity",
+            name="sensitivity",
+            key=digest,
+            params={"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed},
+            metrics={name: value for name, value in shares.items() if value is not None},
+            tags={"case": study.case.name, "case_sha256": study.case.digest},
+            artifacts=[file],
+            wall_s=wall_s,
+            note=study.case.note,
+        )
+    )
+
+
+def log_report(study: Study, digest: str, *, index: Path, wall_s: float) -> None:
+    """Tell of a finished report, with all its pictures."""
+    tracker_of(study.paths).log_stage(
+        StageRun(
+            label=study.label,
+            kind="report",
+            name="report",
+            key=digest,
+            tags={"case": study.case.name, "case_sha256": study.case.digest},
+            figures=sorted(index.parent.glob("*.png")),
+            artifacts=[index],
+            wall_s=wall_s,
+            note=study.case.note,
+        )
+    )
