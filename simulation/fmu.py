@@ -189,14 +189,13 @@ class _Instance:
                 modelIdentifier=description.model_identifier,
                 unzipDirectory=str(folder),
             )
+            library = self._slave.dll
+            addresses = [ctypes.cast(getattr(library, name), ctypes.c_void_p).value for name in FUNCTIONS]
         except Exception as error:
             raise InputError(f"{self._path}: cannot be loaded ({' '.join(str(error).split())})") from None
         finally:
             os.chdir(before)
-        library = self._slave.dll
-        self.functions = np.array(
-            [ctypes.cast(getattr(library, name), ctypes.c_void_p).value for name in FUNCTIONS], dtype=np.intp
-        )
+        self.functions = np.array(addresses, dtype=np.intp)
         self._fresh()
 
     def _fresh(self) -> None:

@@ -2,6 +2,7 @@
 
 import difflib
 import hashlib
+import io
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -130,9 +131,9 @@ def read_description(path: Path) -> FmuDescription:
             binary for this platform.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        content = path.read_bytes()
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.namelist()
-        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     except FileNotFoundError:
         raise InputError(
             f"{path}: no such file; correct `fmu` in the case file or put the FMU there"
@@ -142,7 +143,8 @@ def read_description(path: Path) -> FmuDescription:
     if "modelDescription.xml" not in members:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
     try:
-        model: Any = fmpy.read_model_description(str(path))
+        # From memory: fmpy leaves the file open when the description is not valid.
+        model: Any = fmpy.read_model_description(io.BytesIO(content))
     except Exception as error:  # fmpy raises plain exceptions of many kinds
         said = " ".join(str(error).split())
         raise InputError(f"{path}: its modelDescription.xml is not valid ({said}); export it again") from None
@@ -173,7 +175,7 @@ def read_description(path: Path) -> FmuDescription:
         model_identifier=identifier,
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
-        sha256=sha256,
+        sha256=hashlib.sha256(content).hexdigest(),
         platforms=platforms,
         variables={str(variable.name): _variable(variable) for variable in model.modelVariables},
     )

@@ -120,9 +120,9 @@ class ParallelModel:
 
     def _pays(self, n: int) -> bool:
         expected_s = n * (self._row_s or 0.0)
-        if self._pool is not None or self._pool_pays_s <= 0.0:
-            return expected_s >= min(SHARE_PAYS_S, self._pool_pays_s)
-        return expected_s > SHARE_PAYS_S and self._spent_s + expected_s > self._pool_pays_s
+        if expected_s < min(SHARE_PAYS_S, self._pool_pays_s):
+            return False
+        return self._pool is not None or self._spent_s + expected_s >= self._pool_pays_s
 
     def _shared(self, theta: FloatArray) -> Trajectories:
         """Split rows over the workers; pieces of about half a second keep all of them busy to the end."""

@@ -1,0 +1,128 @@
+"""A tiny FMU with a closed form, compiled once per session, and a case around it."""
+
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="Decay" guid="decay-1" numberOfEventIndicators="0">
+<CoSimulation modelIdentifier="decay" canHandleVariableCommunicationStepSize="true"/>
+<UnitDefinitions><Unit name="K"/><Unit name="1/s"/><Unit name="K/s"/></UnitDefinitions>
+<ModelVariables>
+<ScalarVariable name="k" valueReference="0" causality="parameter" variability="tunable">
+<Real start="1e-4" unit="1/s"/></ScalarVariable>
+<ScalarVariable name="x0" valueReference="1" causality="parameter" variability="tunable">
+<Real start="300" unit="K"/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="2" causality="parameter" variability="tunable">
+<Real start="0"/></ScalarVariable>
+<ScalarVariable name="u" valueReference="3" causality="input" variability="continuous">
+<Real start="0" unit="K/s"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="4" causality="output" variability="continuous">
+<Real unit="K"/></ScalarVariable>
+</ModelVariables>
+<ModelStructure><Outputs><Unknown index="5"/></Outputs></ModelStructure>
+</fmiModelDescription>
+"""
+
+CASE = """
+schema = 1
+name = "decay"
+title = "One state"
+fmu = "decay.fmu"
+interface = "co-simulation"
+data = "data"
+
+[time]
+window_d = [0.25, 0.75]
+communication_step_s = 600
+output_step_s = 1800
+
+[[inputs]]
+name = "u"
+file = "recording.csv"
+column = "heating"
+unit = "K/s"
+interpolation = "linear"
+
+[[outputs]]
+name = "y"
+unit = "degC"
+file = "recording.csv"
+column = "T_degC"
+uncertainty = 0.5
+
+[[parameters]]
+name = "k"
+estimate = 1e-4
+lower = 2e-5
+upper = 5e-4
+unit = "1/s"
+scale = "log"
+description = "rate"
+
+[[parameters]]
+name = "mode"
+lower = 0
+upper = 6
+
+[fixed]
+x0 = { first_measured = "y" }
+"""
+
+
+@pytest.fixture(scope="session")
+def decay_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The FMU `decay`; parameter `mode` chooses how it fails (see decay.c)."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None or fmpy.platform != "linux64":
+        pytest.skip("needs a C compiler on Linux to build the FMU that fails in every way")
+    folder = tmp_path_factory.mktemp("decay")
+    library = folder / "decay.so"
+    headers = Path(fmpy.__file__).parent / "c-code"
+    source = Path(__file__).parent / "decay.c"
+    subprocess.run(
+        [compiler, "-O1", "-shared", "-fPIC", f"-I{headers}", "-o", library, source, "-lm"], check=True
+    )
+    with zipfile.ZipFile(folder / "decay.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", DESCRIPTION)
+        archive.write(library, "binaries/linux64/decay.so")
+    return folder / "decay.fmu"
+
+
+@pytest.fixture
+def decay_case(decay_fmu: Path, tmp_path: Path) -> Path:
+    """A folder with a case around `decay`; window and recording of one day at 1800 s."""
+    folder = tmp_path / "fmus" / "decay"
+    (folder / "data").mkdir(parents=True)
+    shutil.copy(decay_fmu, folder / "decay.fmu")
+    (folder / "case.toml").write_text(CASE)
+    time = np.arange(49) * 1800
+    lines = ["time_s,T_degC,heating"]
+    lines += [f"{t},{20 + np.sin(t / 1e4):.6f},{1e-3 * np.cos(t / 2e4):.9f}" for t in time]
+    (folder / "data" / "recording.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def office_folder() -> Path:
+    """The office's folder, once its FMU is built."""
+    folder = REPOSITORY / "fmus" / "office"
+    if not (folder / "Office.fmu").exists() or not (folder / "case.toml").exists():
+        pytest.skip("fmus/office is not built; see fmus/office/README.md")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def office_recording() -> Path:
+    """The published recording of the real office."""
+    folder = REPOSITORY.parent / "shared" / "data" / "office_recording"
+    if not folder.exists():
+        pytest.skip("needs the published recording in ../shared/data/office_recording")
+    return folder

@@ -1,0 +1,186 @@
+"""The FMU runner: right numbers, independent rows, failures as rows with a reason, nothing left behind."""
+
+import dataclasses
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError
+from simulation.fmu import FmuModel
+from simulation.fmu_unpack import UnpackedFmu
+
+# Modes of the test FMU, see decay.c.
+STEP_ERROR, STEP_DISCARD, STEP_FATAL, NAN_OUTPUT, REFUSE_INIT = 1.0, 2.0, 3.0, 4.0, 5.0
+
+
+@pytest.fixture
+def model(decay_case: Path):
+    with load_case(decay_case).open_model() as model:
+        yield model
+
+
+def _unpacked() -> set[str]:
+    return {path.name for path in Path(tempfile.gettempdir()).glob("simulation-fmu-*")}
+
+
+def test_the_numbers_are_those_of_the_closed_form(decay_case: Path):
+    case = load_case(decay_case)
+    with case.open_model() as model:
+        answer = model.simulate(np.array([[1e-4, 0.0], [4e-4, 0.0]]))
+    h, time_s = 600.0, np.arange(49) * 1800.0
+    heating = 1e-3 * np.cos(time_s / 2e4)
+    for k, y in zip((1e-4, 4e-4), answer.y[:, :, 0], strict=True):
+        x = 20 + np.sin(0.25 * 86400 / 1e4) + 273.15
+        expected = [x]
+        for step in range(72):
+            edge = 0.25 * 86400 + step * h
+            # The mean of a straight line is its middle value; 600 s steps never straddle a sample.
+            u = np.interp(edge + h / 2, time_s, heating)
+            x = x * np.exp(-k * h) + u * (1 - np.exp(-k * h)) / k
+            expected.append(x)
+        # The CSV holds six to nine decimals.
+        np.testing.assert_allclose(y, np.array(expected[::3]) - 273.15, atol=2e-6)
+    assert answer.time[0] == 0.25 * 86400
+    assert answer.time[-1] == 0.75 * 86400
+    assert len(answer.time) == 25
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [
+        (STEP_ERROR, r"^fmi2DoStep returned fmi2Error at 30000 s: gave up at 30000 s$"),
+        (STEP_DISCARD, r"^fmi2DoStep returned fmi2Discard at 30000 s"),
+        (STEP_FATAL, r"^fmi2DoStep returned fmi2Fatal at"),
+        (NAN_OUTPUT, r"^output y is nan at 30600 s$"),
+        (REFUSE_INIT, r"^fmi2EnterInitializationMode returned fmi2Error"),
+    ],
+)
+def test_a_row_that_fails_says_why_and_leaves_its_neighbors_alone(model: FmuModel, mode: float, reason: str):
+    good = model.simulate(np.array([[1e-4, 0.0]]))
+    mixed = model.simulate(np.array([[1e-4, 0.0], [1e-4, mode], [1e-4, 0.0]]))
+    assert re.search(reason, mixed.failures[1])
+    assert np.isnan(mixed.y[1]).all()
+    assert mixed.failures[0] == mixed.failures[2] == ""
+    assert np.array_equal(mixed.y[0], good.y[0])
+    assert np.array_equal(mixed.y[2], good.y[0])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_parameter_that_is_no_number_is_a_failed_row(model: FmuModel, bad: float):
+    answer = model.simulate(np.array([[bad, 0.0], [1e-4, 0.0]]))
+    assert answer.failures[0] == f"parameter k is {bad}"
+    assert answer.failures[1] == ""
+
+
+def test_reuse_equals_fresh(decay_case: Path):
+    case = load_case(decay_case)
+    rows = np.column_stack([case.parameter_space.lower[0] * np.linspace(1, 20, 300), np.zeros(300)])
+    with case.open_model() as model:
+        reused = [model.simulate(rows) for _ in range(2)][1]
+    for index in (0, 150, 299):
+        with case.open_model() as model:
+            assert np.array_equal(model.simulate(rows[[index]]).y[0], reused.y[index])
+
+
+def test_a_wrong_shape_is_refused(model: FmuModel):
+    with pytest.raises(ValueError, match=r"expected \(n, 2\)"):
+        model.simulate(np.array([1e-4, 0.0]))
+
+
+def test_no_rows_are_no_trajectories(model: FmuModel):
+    assert model.simulate(np.empty((0, 2))).y.shape == (0, 25, 1)
+
+
+def test_a_closed_model_says_so_and_closes_twice(decay_case: Path):
+    model = load_case(decay_case).open_model()
+    model.close()
+    model.close()
+    with pytest.raises(ValueError, match="closed"):
+        model.simulate(np.array([[1e-4, 0.0]]))
+
+
+def test_nothing_is_left_after_close_or_when_forgotten_or_when_loading_fails(decay_case: Path):
+    before = _unpacked()
+    case = load_case(decay_case)
+    case.open_model().close()
+    assert _unpacked() == before
+    model = case.open_model()
+    assert _unpacked() != before
+    del model
+    assert _unpacked() == before
+    missing = dataclasses.replace(case.settings, output_names=("Y",))
+    with pytest.raises(InputError, match="did you mean y"):
+        missing.open()
+    assert _unpacked() == before
+
+
+def test_the_folder_of_a_killed_process_is_swept_and_a_living_ones_is_not(decay_fmu: Path):
+    script = (
+        "import sys, time\nfrom pathlib import Path\nfrom simulation.fmu_unpack import UnpackedFmu\n"
+        f"print(UnpackedFmu(Path({str(decay_fmu)!r})).folder, flush=True)\ntime.sleep(60)"
+    )
+    alive = UnpackedFmu(decay_fmu)
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        left = Path(process.stdout.readline().strip())
+        process.kill()
+    assert left.exists()
+    old = time.time() - 3600
+    for folder in (left, alive.folder):
+        os.utime(folder, (old, old))
+    UnpackedFmu(decay_fmu).remove()
+    assert not left.exists()
+    assert alive.folder.exists()
+    alive.remove()
+    alive.remove()
+
+
+def test_the_working_directory_stays(decay_case: Path):
+    before = Path.cwd()
+    load_case(decay_case).open_model().close()
+    assert Path.cwd() == before
+
+
+def test_the_loop_compiles_where_nothing_can_be_cached(decay_case: Path, tmp_path: Path):
+    script = (
+        "import numpy as np\nfrom simulation.case import load_case\n"
+        f"with load_case({str(decay_case)!r}).open_model() as model:\n"
+        "    print(model.simulate(np.array([[1e-4, 0.0]])).failures)"
+    )
+    home = tmp_path / "home"
+    home.write_text("a file, so that no cache folder can be made in it")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(home / "cache"), "HOME": str(home)}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, "('',)"), done.stderr
+
+
+def test_an_archive_that_points_outside_is_refused(decay_case: Path):
+    with zipfile.ZipFile(decay_case / "decay.fmu", "a") as archive:
+        archive.writestr("../../escaped.txt", "no")
+    with pytest.raises(InputError, match="points outside"):
+        load_case(decay_case).open_model()
+
+
+def test_a_description_of_another_binary_is_refused(decay_case: Path):
+    source = decay_case / "decay.fmu"
+    with zipfile.ZipFile(source) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    members["modelDescription.xml"] = members["modelDescription.xml"].replace(b"decay-1", b"decay-2")
+    with zipfile.ZipFile(source, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    before = _unpacked()
+    with pytest.raises(InputError, match="refuses to be instantiated"):
+        load_case(decay_case).open_model()
+    assert _unpacked() == before

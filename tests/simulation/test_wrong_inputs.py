@@ -1,0 +1,240 @@
+"""Every mistake in a case file, a recording or an FMU is one line that names file, key, value and remedy."""
+
+import re
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError
+
+Change = Callable[[Path], None]
+
+
+def toml(old: str, new: str) -> Change:
+    def change(folder: Path) -> None:
+        text = (folder / "case.toml").read_text()
+        assert old in text
+        (folder / "case.toml").write_text(text.replace(old, new))
+
+    return change
+
+
+def csv(pattern: str, new: str) -> Change:
+    def change(folder: Path) -> None:
+        path = folder / "data" / "recording.csv"
+        text, n = re.subn(pattern, new, path.read_text(), count=1, flags=re.MULTILINE)
+        assert n == 1
+        path.write_text(text)
+
+    return change
+
+
+def fmu(rewrite: Callable[[dict[str, bytes]], dict[str, bytes]]) -> Change:
+    def change(folder: Path) -> None:
+        path = folder / "decay.fmu"
+        with zipfile.ZipFile(path) as archive:
+            members = rewrite({name: archive.read(name) for name in archive.namelist()})
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+
+    return change
+
+
+def xml(old: bytes, new: bytes) -> Change:
+    name = "modelDescription.xml"
+    return fmu(lambda members: {**members, name: members[name].replace(old, new)})
+
+
+WRONG: dict[str, tuple[Change, str]] = {
+    "no case file": (
+        lambda folder: (folder / "case.toml").unlink(),
+        r"case\.toml: no such file; a case is a folder with a case\.toml",
+    ),
+    "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line"),
+    "newer schema": (toml("schema = 1", "schema = 2"), r"case\.toml: schema = 2: .*1"),
+    "missing key of a table": (
+        toml("output_step_s", "output_steps"),
+        r"case\.toml: key time\.output_step_s is missing; add it",
+    ),
+    "unknown key": (
+        toml("[[outputs]]", "[[outputs]]\nuncertanty = 1"),
+        r"unknown key outputs\[y\]\.uncertanty \(did you mean uncertainty\?\)",
+    ),
+    "unknown table": (
+        toml("[fixed]", "[fixe]"),
+        r"unknown key fixe \(did you mean fixed\?\); remove or correct",
+    ),
+    "missing key": (toml('unit = "K/s"\n', ""), r"key inputs\[u\]\.unit is missing; add it"),
+    "wrong choice": (
+        toml('"linear"', '"cubic"'),
+        r"inputs\[u\]\.interpolation = 'cubic'.*held.*linear.*smooth",
+    ),
+    "text for a number": (toml("lower = 2e-5", 'lower = "low"'), r"parameters\[k\]\.lower = 'low'"),
+    "column and sum": (
+        toml('column = "heating"', 'column = "heating"\nsum = { heating = 1.0 }'),
+        r"inputs\[u\]: give either column or sum",
+    ),
+    "fixed is text": (
+        toml('{ first_measured = "y" }', '"y"'),
+        r"fixed\.x0 = 'y': give a number or \{ first_measured",
+    ),
+    "first measured of nothing": (
+        toml('first_measured = "y"', 'first_measured = "T"'),
+        r'fixed\.x0: first_measured = "T" is no output of the case; choose one of: y',
+    ),
+    "fixed and calibrated": (
+        toml("[fixed]", "[fixed]\nk = 1e-4"),
+        r"fixed\.k: k is also under \[\[parameters\]\]",
+    ),
+    "reversed bounds": (
+        toml("upper = 5e-4", "upper = 1e-5"),
+        r"parameter k: lower = 2e-05 is not below upper",
+    ),
+    "estimate outside": (toml("estimate = 1e-4", "estimate = 1"), r"parameter k: estimate = 1 lies outside"),
+    "log scale at zero": (
+        toml("lower = 2e-5", "lower = 0.0"),
+        r'parameter k: scale = "log" needs positive bounds',
+    ),
+    "parameter twice": (
+        toml('name = "mode"', 'name = "k"\nunit = "1/s"'),
+        r"parameter k is declared 2 times",
+    ),
+    "output twice": (
+        toml(
+            '[[parameters]]\nname = "k"',
+            '[[outputs]]\nname = "y"\nunit = "K"\nfile = "recording.csv"\n'
+            'column = "T_degC"\nuncertainty = 1\n\n[[parameters]]\nname = "k"',
+        ),
+        r"outputs\[y\] is declared 2 times",
+    ),
+    "misspelt parameter": (toml('name = "k"', 'name = "K"'), r"no parameter named K; did you mean k\?"),
+    "misspelt input": (toml('name = "u"', 'name = "uu"'), r"no input named uu; did you mean u\?"),
+    "misspelt output": (toml('name = "y"\nunit', 'name = "Y"\nunit'), r"no output named Y; did you mean y\?"),
+    "wrong causality": (
+        toml('name = "mode"', 'name = "u"'),
+        r"parameters\[u\]: u is a input of decay\.fmu, not its parameter; choose one of: k, x0, mode",
+    ),
+    "input left out": (
+        toml(
+            '[[inputs]]\nname = "u"\nfile = "recording.csv"\ncolumn = "heating"\nunit = "K/s"\n'
+            'interpolation = "linear"\n',
+            "",
+        ),
+        r"the FMU's input u has no \[\[inputs\]\] entry; add one",
+    ),
+    "contradicting unit": (
+        toml('unit = "K/s"', 'unit = "W"'),
+        r'inputs\[u\]: unit = "W" contradicts .*"K/s"',
+    ),
+    "contradicting parameter unit": (
+        toml('unit = "1/s"', 'unit = "1/h"'),
+        r'parameters\[k\]: unit = "1/h" contradicts the FMU\'s "1/s"',
+    ),
+    "contradicting output unit": (
+        toml('unit = "degC"', 'unit = "degF"'),
+        r'outputs\[y\]: unit = "degF" contra',
+    ),
+    "window beyond the data": (
+        toml("[0.25, 0.75]", "[0.25, 3.0]"),
+        r"window_d = \[0\.25, 3\]: the recording .*recording\.csv ends after 1 days; shorten the window",
+    ),
+    "window reversed": (
+        toml("[0.25, 0.75]", "[0.75, 0.25]"),
+        r"window_d = \[0\.75, 0\.25\]: the end must lie after",
+    ),
+    "window of odd length": (
+        toml("[0.25, 0.75]", "[0.25, 0.76]"),
+        r"not a whole number of output steps of 1800 s",
+    ),
+    "steps that do not fit": (
+        toml("communication_step_s = 600", "communication_step_s = 700"),
+        r"output_step_s = 1800 is no multiple of communication_step_s = 700",
+    ),
+    "outputs between samples": (
+        toml("output_step_s = 1800", "output_step_s = 600"),
+        r"outputs\[y\]: .*recording\.csv has no sample at 22200 s; choose an output_step_s",
+    ),
+    "no recording": (
+        lambda folder: (folder / "data" / "recording.csv").unlink(),
+        r"data/recording\.csv: no such file; put the recording there",
+    ),
+    "empty recording": (
+        lambda folder: (folder / "data" / "recording.csv").write_text(""),  # type: ignore[dict-item]
+        r"recording\.csv: the file is empty",
+    ),
+    "header alone": (
+        lambda folder: (folder / "data" / "recording.csv").write_text("time_s,T_degC,heating\n"),  # type: ignore[dict-item]
+        r"recording\.csv: 0 rows of data",
+    ),
+    "missing column": (
+        csv("heating", "heat"),
+        r"recording\.csv: column heating is missing; found time_s, T_degC, heat$",
+    ),
+    "column twice": (csv("T_degC", "heating"), r"column (heating stands 2 times|T_degC is missing)"),
+    "empty cell": (
+        csv(r"^3600,[^,]*,", "3600,,"),
+        r"recording\.csv: line 4, column T_degC: the cell is empty",
+    ),
+    "NaN cell": (
+        csv(r"^3600,[^,]*,", "3600,nan,"),
+        r"line 4, column T_degC: nan is not finite; fill the gap",
+    ),
+    "text cell": (csv(r"^3600,[^,]*,", "3600,warm,"), r"line 4, column T_degC: 'warm' is not a number"),
+    "short line": (csv(r"^3600,.*$", "3600,20.1"), r"line 4, column heating: the cell is empty"),
+    "unsorted": (csv(r"^3600,", "900,"), r"line 4: time_s = 900 comes before the line above \(1800\); sort"),
+    "duplicate time": (csv(r"^3600,", "1800,"), r"line 4: time_s = 1800 repeats the line above"),
+    "gap": (
+        csv(r"^3600,.*\n", ""),
+        r"line 4: time_s goes from 1800 to 5400, but the grid is 1800 s; fill the gap",
+    ),
+    "too short": (
+        csv(r"^50400,(.*\n)*", ""),
+        r"window_d = \[0\.25, 0\.75\]: the recording .* ends after 0\.5625 days",
+    ),
+    "no FMU": (lambda folder: (folder / "decay.fmu").unlink(), r"decay\.fmu: no such file; correct `fmu`"),
+    "no zip": (
+        lambda folder: shutil.copy(folder / "case.toml", folder / "decay.fmu"),  # type: ignore[dict-item]
+        r"decay\.fmu: not an FMU \(.*zip.*\); export it again",
+    ),
+    "no description": (
+        fmu(lambda members: {"other.txt": b""}),
+        r"decay\.fmu: not an FMU \(no modelDescription\.xml inside\)",
+    ),
+    "no binary": (
+        fmu(lambda members: {name.replace("linux64", "darwin64"): text for name, text in members.items()}),
+        r"no binary for this platform \(binaries/linux64/decay\.so is missing, it has one for darwin64\)",
+    ),
+    "broken description": (xml(b"</ModelVariables>", b""), r"modelDescription\.xml is not valid \("),
+    "model exchange alone": (
+        xml(
+            b'<CoSimulation modelIdentifier="decay" canHandleVariableCommunicationStepSize="true"/>',
+            b'<ModelExchange modelIdentifier="decay"/>',
+        ),
+        r"decay\.fmu: has no co-simulation interface; export it as FMI 2\.0 co-simulation",
+    ),
+    "another FMI version": (
+        xml(b'fmiVersion="2.0"', b'fmiVersion="4.0"'),
+        r"decay\.fmu: .*4\.0.*FMI|export it again",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_mistake_is_one_line(decay_case: Path, mistake: str):
+    load_case(decay_case)
+    change, message = WRONG[mistake]
+    change(decay_case)
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(decay_case)
+    assert "\n" not in str(caught.value)
+    assert re.match(r"/\S+\.(toml|csv|fmu)", str(caught.value)), "the line begins with the file"
+
+
+def test_a_window_of_the_caller_is_checked_like_the_file_s(decay_case: Path):
+    with pytest.raises(InputError, match=r"window_d = \[0, 9\]"):
+        load_case(decay_case, window_d=(0, 9))
