@@ -59,7 +59,7 @@ class SobolIndices:
     @property
     def undefined(self) -> BoolArray:
         """Steps at which an output does not vary. Shape (t, k)."""
-        return np.isnan(self.total_order).all(axis=2)
+        return np.isnan(self.total_order[:, :, 0])
 
     def mean_first_order(self) -> FloatArray:
         """Average the first-order indices over the steps where they are defined. Shape (k, p). [1]."""

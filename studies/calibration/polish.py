@@ -13,8 +13,12 @@ from simulation.parameters import ParameterSpace
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress, Recorder
 
-# SciPy moves a start on a bound inside by 1e-10; a residual known that close is the residual there.
+# SciPy moves a start on a bound inside by some 1e-10; a residual known that close is the residual there.
 SAME_POINT = 1e-9
+
+# The solver takes the distance of the start from the origin for its first trust radius, which a start in the
+# corner 0 would make vanish: it is shown the cube between 1 and 2.
+ORIGIN = 1.0
 
 STOP_REASONS = {
     0: "the limit of iterations is reached",
@@ -72,7 +76,6 @@ class LeastSquaresTRF:
         difference_step: Step of the differences in the unit cube. A model that is solved exactly repeats to
             about 1e-12, so 1e-5 leaves a relative error of about 1e-5 from curvature and 1e-7 from
             rounding; a model with an adaptive integrator needs about the root of its tolerance. [1]
-        start_margin: A start nearer to a bound is moved to this distance, which costs one more row. [1]
     """
 
     ftol: float = 1e-6
@@ -83,7 +86,6 @@ class LeastSquaresTRF:
     residuals: Literal["signed", "squared"] = "signed"
     coordinates: Literal["declared", "linear"] = "declared"
     difference_step: float = 1e-5
-    start_margin: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse settings that no search can run with."""
@@ -93,8 +95,6 @@ class LeastSquaresTRF:
             raise InputError(
                 f"polishing: difference_step is {self.difference_step}; give a value in (0, 0.5)"
             )
-        if not 0.0 <= self.start_margin < 0.5:
-            raise InputError(f"polishing: start_margin is {self.start_margin}; give a value in [0, 0.5)")
 
     def minimize(
         self,
@@ -118,7 +118,7 @@ class LeastSquaresTRF:
         recorder = Recorder(problem, phase="polish", max_calls=self.max_calls, on_progress=on_progress)
         if known is not None:
             recorder.know(known)
-        start = np.clip(np.asarray(u0, dtype=np.float64), self.start_margin, 1.0 - self.start_margin)
+        start = np.clip(np.asarray(u0, dtype=np.float64), 0.0, 1.0)
         search = _Search(self, problem, recorder, known)
         converged = False
         try:
@@ -127,10 +127,10 @@ class LeastSquaresTRF:
                 reason = f"the starting point cannot be simulated: {first.failures[0]}"
             else:
                 found = least_squares(
-                    search.objective,
-                    v0,
-                    jac=search.jacobian,
-                    bounds=(0.0, 1.0),
+                    lambda x: search.objective(np.clip(x - ORIGIN, 0.0, 1.0)),
+                    v0 + ORIGIN,
+                    jac=lambda x: search.jacobian(np.clip(x - ORIGIN, 0.0, 1.0)),
+                    bounds=(ORIGIN, ORIGIN + 1.0),
                     method="trf",
                     ftol=self.ftol,
                     xtol=self.xtol,
@@ -140,6 +140,8 @@ class LeastSquaresTRF:
                 reason, converged = STOP_REASONS[found.status], found.status > 0
         except BudgetExceeded:
             reason = f"the budget of {self.max_calls} calls is spent"
+        except _StepsFailError as stuck:
+            reason = f"even the smallest step cannot be simulated: {stuck}"
         best = recorder.best
         assert best is not None, "a budget of at least one row lets the start be asked"
         return PolishResult(
@@ -153,6 +155,10 @@ class LeastSquaresTRF:
             stop_reason=reason,
             converged=converged,
         )
+
+
+class _StepsFailError(Exception):
+    """The trust region has shrunk to a difference step and its trial point still fails."""
 
 
 class _Search:
@@ -170,6 +176,7 @@ class _Search:
         self._space = problem.space
         self._search_space = _linear(problem.space) if settings.coordinates == "linear" else problem.space
         self._last: tuple[FloatArray, Evaluation] | None = None
+        self._accepted: FloatArray | None = None
         if known is not None:
             self._last = (self.to_search(known.u[0]), known)
         self.n_jacobians = 0
@@ -188,27 +195,38 @@ class _Search:
 
     def evaluate_at(self, v: FloatArray) -> Evaluation:
         """Ask the model at one point, unless it is the point asked last."""
-        if self._last is None or float(np.max(np.abs(self._last[0] - v))) > SAME_POINT:
-            self._last = (v.copy(), self._recorder.evaluate(self.from_search(v[None])))
-        return self._last[1]
+        if self._last is not None and float(np.max(np.abs(self._last[0] - v))) <= SAME_POINT:
+            return self._last[1]
+        answer = self._recorder.evaluate(self.from_search(v[None]))
+        self._last = (v.copy(), answer)
+        return answer
 
     def objective(self, v: FloatArray) -> FloatArray:
-        """Return what the solver squares and sums; not finite where the simulation failed. Shape (t*k,)."""
-        return self._form(self.evaluate_at(v).residuals)[0]
+        """Return what the solver squares and sums; not finite where the simulation failed. Shape (t*k,).
+
+        Raises:
+            _StepsFailError: The point fails although it nearly is the accepted one; SciPy would go on trying.
+        """
+        answer = self.evaluate_at(v)
+        moved = np.inf if self._accepted is None else float(np.max(np.abs(v - self._accepted)))
+        if answer.failures[0] and moved < self._settings.difference_step:
+            raise _StepsFailError(answer.failures[0])
+        return self._form(answer.residuals[0])
 
     def jacobian(self, v: FloatArray) -> FloatArray:
         """Return the differences of the objective, all p of them from one batch. Shape (t*k, p)."""
         self.n_jacobians += 1
+        self._accepted = v.copy()
         here = self.objective(v)
         step = self._settings.difference_step
         steps = np.where(v + step > 1.0, -step, step)
         moved = self._differences(v, steps)
         failed = np.flatnonzero(~np.all(np.isfinite(moved), axis=1))
-        other_side = [i for i in failed if 0.0 <= v[i] - steps[i] <= 1.0]
+        other_side = [int(i) for i in failed if 0.0 <= v[i] - steps[i] <= 1.0]
         if other_side:
             steps[other_side] *= -1.0
             moved[other_side] = self._differences(v, steps, other_side)
-        slopes = (moved - here) / steps[:, None]
+        slopes: FloatArray = (moved - here) / steps[:, None]
         slopes[~np.all(np.isfinite(slopes), axis=1)] = 0.0
         return slopes.T
 

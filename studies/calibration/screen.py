@@ -2,10 +2,10 @@
 
 import time
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from scipy.optimize import OptimizeResult, differential_evolution
+from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 
 from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded
@@ -60,8 +60,8 @@ class DifferentialEvolution:
         max_wall_s: Stop after the generation in which this time is over, or None. Not repeatable. [s]
     """
 
-    popsize: int = 15
-    maxiter: int = 300
+    popsize: int = 8
+    maxiter: int = 600
     tol: float = 1e-3
     strategy: Literal["best1bin", "rand1bin", "currenttobest1bin", "randtobest1bin"] = "best1bin"
     mutation: tuple[float, float] = (0.5, 1.0)
@@ -107,11 +107,13 @@ class DifferentialEvolution:
             on_progress=on_progress,
         )
         search = _Search(recorder, self.max_wall_s)
+        # SciPy's stubs describe the function of one point only, not the vectorized one.
+        mse: Any = search.mse
         converged = False
         try:
             found = differential_evolution(
-                search.mse,
-                bounds=[(0.0, 1.0)] * p,
+                mse,
+                bounds=Bounds(np.zeros(p), np.ones(p)),
                 strategy=self.strategy,
                 maxiter=self.maxiter,
                 popsize=self.popsize,
@@ -126,7 +128,7 @@ class DifferentialEvolution:
                 vectorized=True,
             )
             converged = bool(found.success) and not search.time_is_over
-            search.after_generation(found)
+            search.keep_population(found)
             reason = "the population has converged" if converged else "the limit of generations is reached"
         except BudgetExceeded:
             reason = f"the budget of {self.max_calls} calls is spent"
@@ -167,9 +169,14 @@ class _Search:
             self.population_u, self.population_mse = evaluation.u.copy(), evaluation.mse.copy()
         return evaluation.mse
 
-    def after_generation(self, intermediate_result: OptimizeResult) -> bool:
-        """Keep the population; return True, which ends the search, when the time is over."""
-        self.population_u = np.array(intermediate_result.population)
-        self.population_mse = np.array(intermediate_result.population_energies)
-        self.time_is_over = self._deadline is not None and time.monotonic() >= self._deadline
-        return self.time_is_over
+    def after_generation(self, intermediate_result: OptimizeResult) -> None:
+        """Keep the population; end the search when the time is over."""
+        self.keep_population(intermediate_result)
+        if self._deadline is not None and time.monotonic() >= self._deadline:
+            self.time_is_over = True
+            raise StopIteration
+
+    def keep_population(self, result: OptimizeResult) -> None:
+        """Remember the points that a generation has ended with, and their errors."""
+        self.population_u = np.array(result.population)
+        self.population_mse = np.array(result.population_energies)

@@ -1,0 +1,119 @@
+"""Small calibration problems whose answers are known, and a model that keeps a diary."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.forward_model import ForwardModel
+from simulation.measurement import Measurement
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.toy import ProductToy, ToyRC
+from simulation.trajectories import Trajectories
+from studies.calibration import CalibrationProblem
+
+TRUE_RC = np.array([1.7, 2.3e4])
+
+
+@dataclass
+class Diary:
+    """A model that notes every row it is asked."""
+
+    model: ForwardModel
+    batches: list[FloatArray] = field(default_factory=list)
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        return self.model.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return self.model.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        return self.model.time
+
+    @property
+    def rows(self) -> FloatArray:
+        return np.concatenate(self.batches)
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        self.batches.append(np.array(theta))
+        return self.model.simulate(theta)
+
+
+@dataclass(frozen=True)
+class FailsInBand:
+    """A model whose first parameter must not lie in a band."""
+
+    model: ForwardModel
+    lower: float
+    upper: float
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        return self.model.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        return self.model.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        return self.model.time
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        answer = self.model.simulate(theta)
+        bad = (theta[:, 0] >= self.lower) & (theta[:, 0] <= self.upper)
+        y = np.where(bad[:, None, None], np.nan, answer.y)
+        return replace(answer, y=y, failures=tuple("in the band" if b else "" for b in bad))
+
+
+@dataclass(frozen=True)
+class TwoOutputs:
+    """A slope and an intercept seen through two outputs of different size."""
+
+    parameter_space: ParameterSpace = field(
+        default_factory=lambda: ParameterSpace(
+            (Parameter("slope", -1.0, 1.0), Parameter("intercept", -1.0, 1.0))
+        )
+    )
+    output_names: tuple[str, ...] = ("fine", "coarse")
+    time: FloatArray = field(default_factory=lambda: np.arange(5.0))
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        line = theta[:, :1] * self.time + theta[:, 1:]
+        return Trajectories.checked(
+            theta,
+            np.stack([line, 100.0 * line], axis=2),
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+        )
+
+
+def problem_on(
+    model: ForwardModel, truth: FloatArray, *, noise: float = 0.0, uncertainty: FloatArray | None = None
+) -> CalibrationProblem:
+    """Pose the problem of finding `truth` again."""
+    y = model.simulate(truth[None]).y[0]
+    y = y + noise * np.random.default_rng(7).normal(size=y.shape)
+    k = len(model.output_names)
+    measurement = Measurement(
+        time=np.asarray(model.time),
+        y=y,
+        output_names=tuple(model.output_names),
+        uncertainty=np.full(k, 0.5) if uncertainty is None else uncertainty,
+    )
+    return CalibrationProblem(model, measurement)
+
+
+def rc_problem(*, noise: float = 0.0) -> CalibrationProblem:
+    """R and C of a step response: both can be found."""
+    return problem_on(ToyRC(), TRUE_RC, noise=noise)
+
+
+def product_problem() -> CalibrationProblem:
+    """R and C of a free decay: only their product can be found."""
+    return problem_on(ProductToy(), TRUE_RC)

@@ -1,0 +1,200 @@
+"""What every optimizer promises, on every toy problem."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_problem, rc_problem
+
+from simulation.arrays import FloatArray
+from simulation.toy import ToyRC
+from studies.calibration import CalibrationProblem, DifferentialEvolution, History, LeastSquaresTRF, Progress
+
+START = np.array([0.2, 0.9])
+OnProgress = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What all results have in common."""
+
+    u: FloatArray
+    theta: FloatArray
+    y: FloatArray
+    mse: float
+    n_calls: int
+    history: History
+    stop_reason: str
+    converged: bool
+
+
+Optimizer = Callable[..., Found]
+
+
+def _screen(
+    problem: CalibrationProblem,
+    *,
+    seed: int = 0,
+    max_calls: int | None = None,
+    on_progress: OnProgress | None = None,
+) -> Found:
+    settings = DifferentialEvolution(popsize=8, maxiter=150, tol=1e-8, max_calls=max_calls)
+    r = settings.minimize(problem, seed=seed, on_progress=on_progress)
+    return Found(r.u, r.theta, r.y, r.mse, r.n_evaluations, r.history, r.stop_reason, r.converged)
+
+
+def _polish(settings: LeastSquaresTRF) -> Optimizer:
+    def run(
+        problem: CalibrationProblem,
+        *,
+        seed: int = 0,
+        max_calls: int | None = 2000,
+        on_progress: OnProgress | None = None,
+    ) -> Found:
+        r = replace(settings, max_calls=max_calls).minimize(problem, START, on_progress=on_progress)
+        return Found(r.u, r.theta, r.y, r.mse, r.n_calls, r.history, r.stop_reason, r.converged)
+
+    return run
+
+
+OPTIMIZERS: dict[str, Optimizer] = {
+    "differential evolution": _screen,
+    "LS-TRF": _polish(LeastSquaresTRF(ftol=1e-12)),
+    "LS-TRF squared": _polish(LeastSquaresTRF(ftol=1e-14, xtol=1e-12, residuals="squared")),
+    "LS-TRF linear": _polish(LeastSquaresTRF(ftol=1e-12, coordinates="linear")),
+    "LS-TRF unit scale": _polish(LeastSquaresTRF(ftol=1e-12, x_scale="unit")),
+}
+PROBLEMS: dict[str, Callable[[], CalibrationProblem]] = {
+    "step response": rc_problem,
+    "product": product_problem,
+    "noisy step response": lambda: rc_problem(noise=0.05),
+}
+every_optimizer = pytest.mark.parametrize("optimize", OPTIMIZERS.values(), ids=OPTIMIZERS.keys())
+every_problem = pytest.mark.parametrize("pose", PROBLEMS.values(), ids=PROBLEMS.keys())
+
+
+@every_optimizer
+def test_finds_both_parameters_of_a_step_response(optimize: Optimizer) -> None:
+    found = optimize(rc_problem())
+    np.testing.assert_allclose(found.theta, TRUE_RC, rtol=1e-3)
+    assert found.mse < 1e-6
+
+
+@every_optimizer
+def test_finds_the_product_where_only_the_product_shows(optimize: Optimizer) -> None:
+    found = optimize(product_problem())
+    assert found.theta.prod() == pytest.approx(TRUE_RC.prod(), rel=1e-3)
+    assert found.mse < 1e-6
+
+
+@every_problem
+@every_optimizer
+def test_counts_exactly_the_rows_that_were_simulated(
+    optimize: Optimizer, pose: Callable[[], CalibrationProblem]
+) -> None:
+    problem = pose()
+    diary = Diary(problem.model)
+    found = optimize(problem.on(diary))
+    assert found.n_calls == len(diary.rows)
+    assert found.history.n_calls[-1] == found.n_calls
+
+
+@every_problem
+@every_optimizer
+def test_stays_inside_the_bounds(optimize: Optimizer, pose: Callable[[], CalibrationProblem]) -> None:
+    problem = pose()
+    diary = Diary(problem.model)
+    optimize(problem.on(diary))
+    assert problem.space.contains(diary.rows).all()
+
+
+@every_problem
+@every_optimizer
+def test_returns_the_best_row_it_has_seen(
+    optimize: Optimizer, pose: Callable[[], CalibrationProblem]
+) -> None:
+    problem = pose()
+    diary = Diary(problem.model)
+    found = optimize(problem.on(diary))
+    all_mse = ((diary.model.simulate(diary.rows).y - problem.measurement.y) ** 2).mean(axis=(1, 2))
+    assert found.mse == pytest.approx(all_mse.min(), rel=1e-12, abs=1e-25)
+    np.testing.assert_array_equal(found.theta, diary.rows[np.argmin(all_mse)])
+    np.testing.assert_allclose(found.y, problem.model.simulate(found.theta[None]).y[0])
+    np.testing.assert_allclose(problem.space.from_unit(found.u), found.theta, rtol=1e-12)
+
+
+@every_problem
+@every_optimizer
+def test_repeats_itself_bit_for_bit(optimize: Optimizer, pose: Callable[[], CalibrationProblem]) -> None:
+    first, second = optimize(pose(), seed=3), optimize(pose(), seed=3)
+    np.testing.assert_array_equal(first.u, second.u)
+    np.testing.assert_array_equal(first.history.n_calls, second.history.n_calls)
+    np.testing.assert_array_equal(first.history.best_mse, second.history.best_mse)
+
+
+@pytest.mark.parametrize("max_calls", [16, 17, 50, 64])
+@every_optimizer
+def test_never_asks_beyond_its_budget_and_says_so(optimize: Optimizer, max_calls: int) -> None:
+    problem = rc_problem(noise=0.05)
+    diary = Diary(problem.model)
+    found = optimize(problem.on(diary), max_calls=max_calls)
+    assert found.n_calls == len(diary.rows) <= max_calls
+    assert np.isfinite(found.mse)
+    if not found.converged:
+        assert found.stop_reason == f"the budget of {max_calls} calls is spent"
+
+
+@every_optimizer
+def test_history_falls_while_calls_rise(optimize: Optimizer) -> None:
+    found = optimize(rc_problem(noise=0.05))
+    assert (np.diff(found.history.n_calls) > 0).all()
+    assert (np.diff(found.history.best_mse) <= 0).all()
+    assert found.history.best_mse[-1] == found.mse
+    assert found.history.calls_to(found.mse) is not None
+    assert found.history.calls_to(found.mse / 2.0) is None
+
+
+@every_optimizer
+def test_finds_the_optimum_beside_a_failed_region(optimize: Optimizer) -> None:
+    problem = problem_on(ToyRC(), TRUE_RC).on(FailsInBand(ToyRC(), 2.0, 5.0))
+    diary = Diary(problem.model)
+    found = optimize(problem.on(diary))
+    assert found.n_calls == len(diary.rows)
+    assert found.mse < 1e-4
+
+
+@every_optimizer
+def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated(optimize: Optimizer) -> None:
+    problem = problem_on(ToyRC(), TRUE_RC).on(ToyRC(fails_above_r=1.2))
+    found = optimize(problem)
+    assert found.theta[0] == pytest.approx(1.2, rel=0.05)
+    assert found.theta[0] <= 1.2
+    assert found.stop_reason
+
+
+@every_optimizer
+def test_survives_when_every_row_fails(optimize: Optimizer) -> None:
+    problem = rc_problem().on(ToyRC(fails_above_r=0.0))
+    found = optimize(problem, max_calls=200)
+    assert found.mse == np.inf
+    assert not found.converged
+
+
+@every_optimizer
+def test_reports_progress_that_agrees_with_the_result(optimize: Optimizer) -> None:
+    reports: list[Progress] = []
+    found = optimize(rc_problem(), on_progress=reports.append)
+    assert reports[-1].n_done == found.n_calls
+    assert reports[-1].best_mse == found.mse
+    assert reports[-1].n_total is not None
+    assert reports[-1].n_done <= reports[-1].n_total
+
+
+@every_optimizer
+def test_an_interruption_from_outside_passes_through(optimize: Optimizer) -> None:
+    def interrupt(_: Progress) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optimize(rc_problem(), on_progress=interrupt)

@@ -1,0 +1,99 @@
+"""Residuals and errors: signs, weights, failures, and what cannot be compared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems_for_tests import TRUE_RC, TwoOutputs, problem_on, rc_problem
+
+from simulation.errors import InputError
+from simulation.measurement import Measurement
+from simulation.toy import ProductToy, ToyRC
+from studies.calibration import CalibrationProblem
+
+
+def test_residuals_are_simulated_minus_measured() -> None:
+    problem = rc_problem()
+    warmer = problem.space.to_unit(TRUE_RC * np.array([1.2, 1.0]))
+    residuals = problem.residuals(warmer)
+    expected = (
+        ToyRC().simulate((TRUE_RC * np.array([1.2, 1.0]))[None]).y[0, :, 0] - problem.measurement.y[:, 0]
+    )
+    np.testing.assert_allclose(residuals, expected[None], atol=1e-9)
+    assert residuals[0, 1:].min() > 0.0
+
+
+def test_mse_is_the_mean_of_the_squared_residuals_of_each_row() -> None:
+    problem = rc_problem()
+    u = np.random.default_rng(0).random((5, 2))
+    np.testing.assert_allclose(problem.mse(u), [np.mean(row**2) for row in problem.residuals(u)], rtol=1e-12)
+
+
+def test_the_truth_has_no_error() -> None:
+    problem = rc_problem()
+    assert problem.mse(problem.space.to_unit(TRUE_RC))[0] < 1e-20
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 6))
+def test_rows_are_judged_independently(seed: int, n: int) -> None:
+    problem = rc_problem(noise=0.1)
+    rng = np.random.default_rng(seed)
+    u = rng.random((n, 2))
+    order = rng.permutation(n)
+    np.testing.assert_array_equal(problem.mse(u)[order], problem.mse(u[order]))
+
+
+def test_a_failed_row_is_infinitely_wrong_and_says_why() -> None:
+    problem = rc_problem().on(ToyRC(fails_above_r=2.0))
+    evaluation = problem.evaluate(problem.space.to_unit(np.array([[1.0, 1e4], [3.0, 1e4]])))
+    assert np.isfinite(evaluation.mse[0])
+    assert evaluation.mse[1] == np.inf
+    assert evaluation.failures[0] == ""
+    assert "R = 3" in evaluation.failures[1]
+    assert np.isnan(evaluation.residuals[1]).all()
+
+
+def test_one_output_keeps_its_unit_whatever_its_uncertainty() -> None:
+    problem = rc_problem()
+    doubled = replace(problem.measurement, uncertainty=np.array([2.0]))
+    u = np.array([[0.3, 0.6]])
+    assert problem.mse(u) == CalibrationProblem(problem.model, doubled).mse(u)
+
+
+def test_several_outputs_are_weighted_by_their_uncertainty() -> None:
+    problem = problem_on(TwoOutputs(), np.zeros(2), uncertainty=np.array([0.5, 50.0]))
+    np.testing.assert_allclose(problem.weights, [1.0, 0.01])
+    fine, coarse = problem.residuals(np.array([0.8, 0.7])).reshape(5, 2).T
+    np.testing.assert_allclose(fine, coarse)
+
+
+def test_the_same_problem_is_posed_to_another_model() -> None:
+    problem = rc_problem()
+    other = problem.on(ProductToy())
+    assert other.measurement is problem.measurement
+    assert other.model is not problem.model
+
+
+def test_another_model_with_other_parameters_is_refused() -> None:
+    with pytest.raises(InputError, match="do not share parameters"):
+        rc_problem().on(TwoOutputs())
+
+
+def _measurement(**changes: object) -> Measurement:
+    return replace(rc_problem().measurement, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("measurement", "message"),
+    [
+        (_measurement(output_names=("TAir",)), r"outputs \('T',\) are not the measured ones \('TAir',\)"),
+        (_measurement(time=np.arange(25) * 1800.0), "up to 86400 s, the measurement has 25 up to 43200 s"),
+        (_measurement(y=np.full((25, 1), np.nan)), "contains NaN"),
+    ],
+)
+def test_a_measurement_that_cannot_be_compared_is_refused(measurement: Measurement, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        CalibrationProblem(ToyRC(), measurement)

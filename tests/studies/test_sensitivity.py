@@ -1,0 +1,177 @@
+"""Sobol indices against exact values, against SALib's own analysis, and the traps of both."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from SALib.analyze import sobol as salib_analyze
+from SALib.sample import sobol as salib_sample
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.toy import IshigamiToy, ToyRC
+from simulation.trajectories import Trajectories
+from studies.sensitivity import SobolIndices, sobol_indices
+
+
+@dataclass(frozen=True)
+class GFunction:
+    """Sobol's g-function, with a constant output beside it and rows that may fail."""
+
+    weights: tuple[float, ...] = (0.0, 1.0, 4.5, 9.0)
+    fails_above: float = 1.0
+    time: FloatArray = field(default_factory=lambda: np.array([0.0, 60.0]))
+    output_names: tuple[str, ...] = ("g", "constant")
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        return ParameterSpace(tuple(Parameter(f"x{i}", 0.0, 1.0) for i in range(len(self.weights))))
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        a = np.array(self.weights)
+        g = np.prod((np.abs(4.0 * theta - 2.0) + a) / (1.0 + a), axis=1)
+        y = np.stack([np.stack([np.full_like(g, 20.0), 100.0 + g], 1), np.full((len(g), 2), 3.0)], 2)
+        return Trajectories.checked(
+            theta,
+            y,
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+            failures=["too large" if row[0] > self.fails_above else "" for row in theta],
+        )
+
+    def exact(self) -> tuple[FloatArray, FloatArray]:
+        """First and total order (Saltelli and Sobol 1995; 10.1016/0951-8320(95)00099-2)."""
+        partial = 1.0 / (3.0 * (1.0 + np.array(self.weights)) ** 2)
+        variance = np.prod(1.0 + partial) - 1.0
+        total = partial * np.prod(1.0 + partial) / (1.0 + partial)
+        return partial / variance, total / variance
+
+
+def exact_ishigami(a: float, b: float) -> tuple[FloatArray, FloatArray]:
+    """First and total order (Ishigami and Homma 1990; 10.1109/ISUMA.1990.151285)."""
+    v1 = 0.5 * (1.0 + b * np.pi**4 / 5.0) ** 2
+    v2 = a**2 / 8.0
+    v13 = b**2 * np.pi**8 * 8.0 / 225.0
+    variance = v1 + v2 + v13
+    return np.array([v1, v2, 0.0]) / variance, np.array([v1 + v13, v2, v13]) / variance
+
+
+def test_ishigamis_exact_indices_at_every_step() -> None:
+    toy = IshigamiToy()
+    indices = sobol_indices(toy, n_base=4096, seed=1)
+    for step, time in enumerate(toy.time):
+        first, total = exact_ishigami(toy.a, toy.b * time / toy.time[-1])
+        np.testing.assert_allclose(indices.first_order[step, 0], first, atol=0.02)
+        np.testing.assert_allclose(indices.total_order[step, 0], total, atol=0.02)
+
+
+def test_the_g_functions_exact_indices() -> None:
+    first, total = GFunction().exact()
+    indices = sobol_indices(GFunction(), n_base=4096, seed=0)
+    np.testing.assert_allclose(indices.first_order[1, 0], first, atol=0.02)
+    np.testing.assert_allclose(indices.total_order[1, 0], total, atol=0.02)
+    assert indices.order(0) == (0, 1, 2, 3)
+
+
+def test_what_does_not_vary_is_undefined_and_nothing_else() -> None:
+    indices = sobol_indices(GFunction(), n_base=64, seed=0)
+    np.testing.assert_array_equal(indices.undefined, [[True, True], [False, True]])
+    assert np.isnan(indices.first_order_ci[indices.undefined]).all()
+    assert np.isfinite(indices.first_order[1, 0]).all()
+    np.testing.assert_allclose(indices.mean_first_order()[0], indices.first_order[1, 0])
+    assert np.isnan(indices.mean_total_order()[1]).all()
+    np.testing.assert_allclose(indices.variance[:, 1], 0.0, atol=1e-20)
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_agrees_with_salibs_own_analysis_of_every_column(seed: int) -> None:
+    toy = IshigamiToy()
+    indices = sobol_indices(toy, n_base=256, seed=seed, n_resamples=50)
+    declared = {"num_vars": 3, "names": ["x1", "x2", "x3"], "bounds": [[-np.pi, np.pi]] * 3}
+    theta = salib_sample.sample(declared, 256, calc_second_order=False, seed=seed)
+    y = toy.simulate(theta).y[:, :, 0]
+    for step in range(len(toy.time)):
+        theirs = salib_analyze.analyze(
+            declared, y[:, step], calc_second_order=False, num_resamples=50, seed=seed
+        )
+        np.testing.assert_allclose(indices.first_order[step, 0], theirs["S1"], atol=1e-12)
+        np.testing.assert_allclose(indices.total_order[step, 0], theirs["ST"], atol=1e-12)
+        np.testing.assert_allclose(indices.first_order_ci[step, 0], theirs["S1_conf"], rtol=1e-8)
+        np.testing.assert_allclose(indices.total_order_ci[step, 0], theirs["ST_conf"], rtol=1e-8)
+
+
+def test_confidence_intervals_cover_the_exact_values_and_narrow() -> None:
+    toy = IshigamiToy()
+    first, _ = exact_ishigami(toy.a, toy.b)
+    few, many = (sobol_indices(toy, n_base=n, seed=2) for n in (256, 4096))
+    assert (np.abs(many.first_order[-1, 0] - first) < 2.0 * many.first_order_ci[-1, 0]).all()
+    assert (many.first_order_ci[-1, 0, :2] < 0.5 * few.first_order_ci[-1, 0, :2]).all()
+
+
+def test_seed_zero_is_a_seed() -> None:
+    first, second = (sobol_indices(IshigamiToy(), n_base=64, seed=0) for _ in range(2))
+    np.testing.assert_array_equal(first.total_order, second.total_order)
+    np.testing.assert_array_equal(first.total_order_ci, second.total_order_ci)
+    other = sobol_indices(IshigamiToy(), n_base=64, seed=1)
+    assert not np.array_equal(first.total_order, other.total_order)
+
+
+def test_a_failed_row_costs_its_block_not_the_analysis() -> None:
+    whole = sobol_indices(GFunction(), n_base=1024, seed=0)
+    holed = sobol_indices(GFunction(fails_above=0.999), n_base=1024, seed=0)
+    assert 0 < holed.n_dropped < 20
+    assert holed.n_calls == whole.n_calls == 1024 * 6
+    np.testing.assert_allclose(holed.first_order[1, 0], whole.first_order[1, 0], atol=0.03)
+
+
+def test_when_everything_fails_everything_is_undefined() -> None:
+    indices = sobol_indices(GFunction(fails_above=-1.0), n_base=16, seed=0)
+    assert indices.n_dropped == 16
+    assert indices.undefined.all()
+    assert np.isnan(indices.variance).all()
+    assert sorted(indices.order()) == [0, 1, 2, 3]
+
+
+def test_the_initial_value_of_a_step_response_is_undefined() -> None:
+    indices = sobol_indices(ToyRC(), n_base=128, seed=0)
+    assert indices.undefined[0, 0]
+    assert not indices.undefined[1:].any()
+    # Late, only R acts.
+    assert indices.first_order[-1, 0, 0] > 0.7
+
+
+def test_progress_counts_rows() -> None:
+    reports: list[tuple[int, int]] = []
+    sobol_indices(IshigamiToy(), n_base=1024, seed=0, on_progress=lambda done, n: reports.append((done, n)))
+    assert reports == [(2048, 5120), (4096, 5120), (5120, 5120)]
+
+
+def test_saved_and_loaded_is_the_same(tmp_path: Path) -> None:
+    indices = sobol_indices(GFunction(), n_base=16, seed=0)
+    path = tmp_path / "folder" / "sobol.npz"
+    indices.save(path)
+    loaded = SobolIndices.load(path)
+    assert replace(loaded, **_arrays(indices)) == replace(indices, **_arrays(indices))
+    for name, array in _arrays(indices).items():
+        np.testing.assert_array_equal(getattr(loaded, name), array)
+    assert [entry.name for entry in path.parent.iterdir()] == ["sobol.npz"]
+
+
+def _arrays(indices: SobolIndices) -> dict[str, FloatArray]:
+    return {name: value for name, value in vars(indices).items() if isinstance(value, np.ndarray)}
+
+
+def test_a_missing_file_is_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="run the sensitivity analysis first"):
+        SobolIndices.load(tmp_path / "sobol.npz")
+
+
+@pytest.mark.parametrize(
+    ("n_base", "n_resamples", "message"), [(100, 100, "power of two"), (64, 1, "at least 2")]
+)
+def test_useless_sizes_are_refused(n_base: int, n_resamples: int, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        sobol_indices(ToyRC(), n_base=n_base, seed=0, n_resamples=n_resamples)
