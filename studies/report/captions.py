@@ -12,6 +12,7 @@ from studies.report.findings import (
     calls_to_most,
     enclosed_fraction,
     good_rows,
+    largest_by_chance,
     mean_over_time,
     ranking,
     residual_of,
@@ -180,10 +181,12 @@ def pairs_caption(parameters: ParameterBox, coverage: CoverageSet) -> str:
     if strongest is None:
         return f"{count(len(coverage.theta), 'sample')} are too few to speak of correlations."
     value, i, j = strongest
+    n, p = coverage.theta.shape
+    n_pairs = p * (p - 1) // 2
     return (
         f"The largest correlation among the sampled parameters is {value:.2f} ({parameters.names[i]} with "
-        f"{parameters.names[j]}); {count(len(coverage.theta))} independent draws give sizes of about "
-        f"{1 / math.sqrt(len(coverage.theta)):.2f} by chance."
+        f"{parameters.names[j]}); by chance, the largest of {count(n_pairs)} would be about "
+        f"{largest_by_chance(n, n_pairs):.2f} in {count(n)} independent draws."
     )
 
 

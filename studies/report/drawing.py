@@ -81,7 +81,7 @@ def drawing(path: Path, *, title: str, height_in: float, footnote: str = "") -> 
         footnote: Small print below, e.g. a case's note.
     """
     # A number stays on the line of its unit.
-    lines = textwrap.wrap(re.sub(r"(\d) (?=[^\d\s]{1,3}\b)", "\\1\u00a0", title), 82) or [""]
+    lines = textwrap.wrap(re.sub(r"(\d) (?=[^\d\s]{1,3}\b)", "\\1\u00a0", title), 82, max_lines=3) or [""]
     notes = textwrap.wrap(footnote, 130, max_lines=2, placeholder=" …")
     with style.context(_STYLE, after_reset=True):
         height = height_in + 0.2 * (len(lines) - 1) + 0.14 * len(notes)
@@ -159,7 +159,11 @@ class EndLabel:
 
 def end_labels(axes: Axes, labels: Sequence[EndLabel], *, size: float = 8.5) -> None:
     """Write labels at the right edge of axes with settled limits, moved apart where they would overlap."""
-    shown = [label for label in labels if math.isfinite(label.value)]
+    shown = [
+        EndLabel(label.value, _folded(label.text), label.color)
+        for label in labels
+        if math.isfinite(label.value)
+    ]
     heights = [
         float(axes.transLimits.transform(axes.transScale.transform((axes.get_xlim()[1], label.value)))[1])
         for label in shown
@@ -180,6 +184,16 @@ def end_labels(axes: Axes, labels: Sequence[EndLabel], *, size: float = 8.5) -> 
             color=label.color,
             annotation_clip=False,
         )
+
+
+def _folded(text: str) -> str:
+    lines = [line for part in text.split("\n") for line in textwrap.wrap(part, 24)]
+    return "\n".join([*lines[:2], shortened(" ".join(lines[2:]))] if len(lines) > 3 else lines)
+
+
+def shortened(text: str, n_characters: int = 24) -> str:
+    """Cut a name that comes from a file to a length that leaves room for the picture."""
+    return text if len(text) <= n_characters else text[: n_characters - 1] + "…"
 
 
 def spread_apart(heights: Sequence[float], gaps: Sequence[float]) -> list[float]:

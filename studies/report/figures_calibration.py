@@ -25,6 +25,7 @@ from studies.report.drawing import (
     drawing,
     end_labels,
     log_limits,
+    shortened,
 )
 from studies.report.records import CalibrationRecord, Floats, MeasuredSeries
 from studies.report.wording import (
@@ -88,7 +89,8 @@ def _draw_output(
     for name, values, color, width in series:
         axes.plot(days, values, color=color, linewidth=width, zorder=3)
         labels.append(EndLabel(_last(values), name, color))
-    axes.set_ylabel(axis_label(measurement.output_names[output], shown_unit(measurement.units[output])))
+    name, unit = measurement.output_names[output], measurement.units[output]
+    axes.set_ylabel(axis_label(shortened(name), shortened(shown_unit(unit))))
     axes.set_ylim(*axes.get_ylim())
     end_labels(axes, labels)
 
@@ -110,7 +112,7 @@ def _draw_residual(
     axes.axhline(0.0, color=MEASURED, linewidth=0.8)
     axes.plot(days, residual, color=POLISHED, linewidth=1.1)
     labels.append(EndLabel(_last(residual), "polished", POLISHED))
-    axes.set_ylabel(axis_label("residual", unit))
+    axes.set_ylabel(axis_label("residual", shortened(unit, 10)))
     end_labels(axes, labels)
 
 
@@ -164,8 +166,8 @@ def polish_figure(
         axes.step(calls_drawn, best, where="post", color=POLISHED, zorder=3)
         axes.set_xlabel("model calls (training + screening check + polish)")
         axes.set_ylabel(axis_label("best MSE", mse_unit))
-        labels = [EndLabel(final, f"polished {significant(final)}", POLISHED)]
-        labels += [EndLabel(r.mse, f"{r.label} {significant(r.mse)}", MUTED) for r in references]
+        labels = [EndLabel(final, f"{significant(final)} polished", POLISHED)]
+        labels += [EndLabel(r.mse, f"{significant(r.mse)} {r.label}", MUTED) for r in references]
         end_labels(axes, labels)
     return path
 

@@ -19,6 +19,7 @@ from studies.report.drawing import (
     day_axis,
     drawing,
     end_labels,
+    shortened,
 )
 from studies.report.findings import enclosed_fraction, good_rows
 from studies.report.records import CoverageSet, Floats, MeasuredSeries, ParameterBox
@@ -65,9 +66,8 @@ def coverage_figure(
             axes.plot(days, measurement.y[:, output], color="white", linewidth=3.6, zorder=4)
             axes.plot(days, measurement.y[:, output], color=SCREENED, linewidth=1.8, zorder=5)
             axes.autoscale_view(scalex=False)
-            axes.set_ylabel(
-                axis_label(measurement.output_names[output], shown_unit(measurement.units[output]))
-            )
+            name, unit = measurement.output_names[output], shown_unit(measurement.units[output])
+            axes.set_ylabel(axis_label(shortened(name), shortened(unit)))
             axes.set_ylim(*axes.get_ylim())
             labels = [EndLabel(float(measurement.y[-1, output]), "measured", SCREENED)]
             if len(good):
@@ -112,7 +112,7 @@ def coverage_pairs_figure(
     Returns:
         The path.
     """
-    names = parameters.names
+    names = [shortened(name) for name in parameters.names]
     p = len(names)
     unit = (coverage.theta - parameters.lower) / (parameters.upper - parameters.lower)
     failed = ~np.isfinite(coverage.y).all(axis=(1, 2))

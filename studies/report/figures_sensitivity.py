@@ -16,6 +16,7 @@ from studies.report.drawing import (
     day_axis,
     drawing,
     end_labels,
+    shortened,
 )
 from studies.report.findings import mean_over_time, ranking
 from studies.report.records import Integers, SensitivityRecord
@@ -41,7 +42,7 @@ def sensitivity_figure(sensitivity: SensitivityRecord, path: Path, *, footnote: 
         panels = figure.subplots(n_outputs, 2, width_ratios=[1.75, 1.0], squeeze=False)
         for output in range(n_outputs):
             order = ranking(sensitivity, output)
-            suffix = f" ({sensitivity.output_names[output]})" if n_outputs > 1 else ""
+            suffix = f" ({shortened(sensitivity.output_names[output])})" if n_outputs > 1 else ""
             _draw_stack(panels[output, 0], sensitivity, output, order)
             panels[output, 0].set_title(f"First order, each parameter alone{suffix}")
             _draw_bars(panels[output, 1], sensitivity, output, order)
@@ -117,7 +118,7 @@ def _draw_bars(axes: Axes, sensitivity: SensitivityRecord, output: int, order: I
         capsize=2.0,
     )
     axes.plot(first, rows, linestyle="none", marker="|", markersize=8, markeredgewidth=1.6, color="white")
-    axes.set_yticks(rows, [sensitivity.names[i] for i in order], fontsize=8.5)
+    axes.set_yticks(rows, [shortened(sensitivity.names[i]) for i in order], fontsize=8.5)
     axes.set_ylim(len(order) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")

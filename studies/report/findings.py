@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -65,6 +66,11 @@ def strongest_correlation(coverage: CoverageSet) -> tuple[float, int, int] | Non
     rows, columns = np.tril_indices(p, k=-1)
     k = int(np.argmax(np.abs(correlation[rows, columns])))
     return float(correlation[rows[k], columns[k]]), int(columns[k]), int(rows[k])
+
+
+def largest_by_chance(n: int, n_pairs: int) -> float:
+    """Return about the median of the largest of many correlations among n independent draws."""
+    return NormalDist().inv_cdf((1.0 + 0.5 ** (1.0 / n_pairs)) / 2.0) / math.sqrt(n)
 
 
 def best_trials(trials: TrialsRecord) -> Integers:

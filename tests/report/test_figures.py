@@ -1,0 +1,228 @@
+"""Every picture is a PNG with something on it, the same bytes each time, whatever the data lacks."""
+
+import itertools
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib import image
+from records_for_tests import (
+    calibration,
+    coverage,
+    learning_curves,
+    measured,
+    parameter_box,
+    report_data,
+    sensitivity,
+    trials,
+)
+
+from studies.report import CalibrationRecord, Reference
+from studies.report.drawing import drawing, log_limits, spread_apart
+from studies.report.figures_calibration import calibration_figure, overview_figure, polish_figure
+from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
+from studies.report.figures_sensitivity import sensitivity_figure
+from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
+
+REFERENCES = (Reference("best known", 0.0103), Reference("target", 0.0121, is_target=True))
+
+DRAW: dict[str, Callable[[Path], Path]] = {
+    "calibration": lambda p: calibration_figure(measured(), calibration(), p),
+    "polish": lambda p: polish_figure(calibration(), REFERENCES, p, mse_unit="K²"),
+    "overview": lambda p: overview_figure([calibration(n) for n in (32, 1536)], REFERENCES, p, mse_unit="K²"),
+    "coverage": lambda p: coverage_figure(measured(), coverage(), p),
+    "pairs": lambda p: coverage_pairs_figure(parameter_box(), coverage(), p),
+    "sensitivity": lambda p: sensitivity_figure(sensitivity(), p),
+    "trials": lambda p: mae_over_n_figure(trials(), p, unit="K"),
+    "learning": lambda p: learning_curves_figure(learning_curves(), p, unit="K"),
+}
+
+
+def ink(path: Path) -> float:
+    """Return the fraction of pixels that are not background."""
+    assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    pixels = np.asarray(image.imread(path))[..., :3]
+    return float(np.mean((pixels < 0.98).any(axis=-1)))
+
+
+@pytest.mark.parametrize("name", DRAW)
+def test_picture_is_not_blank_and_has_the_same_bytes_each_time(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "new folder" / f"{name}.png"
+    assert DRAW[name](path) == path
+    assert ink(path) > 0.02
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+    content = path.read_bytes()
+    assert DRAW[name](path).read_bytes() == content
+    assert b"Software" not in content
+
+
+def test_picture_is_as_wide_as_promised(tmp_path: Path) -> None:
+    assert image.imread(DRAW["polish"](tmp_path / "p.png")).shape[1] == 1200
+
+
+def test_settings_of_the_user_change_nothing(tmp_path: Path) -> None:
+    import matplotlib as mpl
+
+    plain = DRAW["polish"](tmp_path / "plain.png").read_bytes()
+    with mpl.rc_context({"lines.linewidth": 9.0, "font.size": 30.0, "savefig.facecolor": "red"}):
+        assert DRAW["polish"](tmp_path / "changed.png").read_bytes() == plain
+        assert mpl.rcParams["lines.linewidth"] == 9.0
+
+
+def test_importing_the_room_loads_neither_matplotlib_nor_its_global_state() -> None:
+    code = (
+        "import sys, studies.report; assert 'matplotlib' not in sys.modules;"
+        "import studies.report.builder; assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_a_failed_drawing_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="half way"), drawing(tmp_path / "x.png", title="", height_in=2.0):
+        raise RuntimeError("half way")
+    assert not list(tmp_path.iterdir())
+
+
+def without_improvement() -> CalibrationRecord:
+    c = calibration()
+    return replace(
+        c, theta_polished=c.theta_screened, y_polished=c.y_screened, mse_polished=c.mse_screened,
+        history_mse=np.full_like(c.history_mse, c.mse_screened),
+    )  # fmt: skip
+
+
+def without_polish() -> CalibrationRecord:
+    c = without_improvement()
+    return replace(c, n_polish=0, history_calls=np.array([65]), history_mse=np.array([c.mse_screened]))
+
+
+def failed_check() -> CalibrationRecord:
+    c = calibration()
+    history = c.history_mse.copy()
+    history[:16] = np.inf
+    return replace(c, mse_screened=np.inf, y_screened=np.full_like(c.y_screened, np.nan), history_mse=history)
+
+
+def failed_throughout() -> CalibrationRecord:
+    c, nothing = failed_check(), np.full_like(calibration().y_polished, np.nan)
+    return replace(
+        c, mse_polished=np.inf, y_polished=nothing, history_mse=np.full_like(c.history_mse, np.inf)
+    )
+
+
+def empty_history() -> CalibrationRecord:
+    return replace(calibration(), history_calls=np.empty(0, dtype=np.int64), history_mse=np.empty(0))
+
+
+CASES = [without_improvement, without_polish, failed_check, failed_throughout, empty_history]
+
+
+@pytest.mark.parametrize("make", CASES)
+def test_calibrations_that_went_badly_are_drawn(
+    make: Callable[[], CalibrationRecord], tmp_path: Path
+) -> None:
+    c = make()
+    assert ink(calibration_figure(measured(), c, tmp_path / "c.png")) > 0.02
+    assert ink(polish_figure(c, REFERENCES, tmp_path / "p.png", mse_unit="K²")) > 0.02
+    assert ink(polish_figure(c, (), tmp_path / "p.png", mse_unit="")) > 0.02
+    assert ink(overview_figure([c], (), tmp_path / "o.png", mse_unit="K²")) > 0.01
+    assert ink(overview_figure([c, calibration(128)], REFERENCES, tmp_path / "o.png", mse_unit="K²")) > 0.01
+
+
+def test_a_large_training_set_does_not_squeeze_the_polish(tmp_path: Path) -> None:
+    large = polish_figure(calibration(4096, n_polish=65), (), tmp_path / "p.png", mse_unit="K²")
+    assert ink(large) > 0.05
+
+
+def test_several_outputs_get_panels_of_their_own(tmp_path: Path) -> None:
+    n_pixels = {}
+    for k in (1, 2):
+        paths = (
+            calibration_figure(measured(k), calibration(n_outputs=k), tmp_path / "c.png"),
+            coverage_figure(measured(k), coverage(8, n_outputs=k), tmp_path / "f.png"),
+            sensitivity_figure(sensitivity(6, n_outputs=k), tmp_path / "s.png"),
+        )
+        n_pixels[k] = [image.imread(path).shape[0] for path in paths]
+    assert all(two > 1.4 * one for one, two in zip(n_pixels[1], n_pixels[2], strict=True))
+
+
+def test_undeclared_uncertainty_draws_no_band(tmp_path: Path) -> None:
+    unknown = replace(measured(), uncertainty=np.array([np.nan]))
+    with_band = calibration_figure(measured(), calibration(), tmp_path / "a.png").read_bytes()
+    assert calibration_figure(unknown, calibration(), tmp_path / "b.png").read_bytes() != with_band
+
+
+def test_failed_rows_are_left_out_of_the_bundle_and_marked_in_the_pairs(tmp_path: Path) -> None:
+    some = coverage(16)
+    some.y[3] = np.nan
+    assert ink(coverage_figure(measured(), some, tmp_path / "c.png")) > 0.02
+    assert ink(coverage_pairs_figure(parameter_box(), some, tmp_path / "p.png")) > 0.02
+    some.y[:] = np.nan
+    assert ink(coverage_figure(measured(), some, tmp_path / "c.png")) > 0.005
+    marked = [MarkedPoint("polished", calibration().theta_polished)]
+    assert ink(coverage_pairs_figure(parameter_box(), some, tmp_path / "p.png", marked=marked)) > 0.02
+
+
+def test_one_parameter_has_no_pairs_but_a_picture(tmp_path: Path) -> None:
+    one = replace(coverage(8), theta=coverage(8).theta[:, :1])
+    assert ink(coverage_pairs_figure(parameter_box(1), one, tmp_path / "p.png")) > 0.01
+
+
+@pytest.mark.parametrize(("p", "n_undefined"), [(14, 480), (14, 0), (2, 1), (1, 0), (7, 0)])
+def test_sensitivity_with_undefined_steps_or_few_parameters(p: int, n_undefined: int, tmp_path: Path) -> None:
+    assert ink(sensitivity_figure(sensitivity(p, n_undefined=n_undefined), tmp_path / "s.png")) > 0.01
+
+
+def test_trials_that_all_failed_or_one_size_alone_are_drawn(tmp_path: Path) -> None:
+    one = trials((64,), 3)
+    assert ink(mae_over_n_figure(one, tmp_path / "t.png", unit="K")) > 0.01
+    nothing = np.full(len(one.state), np.nan)
+    failed = replace(
+        one, state=("failed",) * len(one.state), validation_mae=nothing, test_mae=nothing, test_p90=nothing,
+        is_best=np.zeros(len(one.state), dtype=bool),
+    )  # fmt: skip
+    assert ink(mae_over_n_figure(failed, tmp_path / "t.png", unit="K")) > 0.005
+    assert ink(mae_over_n_figure(trials(()), tmp_path / "t.png", unit="K")) > 0.005
+
+
+def test_training_without_validation_or_terms_is_drawn(tmp_path: Path) -> None:
+    curves = learning_curves()
+    unknown = replace(curves, validation_mae=np.full_like(curves.validation_mae, np.nan), terms=())
+    assert ink(learning_curves_figure(unknown, tmp_path / "l.png", unit="K")) > 0.005
+
+
+def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
+    names = ("$\\frac{", "a_b^c", "温度", "☃", "x" * 60, "%s {0}", "<b>", *parameter_box().names[7:])
+    strange = replace(sensitivity(), names=names, output_names=("$T_{",))
+    assert ink(sensitivity_figure(strange, tmp_path / "s.png", footnote="$\\bad{ 温 " * 60)) > 0.02
+
+
+def test_two_cases_at_once_do_not_share_a_picture(tmp_path: Path) -> None:
+    data = report_data()
+    a = calibration_figure(data.measurement, data.calibrations[0], tmp_path / "a.png").read_bytes()
+    b = calibration_figure(data.measurement, data.calibrations[1], tmp_path / "b.png").read_bytes()
+    assert a != b
+
+
+def test_limits_ignore_what_a_logarithm_cannot_show() -> None:
+    low, high = log_limits(np.array([np.nan, np.inf, -1.0, 0.0, 0.02, 2.0]))
+    assert 0 < low < 0.02
+    assert 2.0 < high < 4.0
+    assert log_limits(np.array([np.nan])) == (0.1, 10.0)
+
+
+@given(st.lists(st.tuples(st.floats(-0.5, 1.5), st.floats(0.01, 0.1)), min_size=1, max_size=9))
+def test_labels_keep_their_room_and_their_order(labels: list[tuple[float, float]]) -> None:
+    heights, gaps = [height for height, _ in labels], [gap for _, gap in labels]
+    spread = spread_apart(heights, gaps)
+    order = sorted(range(len(labels)), key=lambda i: spread[i])
+    for below, above in itertools.pairwise(order):
+        assert spread[above] - spread[below] >= (gaps[above] + gaps[below]) / 2 - 1e-9
+        assert heights[above] >= heights[below]
+    assert all(gap / 2 - 1e-9 <= place <= 1 - gap / 2 + 1e-9 for place, gap in zip(spread, gaps, strict=True))

@@ -1,0 +1,334 @@
+"""Tables hold the data's numbers, the page is well formed and harmless, and what it says is true."""
+
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from records_for_tests import calibration, coverage, measured, parameter_box, report_data, sensitivity, trials
+
+from studies.report import CoverageSet, Provenance, Reference, ReportData, build, captions
+from studies.report.findings import at_bound, calls_to_most, enclosed_fraction, largest_by_chance, residual_of
+from studies.report.tables import calibrations_table, parameters_table, sensitivity_table, tuning_table
+from studies.report.wording import count, declared, difference_unit, listed, percent, significant, squared
+
+VOID = {"meta", "img", "br", "link", "hr"}
+EVIL = "<script>alert('x')</script>\"&|$title${body}"
+
+
+class Checker(HTMLParser):
+    """Collects what a page contains and insists that every element is closed in its turn."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            if name in ("src", "href"):
+                self.links.append(value or "")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def checked(page: Path) -> Checker:
+    checker = Checker()
+    checker.feed(page.read_text(encoding="utf-8"))
+    checker.close()
+    assert checker.open == []
+    assert len(set(checker.ids)) == len(checker.ids)
+    return checker
+
+
+def small(**changes: object) -> ReportData:
+    """Return a report with few pictures."""
+    nothing = {"coverage": None, "sensitivity": None, "trials": None, "learning_curves": ()}
+    return report_data(**{**nothing, "calibrations": (calibration(64),), **changes})
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(report_data(), tmp_path_factory.mktemp("full"))
+
+
+def test_page_is_well_formed_and_needs_nothing_else(full: Path) -> None:
+    page = checked(full)
+    assert page.tags.count("img") == 12
+    anchors = {f"#{name}" for name in page.ids}
+    assert all(link.startswith("data:image/png;base64,") or link in anchors for link in page.links)
+    assert "script" not in page.tags
+    text = full.read_text(encoding="utf-8")
+    assert "prefers-color-scheme: dark" in text
+    assert "@media print" in text
+    assert "url(" not in text
+
+
+def test_page_puts_the_note_and_the_numbers_first(full: Path) -> None:
+    text = " ".join(checked(full).text)
+    note, result = text.index("A virtual campaign"), text.index("189 model calls")
+    first_picture = text.index("Measured,")
+    assert note < result < first_picture
+    for words in ("studies calibrate office --n-train 64", "5a" * 32, "torch", "2.9.1", "quick"):
+        assert words in text
+
+
+def test_every_file_is_named_in_the_summary(full: Path) -> None:
+    summary = json.loads((full.parent / "report.json").read_text(encoding="utf-8"))
+    assert sorted(summary["files"]) == sorted(file.name for file in full.parent.iterdir())
+    assert {figure["file"] for figure in summary["figures"]} < set(summary["files"])
+    assert summary["headline_n_train"] == 64
+    row = summary["tables"]["calibrations"][1]
+    assert row["mse_polished"] == calibration(64).mse_polished
+    assert row["calls_paper"] == 189
+
+
+def test_building_again_gives_the_same_files(tmp_path: Path) -> None:
+    first, second = (build(small(), tmp_path / name).parent for name in ("first", "second"))
+    for file in first.iterdir():
+        assert file.read_bytes() == (second / file.name).read_bytes(), file.name
+
+
+def test_a_second_report_removes_what_the_first_no_longer_has(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("not part of a report")
+    build(small(), tmp_path)
+    summary = tmp_path / "report.json"
+    content = json.loads(summary.read_text(encoding="utf-8"))
+    outside = tmp_path.parent / "outside.txt"
+    outside.write_text("kept")
+    summary.write_text(json.dumps(content | {"files": [*content["files"], "../outside.txt", "..", 3]}))
+    build(small(calibrations=(calibration(128),)), tmp_path)
+    names = {file.name for file in tmp_path.iterdir()}
+    assert {"mine.txt", "calibration-n0128.png"} < names
+    assert not any("n0064" in name for name in names)
+    assert outside.exists()
+
+
+def test_progress_counts_every_file(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    build(small(), tmp_path, on_progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(i + 1, len(seen)) for i in range(len(seen))]
+    assert len(seen) == len(list(tmp_path.iterdir()))
+
+
+def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
+    c = replace(calibration(64), stop_reason=EVIL, surrogate=EVIL)
+    data = small(
+        title=EVIL, label=EVIL, note=EVIL, calibrations=(c, calibration(128)),
+        measurement=replace(measured(), output_names=(EVIL,), units=(EVIL,)),
+        parameters=replace(parameter_box(), names=(EVIL, *parameter_box().names[1:]), units=(EVIL,) * 14),
+        references=(Reference(EVIL, 0.01), Reference(EVIL, 0.02, is_target=True)),
+        sensitivity=replace(sensitivity(2), names=(EVIL, "b"), output_names=(EVIL,), model=EVIL),
+        coverage=replace(coverage(8), name=EVIL),
+        provenance=Provenance((EVIL,), ((EVIL, EVIL),), ((EVIL, EVIL),), ((EVIL, EVIL),), EVIL),
+    )  # fmt: skip
+    index = build(data, tmp_path)
+    page = checked(index)
+    assert "script" not in page.tags
+    assert "<script" not in index.read_text(encoding="utf-8")
+    assert EVIL in "".join(page.text)
+    assert "<script" not in (tmp_path / "parameters-n0064.md").read_text(encoding="utf-8")
+    rows = list(csv.reader((tmp_path / "parameters-n0064.csv").read_text(encoding="utf-8").splitlines()))
+    assert rows[1][0] == EVIL
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        small(calibrations=()),
+        small(calibrations=(), references=(), provenance=Provenance(), note=""),
+        small(references=()),
+        small(trials=trials((64,), 2), sensitivity=sensitivity(n_undefined=480)),
+    ],
+)
+def test_a_report_of_little_is_still_a_report(data: ReportData, tmp_path: Path) -> None:
+    text = " ".join(checked(build(data, tmp_path)).text)
+    assert ("Nothing has been calibrated yet." in text) == (not data.calibrations)
+    json.loads((tmp_path / "report.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+
+
+def test_calibrations_table_holds_the_numbers() -> None:
+    data = report_data()
+    table = calibrations_table(data)
+    assert [row[0] for row in table.rows] == [32, 64, 256]
+    assert table.emphasized == 1
+    for row, c in zip(table.records(), data.by_size, strict=True):
+        assert row["mse_surrogate"] == c.mse_surrogate
+        assert row["screening_gap"] == c.mse_screened - c.mse_surrogate
+        assert row["n_polish"] == c.n_polish
+        assert row["calls_paper"] == c.n_train + 1 + c.n_polish
+        assert row["calls_honest"] == c.n_train + 1 + c.n_polish + 640
+        reached = c.history_calls[c.history_mse <= 0.0125]
+        assert row["calls_to_0.0125"] == reached[0]
+    read = list(csv.reader(table.to_csv().splitlines()))
+    column = read[0].index("mse_polished [K²]")
+    assert [float(line[column]) for line in read[1:]] == [c.mse_polished for c in data.by_size]
+    lines = table.to_markdown().splitlines()
+    assert len(lines) == 5
+    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
+
+
+def test_what_is_unknown_is_a_dash_for_readers_and_empty_for_programs() -> None:
+    c = replace(calibration(64), mse_screened=math.inf, test_mae=math.nan)
+    table = calibrations_table(
+        report_data(calibrations=(c,), references=(Reference("far", 1e-9, is_target=True),))
+    )
+    row = table.records()[0]
+    assert row["mse_screened"] is None
+    assert row["test_mae"] is None
+    assert row["calls_to_1e-09"] is None
+    assert "∞" in table.to_markdown()
+    assert "–" in table.to_markdown()
+    assert "inf" not in table.to_csv()
+
+
+def test_parameters_table_flags_the_bounds() -> None:
+    c, box = calibration(64), parameter_box()
+    table = parameters_table(box, c)
+    rows = {row["name"]: row for row in table.records()}
+    assert rows["cInt"]["at_bound"] == "upper"
+    assert rows["rExt1"]["at_bound"] == "lower"
+    assert sum(row["at_bound"] != "" for row in table.records()) == 2
+    assert rows["UWin"]["estimate"] == 0.7
+    assert [row["polished"] for row in table.records()] == c.theta_polished.tolist()
+    assert "| 293.15 | 306.15 |" in table.to_markdown()
+    assert at_bound(box, replace(c, theta_polished=box.lower)) == ("lower",) * 14
+    assert at_bound(box, replace(c, theta_polished=np.sqrt(box.lower * box.upper))) == ("",) * 14
+
+
+def test_an_estimate_that_nobody_made_is_left_out() -> None:
+    box = replace(parameter_box(), estimate=np.full(14, np.nan))
+    assert parameters_table(box, calibration(64)).records()[0]["estimate"] is None
+
+
+def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
+    data = report_data()
+    tuning, sobol = tuning_table(data), sensitivity_table(data)
+    assert tuning is not None
+    assert sobol is not None
+    all_trials, indices = data.trials, data.sensitivity
+    assert all_trials is not None
+    assert indices is not None
+    for row in tuning.records():
+        best = np.flatnonzero((all_trials.n_train == row["n_train"]) & all_trials.is_best)
+        assert row["test_mae"] == all_trials.test_mae[best[0]]
+    firsts = [row["first_order"] for row in sobol.records()]
+    assert firsts == sorted(firsts, reverse=True)
+    assert firsts[0] == pytest.approx(np.nanmean(indices.first_order[:, 0], axis=0).max(), rel=1e-12)
+    assert tuning_table(small()) is None
+    assert sensitivity_table(small()) is None
+
+
+def test_headline_is_the_lowest_error_or_the_asked_one() -> None:
+    low, high = replace(calibration(256), mse_polished=0.0104), replace(calibration(32), mse_polished=0.0121)
+    assert report_data(calibrations=(high, low)).headline is low
+    assert report_data(calibrations=(high, low), headline_n_train=32).headline is high
+    equal = replace(high, mse_polished=0.0104)
+    assert report_data(calibrations=(low, equal)).headline is equal
+
+
+def test_captions_say_numbers_of_the_data() -> None:
+    c = replace(calibration(64), mse_surrogate=0.0128, mse_screened=1.639, mse_polished=0.0128)
+    assert (
+        "promised 0.0128 K² at the screened point and the model answered 1.64 K²"
+        in captions.polish_caption(c, "K²")
+    )
+    failed = captions.polish_caption(replace(c, mse_screened=math.inf), "K²")
+    assert "could not be simulated" in failed
+    sentence = captions.headline_sentence(report_data(references=(Reference("best known", 0.0064),)))
+    assert "189 model calls (64 for training, 1 to check the screened point, 124 to polish)" in sentence
+    assert "829 simulations" in sentence
+    assert f"{c.calls_paper}" in captions.overview_caption((c,), "K²")
+
+
+def test_residual_is_what_numpy_says() -> None:
+    m, c = measured(), calibration(64)
+    residual = residual_of(m, c, 0)
+    assert residual is not None
+    difference = c.y_polished[:, 0] - m.y[:, 0]
+    assert residual.rms**2 == pytest.approx(c.mse_polished, rel=1e-12)
+    assert abs(residual.largest) == np.abs(difference).max()
+    assert residual.within == np.mean(np.abs(difference) <= 0.5)
+    assert residual_of(m, replace(c, y_polished=np.full_like(m.y, np.nan)), 0) is None
+
+
+def test_enclosed_fraction_counts_measured_values() -> None:
+    m = measured(n_steps=4)
+    y = np.stack([m.y - 1, m.y + 1])
+    y[:, 0] = m.y[0] + 5
+    assert enclosed_fraction(m, CoverageSet("training", np.zeros((2, 14)), y)) == 0.75
+
+
+def test_nine_tenths_of_the_way_is_in_the_logarithm() -> None:
+    calls, mse = np.array([65, 70, 80, 90]), np.array([1.0, 0.1, 0.011, 0.01])
+    c = replace(calibration(64), history_calls=calls, history_mse=mse, mse_screened=1.0, mse_polished=0.01)
+    assert calls_to_most(c) == 80 - 65
+    assert calls_to_most(replace(c, mse_polished=1.0)) is None
+
+
+def test_largest_correlation_by_chance_agrees_with_draws() -> None:
+    rng = np.random.default_rng(0)
+    n, p = 64, 14
+    upper = np.triu_indices(p, 1)
+    largest = [np.abs(np.corrcoef(rng.uniform(size=(n, p)), rowvar=False)[upper]).max() for _ in range(200)]
+    assert largest_by_chance(n, len(upper[0])) == pytest.approx(np.median(largest), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.01132, "0.0113"), (1.0623, "1.06"), (4297, "4,297"), (0, "0"), (math.nan, "–"), (math.inf, "∞"),
+     (-math.inf, "−∞"), (2e-7, "2.00e-07"), (-0.5, "-0.500")],
+)  # fmt: skip
+def test_numbers_are_written_for_readers(value: float, text: str) -> None:
+    assert significant(value) == text
+
+
+@given(st.floats(1e-4, 1e6), st.integers(2, 6))
+def test_significant_digits_are_kept(value: float, digits: int) -> None:
+    assert float(significant(value, digits).replace(",", "")) == pytest.approx(
+        value, rel=0.51 * 10.0 ** (1 - digits)
+    )
+
+
+def test_words_and_units() -> None:
+    assert (count(1, "call"), count(4096, "call"), count(2, "trajectory", "trajectories")) == (
+        "1 call", "4,096 calls", "2 trajectories",
+    )  # fmt: skip
+    assert [percent(x) for x in (0, 0.00001, 0.5, 0.996, 0.99999, 1)] == [
+        "0 %", "under 0.1 %", "50 %", "99.6 %", "over 99.9 %", "100 %",
+    ]  # fmt: skip
+    assert (squared(difference_unit("degC")), squared("W/m2"), squared("")) == ("K²", "(W/m2)²", "")
+    assert declared(0.7 / 5) == "0.14"
+    assert (listed([]), listed(["a"]), listed(["a", "b", "c"])) == ("", "a", "a, b and c")
+
+
+def test_records_refuse_what_does_not_fit() -> None:
+    with pytest.raises(ValueError, match=r"measured y has shape \(480, 1\), expected \(480, 2\)"):
+        replace(measured(), output_names=("a", "b"))
+    with pytest.raises(ValueError, match="y_polished"):
+        report_data(calibrations=(replace(calibration(64), y_polished=np.zeros((3, 1))),))
+    with pytest.raises(ValueError, match="more than one calibration"):
+        report_data(calibrations=(calibration(64), calibration(64)))
+    with pytest.raises(ValueError, match="unknown trial state 'waiting'"):
+        replace(trials((64,), 1), state=("waiting",))
+    with pytest.raises(ValueError, match="headline_n_train is 7"):
+        report_data(headline_n_train=7)
