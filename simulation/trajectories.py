@@ -202,7 +202,8 @@ class Trajectories:
             InputError: If the file is missing or damaged.
         """
         try:
-            with np.load(path, allow_pickle=False) as content:
+            # Opened here: NumPy leaves a damaged file open.
+            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as content:
                 return cls(
                     theta=content["theta"],
                     y=content["y"],

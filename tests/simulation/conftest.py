@@ -98,8 +98,18 @@ def decay_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def decay_case(decay_fmu: Path, tmp_path: Path) -> Path:
-    """A folder with a case around `decay`; window and recording of one day at 1800 s."""
-    folder = tmp_path / "fmus" / "decay"
+    """A folder with a case around `decay`, to be changed at will."""
+    return _write_case(decay_fmu, tmp_path / "fmus" / "decay")
+
+
+@pytest.fixture(scope="session")
+def shared_decay_case(decay_fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same folder for the whole session, not to be changed."""
+    return _write_case(decay_fmu, tmp_path_factory.mktemp("shared") / "decay")
+
+
+def _write_case(decay_fmu: Path, folder: Path) -> Path:
+    """Write a case with half a day's window in a recording of one day at 1800 s."""
     (folder / "data").mkdir(parents=True)
     shutil.copy(decay_fmu, folder / "decay.fmu")
     (folder / "case.toml").write_text(CASE)

@@ -1,0 +1,122 @@
+"""Promises that every forward model keeps, whatever it wraps."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.case import load_case
+from simulation.counting import CountingModel
+from simulation.forward_model import ForwardModel
+from simulation.parallel import ParallelModel
+from simulation.toy import IshigamiToy, ProductToy, ToyRC
+
+MODELS = [
+    "toy-rc",
+    "toy-product",
+    "toy-ishigami",
+    "counting",
+    "parallel-small",
+    "parallel-pool",
+    "fmu",
+    "fmu-pool",
+]
+
+
+# Models live for the module: starting worker processes costs seconds.
+@pytest.fixture(scope="module", params=MODELS)
+def model(request: pytest.FixtureRequest) -> Iterator[ForwardModel]:
+    name = request.param
+    if name.startswith("fmu"):
+        case: Path = request.getfixturevalue("shared_decay_case")
+        make_model = load_case(case).make_model
+        with make_model() if name == "fmu" else ParallelModel(make_model, 2, pool_pays_s=0.0) as model:
+            yield model
+    elif name.startswith("parallel"):
+        with ParallelModel(ToyRC, 2, pool_pays_s=0.0 if name == "parallel-pool" else 3.0) as model:
+            yield model
+    else:
+        yield {
+            "toy-rc": ToyRC(),
+            "toy-product": ProductToy(),
+            "toy-ishigami": IshigamiToy(),
+            "counting": CountingModel(ToyRC()),
+        }[name]
+
+
+def _rows(model: ForwardModel, n: int = 23) -> np.ndarray:
+    rows = model.parameter_space.from_unit(
+        np.random.default_rng(3).random((n, model.parameter_space.n_parameters))
+    )
+    if "mode" in model.parameter_space.names:
+        # Every eighth row gives up half-way, the others are good.
+        rows[:, model.parameter_space.names.index("mode")] = np.where(np.arange(n) % 8 == 5, 1.0, 0.0)
+    return rows
+
+
+def test_it_is_a_forward_model_with_a_grid_and_names(model: ForwardModel):
+    assert isinstance(model, ForwardModel)
+    assert model.time.dtype == np.float64
+    assert (np.diff(model.time) > 0).all()
+    assert len(model.output_names) >= 1
+
+
+def test_the_answer_has_the_rows_asked_for_in_their_order(model: ForwardModel):
+    rows = _rows(model)
+    answer = model.simulate(rows)
+    assert np.array_equal(answer.theta, rows)
+    assert answer.y.shape == (len(rows), len(model.time), len(model.output_names))
+    assert answer.y.dtype == np.float64
+    assert answer.parameter_names == model.parameter_space.names
+    assert answer.output_names == model.output_names
+    assert np.array_equal(answer.time, model.time)
+    assert answer.n == len(rows)
+
+
+def test_permuted_rows_give_permuted_answers(model: ForwardModel):
+    rows = _rows(model)
+    order = np.random.default_rng(4).permutation(len(rows))
+    straight, permuted = model.simulate(rows), model.simulate(rows[order])
+    assert permuted.digest == straight.take(order).digest
+
+
+def test_the_same_row_gives_the_same_answer_alone_and_again(model: ForwardModel):
+    rows = _rows(model)
+    batch = model.simulate(rows)
+    assert model.simulate(rows).digest == batch.digest
+    for index in (0, 5, len(rows) - 1):
+        assert model.simulate(rows[[index]]).digest == batch.take([index]).digest
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_bad_row_is_nan_with_a_reason_and_harms_no_other(model: ForwardModel, bad: float):
+    rows = _rows(model)
+    expected = model.simulate(rows)
+    rows[2, 0] = bad
+    answer = model.simulate(rows)
+    assert answer.failed[2]
+    assert answer.failures[2].startswith(f"parameter {model.parameter_space.names[0]} is ")
+    assert np.isnan(answer.y[2]).all()
+    others = np.arange(len(rows)) != 2
+    assert answer.take(others).digest == expected.take(others).digest
+
+
+def test_failed_rows_and_reasons_are_the_same_thing(model: ForwardModel):
+    answer = model.simulate(_rows(model))
+    assert [reason != "" for reason in answer.failures] == np.isnan(answer.y).all(axis=(1, 2)).tolist()
+    assert np.isfinite(answer.y[~answer.failed]).all()
+
+
+def test_no_rows_are_an_empty_answer(model: ForwardModel):
+    answer = model.simulate(np.empty((0, model.parameter_space.n_parameters)))
+    assert answer.n == 0
+    assert answer.y.shape == (0, len(model.time), len(model.output_names))
+
+
+def test_the_caller_s_rows_are_left_alone(model: ForwardModel):
+    rows = _rows(model)
+    before = rows.copy()
+    answer = model.simulate(rows)
+    rows[:] = 0.0
+    assert np.array_equal(answer.theta, before)
