@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import signal
-import threading
 import time
 import traceback
 from collections import deque
@@ -12,16 +11,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from simulation.errors import InputError
+from simulation.parallel import exit_with_parent
 from studies.file_lock import FileLock
 from studies.study_spec import StudySpec, TuneEvent
 
 GRACE_S = 3.0  # a worker looks at the stop sign at every validated epoch
-LOCK_WAIT_S = 5.0
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -138,11 +136,8 @@ class Crew:
         from studies.study_store import StudyStore
 
         lock = FileLock(spec.lock_file(self._mlruns))
-        deadline = time.monotonic() + LOCK_WAIT_S
-        while not lock.try_acquire():
-            if time.monotonic() > deadline:
-                return  # another command has taken the study over and mends it itself
-            time.sleep(0.05)
+        if not lock.try_acquire():
+            return  # another command works on this study, and mends what it finds
         try:
             StudyStore(spec, self._mlruns).reap(crash=crash)
         finally:
@@ -152,10 +147,10 @@ class Crew:
 def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> None:
     """Run one study after the other in a worker process, until told to go home."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
-    _exit_with_parent()
+    exit_with_parent()
     from studies.trial_worker import StudyInterruptedError, run_study
 
-    while (spec := connection.recv()) is not None:
+    while (spec := _next(connection)) is not None:
         try:
             run_study(spec, mlruns=mlruns, n_trials=n_trials, emit=connection.send, should_stop=stop.is_set)
         except (StudyInterruptedError, BrokenPipeError):
@@ -167,15 +162,12 @@ def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> N
             connection.send(_Failure(f"study {spec.name}: {where}", is_input_error=False))
 
 
-def _exit_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
-
-
-def _exit_after(parent: BaseProcess) -> None:
-    parent.join()
-    os._exit(1)
+def _next(connection: Connection) -> StudySpec | None:
+    try:
+        spec: StudySpec | None = connection.recv()
+    except EOFError:  # the parent has hung up
+        return None
+    return spec
 
 
 @contextmanager

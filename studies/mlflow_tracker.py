@@ -239,8 +239,8 @@ def _experiment_note(spec: StudySpec) -> str:
     lines = [
         f"PELS-VAE surrogates of the case **{spec.case_name}**: a study (parent run) per training-set size,",
         f"a run per trial below it. `val/mae` and `test/mae` are mean absolute errors in {unit}, `p90` the",
-        "90th percentile over simulations; `best/...` on a study is its best trial by validation error. States:",
-        "FINISHED complete, KILLED pruned or interrupted, FAILED with its reason in the tag `reason`.",
+        "90th percentile over simulations; `best/...` on a study is its best trial by validation error.",
+        "States: FINISHED complete, KILLED pruned or interrupted, FAILED with its reason in the tag `reason`.",
     ]
     return " ".join(lines) + (f"\n\n{spec.note}" if spec.note else "")
 

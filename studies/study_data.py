@@ -1,11 +1,10 @@
-"""The data sets of a study and the settings its trials share, checked before a trial is spent on them."""
+"""The data sets of a study, checked before a trial is spent on them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.errors import InputError
 from simulation.trajectories import Trajectories
 from studies.study_spec import StudySpec
@@ -45,17 +44,3 @@ def load_data(spec: StudySpec) -> StudyData:
             )
         pairs.append((good.theta, good.y))
     return StudyData(*pairs)
-
-
-def base_config(spec: StudySpec) -> SurrogateConfig:
-    """Return the variant's settings with those that all trials of the study share.
-
-    Raises:
-        InputError: no such variant or setting.
-    """
-    if spec.variant not in VARIANTS:
-        raise InputError(f"there is no variant {spec.variant!r}; choose among {sorted(VARIANTS)}")
-    try:
-        return VARIANTS[spec.variant].replace(**spec.shared_settings)
-    except ValueError as error:
-        raise InputError(f"training settings of {spec.label}: {error}") from None

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
@@ -110,6 +111,20 @@ class StudySpec:
         """Settings of the surrogate that every trial shares, without those left to the variant."""
         return {name: value for name, value in self.overrides.items() if value is not None}
 
+    @cached_property
+    def base_config(self) -> SurrogateConfig:
+        """The variant's settings with those that all trials share.
+
+        Raises:
+            InputError: no such variant or setting.
+        """
+        if self.variant not in VARIANTS:
+            raise InputError(f"there is no variant {self.variant!r}; choose among {sorted(VARIANTS)}")
+        try:
+            return VARIANTS[self.variant].replace(**self.shared_settings)
+        except ValueError as error:
+            raise InputError(f"training settings of {self.label}: {error}") from None
+
     @property
     def digests(self) -> dict[str, str]:
         """Sha256 of what the study is about, by name."""
@@ -124,13 +139,12 @@ class StudySpec:
     @cached_property
     def digest(self) -> str:
         """Sha256 over all that decides the trials; the number of trials, names of files and notes do not."""
-        settings = {name: value for name, value in self.shared_settings.items() if name != "device"}
+        settings = {k: v for k, v in self.base_config.to_dict().items() if k not in ("device", "n_threads")}
         decisive = {
             "case": self.case_digest,
             "n_train": self.n_train,
             "train": self.train_digest,
             "validation": self.validation_digest,
-            "variant": self.variant,
             "settings": settings,
             "search": asdict(self.search),
             "seed": self.seed,

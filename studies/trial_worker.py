@@ -18,7 +18,7 @@ from pelsvae.training import EpochReport, FitResult, TrainingDiverged, fit
 from simulation.errors import InputError
 from studies.file_lock import FileLock
 from studies.search_space import PastTrial, derived_seed, suggest, to_settings
-from studies.study_data import StudyData, base_config, load_data
+from studies.study_data import StudyData, load_data
 from studies.study_spec import EventKind, StudySpec, TrialState, TuneEvent
 from studies.study_store import StudyStore
 from studies.trial_record import (
@@ -124,7 +124,7 @@ def _run_trial(
 ) -> None:
     """Choose, train and record the next trial."""
     index = progress.n_finished
-    base = base_config(spec)
+    base = spec.base_config
     params = store.params_of_interrupted(index) or suggest(
         spec.search, progress.past, default=base.to_dict(), seed=derived_seed(spec.seed, index, 0)
     )

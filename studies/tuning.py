@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from studies.champion import write_champion
 from studies.crew import Crew
 from studies.paths import ProjectPaths
-from studies.study_data import base_config
 from studies.study_spec import StudySpec, StudySummary, TuneEvent
 from studies.tracking import NullTracker, RunStatus, Tracker
 from studies.trial_record import (
@@ -51,8 +50,6 @@ def tune(
         KeyboardInterrupt: after the workers have stopped and their trials have been marked as interrupted.
     """
     desk = _Desk(paths, n_trials, tracker or NullTracker(), on_event or (lambda event: None))
-    for spec in studies:
-        base_config(spec)
     for spec in studies:
         desk.open(spec)
     unfinished = sorted(

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,7 +35,7 @@ def make_spec(toy_data: Path) -> Callable[..., StudySpec]:
     """Make a study on the toy data; settings may be changed by name."""
     model = ToyRC()
 
-    def make(n_train: int = 16, **changes: object) -> StudySpec:
+    def make(n_train: int = 16, **changes: Any) -> StudySpec:
         spec = StudySpec.from_files(
             train_file=toy_data / "train.npz",
             validation_file=toy_data / "validation.npz",

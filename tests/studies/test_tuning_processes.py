@@ -1,0 +1,176 @@
+"""Studies in worker processes: the same trials however many workers, however often killed."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from tuning_checks import essence, in_journal
+
+from simulation.errors import InputError
+from studies.crew import Crew
+from studies.file_lock import FileLock
+from studies.paths import ProjectPaths
+from studies.study_spec import StudySpec, TuneEvent
+from studies.trial_record import TrialRecord, read_records
+from studies.tuning import tune
+
+MakeSpec = Callable[..., StudySpec]
+N = 7
+ROOT = Path(__file__).resolve().parent.parent.parent
+PARENT = """
+import pickle, sys
+from pathlib import Path
+from studies.paths import ProjectPaths
+from studies.tuning import tune
+
+if __name__ == "__main__":
+    specs = pickle.loads(Path(sys.argv[1]).read_bytes())
+    tune(specs, paths=ProjectPaths(Path(sys.argv[2])), n_trials=7, n_jobs=2,
+         on_event=lambda event: print(event.kind, event.index, flush=True))
+"""
+
+
+@pytest.fixture(scope="module")
+def specs(make_spec: MakeSpec) -> list[StudySpec]:
+    return [make_spec(16), make_spec(24)]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(
+    specs: list[StudySpec], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, list[tuple[object, ...]]]:
+    """What the trials of both studies are when one worker runs them in one go."""
+    paths = ProjectPaths(tmp_path_factory.mktemp("undisturbed"))
+    heard: list[TuneEvent] = []
+    summaries = tune(specs, paths=paths, n_trials=N, n_jobs=1, on_event=heard.append)
+    assert [summary.n_train for summary in summaries] == [16, 24]
+    assert [summary.n_trials for summary in summaries] == [N, N]
+    assert [event.n_train for event in heard if event.kind == "study-finished"] == [24, 16]
+    assert sum(event.kind == "trial-finished" for event in heard) == 2 * N
+    again: list[TuneEvent] = []
+    assert tune(specs, paths=paths, n_trials=N, on_event=again.append) == summaries
+    assert again == []
+    return {spec.name: essence(records_of(spec, paths)) for spec in specs}
+
+
+@pytest.fixture
+def parent(specs: list[StudySpec], tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A command that tunes both studies with two workers, as a user's shell would start it."""
+    script, given = tmp_path / "parent.py", tmp_path / "specs.pickle"
+    script.write_text(PARENT)
+    given.write_bytes(pickle.dumps(specs))
+    command = [sys.executable, str(script), str(given), str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        start_new_session=True,
+    ) as process:
+        yield process
+        if process.poll() is None:
+            process.kill()
+
+
+def records_of(spec: StudySpec, paths: ProjectPaths) -> list[TrialRecord]:
+    return read_records(spec.folder(paths.mlruns))
+
+
+def wait_for_trial(process: subprocess.Popen[str], index: int) -> None:
+    """Read the command's output until a trial has begun."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.split() == ["trial-started", str(index)]:
+            return
+    raise AssertionError(f"the command ended early: {process.stderr and process.stderr.read()}")
+
+
+def wait_for_end(processes: list[psutil.Process]) -> None:
+    _, alive = psutil.wait_procs(processes, timeout=10)
+    assert not alive
+
+
+def assert_all_as_undisturbed(
+    specs: list[StudySpec], paths: ProjectPaths, undisturbed: dict[str, list[tuple[object, ...]]]
+) -> None:
+    tune(specs, paths=paths, n_trials=N, n_jobs=2)
+    for spec in specs:
+        assert essence(records_of(spec, paths)) == undisturbed[spec.name]
+        assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
+        assert (paths.champion(spec.label, spec.n_train) / "champion.json").is_file()
+
+
+def test_killed_command_takes_its_workers_along_and_the_next_one_goes_on(
+    specs: list[StudySpec],
+    parent: subprocess.Popen[str],
+    tmp_path: Path,
+    undisturbed: dict[str, list[tuple[object, ...]]],
+) -> None:
+    wait_for_trial(parent, 2)
+    workers = psutil.Process(parent.pid).children(recursive=True)
+    parent.send_signal(signal.SIGKILL)
+    wait_for_end(workers)
+    paths = ProjectPaths(tmp_path)
+    finished = {spec.name: records_of(spec, paths) for spec in specs}
+    assert any(finished.values())
+    assert_all_as_undisturbed(specs, paths, undisturbed)
+    for spec in specs:  # no finished trial was run again
+        n_before = len(finished[spec.name])
+        assert records_of(spec, paths)[:n_before] == finished[spec.name]
+
+
+def test_ctrl_c_stops_soon_and_leaves_no_ghost(
+    specs: list[StudySpec],
+    parent: subprocess.Popen[str],
+    tmp_path: Path,
+    undisturbed: dict[str, list[tuple[object, ...]]],
+) -> None:
+    wait_for_trial(parent, 3)
+    workers = psutil.Process(parent.pid).children(recursive=True)
+    started = time.monotonic()
+    os.killpg(parent.pid, signal.SIGINT)  # as a terminal does: the whole group
+    _, errors = parent.communicate(timeout=20)
+    assert time.monotonic() - started < 10.0
+    assert parent.returncode != 0
+    assert errors.strip().endswith("KeyboardInterrupt")
+    wait_for_end(workers)
+    paths = ProjectPaths(tmp_path)
+    for spec in specs:
+        assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
+    assert_all_as_undisturbed(specs, paths, undisturbed)
+
+
+def test_worker_killed_once_is_replaced_and_killed_twice_is_a_failed_trial(
+    make_spec: MakeSpec, project: ProjectPaths
+) -> None:
+    spec = make_spec(16)
+    crew = Crew(mlruns=project.mlruns, n_trials=4, n_workers=1)
+    n_kills = 0
+    for _, event in crew.run([spec]):
+        if event.kind == "trial-started" and event.index == 1 and n_kills < 2:
+            n_kills += 1
+            os.kill(crew.pids[0], signal.SIGKILL)
+    records = records_of(spec, project)
+    assert n_kills == 2
+    assert [record.state for record in records] == ["complete", "failed", "complete", "complete"]
+    assert "ended twice (exit code -9)" in records[1].reason
+    assert not [t for t in in_journal(spec, project.mlruns) if not t.state.is_finished()]
+
+
+def test_input_error_of_a_worker_is_one_line_here(make_spec: MakeSpec, project: ProjectPaths) -> None:
+    spec = make_spec(16)
+    with (
+        FileLock(spec.lock_file(project.mlruns)),
+        pytest.raises(InputError, match="by another process") as caught,
+    ):
+        tune([spec], paths=project, n_trials=1, n_jobs=1)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,119 @@
+"""The search space and the choice of the next trial."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from optuna.distributions import FloatDistribution, IntDistribution
+
+from pelsvae.config import VARIANTS
+from simulation.errors import InputError
+from studies.profile import SearchRanges
+from studies.search_space import PastTrial, derived_seed, distributions, nearest_params, suggest, to_settings
+from studies.study_spec import StudySpec
+
+RANGES = SearchRanges(n_latent=(4, 128), n_hidden=(32, 256), beta=(1.0, 1000.0), learning_rate=(1e-4, 1e-2))
+DEFAULT = VARIANTS["refined"].to_dict()
+
+
+def history(n: int) -> list[PastTrial]:
+    """Make up trials whose error depends on beta alone."""
+    past: list[PastTrial] = []
+    for index in range(n):
+        params = suggest(RANGES, past, default=DEFAULT, seed=derived_seed(1, index))
+        past.append(PastTrial(params, value=abs(params["beta"] - 30.0), complete=index % 4 != 3))
+    return past
+
+
+def test_widths_are_searched_as_powers_of_two_and_rates_logarithmically() -> None:
+    space = distributions(RANGES)
+    assert space["log2_n_latent"] == IntDistribution(2, 7)
+    assert space["log2_n_hidden"] == IntDistribution(5, 8)
+    assert space["beta"] == FloatDistribution(1.0, 1000.0, log=True)
+    assert "n_layers" not in space
+
+
+def test_settings_are_those_of_the_surrogate() -> None:
+    settings = to_settings({"log2_n_latent": 5, "beta": 7.0})
+    assert settings == {"n_latent": 32, "beta": 7.0}
+    VARIANTS["paper"].replace(**settings)
+
+
+def test_first_suggestion_is_the_default() -> None:
+    first = suggest(RANGES, [], default=DEFAULT, seed=3)
+    assert to_settings(first) == {
+        name: DEFAULT[name] for name in ("n_latent", "n_hidden", "beta", "learning_rate")
+    }
+
+
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_suggestion_depends_on_history_and_seed_alone(n: int) -> None:
+    past = history(n)
+    once = suggest(RANGES, past, default=DEFAULT, seed=11)
+    assert suggest(RANGES, past, default=DEFAULT, seed=11) == once
+    assert suggest(RANGES, past, default=DEFAULT, seed=12) != once
+
+
+@given(
+    n_latent=st.integers(1, 1000),
+    n_hidden=st.integers(1, 1000),
+    beta=st.floats(1e-6, 1e6),
+    learning_rate=st.floats(1e-9, 1.0),
+)
+def test_nearest_params_lie_in_the_ranges(
+    n_latent: int, n_hidden: int, beta: float, learning_rate: float
+) -> None:
+    settings: dict[str, Any] = {"n_latent": n_latent, "n_hidden": n_hidden}
+    settings |= {"beta": beta, "learning_rate": learning_rate}
+    params = nearest_params(RANGES, settings)
+    for name, distribution in distributions(RANGES).items():
+        assert distribution._contains(distribution.to_internal_repr(params[name]))
+
+
+@given(st.integers(0, 2**31), st.integers(0, 1000))
+def test_derived_seeds_are_32_bit_and_differ_by_use(seed: int, index: int) -> None:
+    assert 0 <= derived_seed(seed, index, 0) < 2**32
+    assert derived_seed(seed, index, 0) != derived_seed(seed, index, 1)
+
+
+def test_study_digest_covers_what_decides_and_nothing_else(make_spec: Any) -> None:
+    spec: StudySpec = make_spec()
+    assert (
+        make_spec(note="other", label="other", overrides={**spec.overrides, "device": "auto"}).digest
+        == spec.digest
+    )
+    changes: list[dict[str, Any]] = [
+        {"case_digest": "d" * 64},
+        {"train_digest": "d" * 64},
+        {"validation_digest": "d" * 64},
+        {"variant": "paper"},
+        {"overrides": {**spec.overrides, "max_epochs": 21}},
+        {"search": SearchRanges()},
+        {"seed": 6},
+        {"n_train": 17},
+    ]
+    digests = {make_spec(**change).digest for change in changes}
+    assert len(digests | {spec.digest}) == len(changes) + 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"variant": "best"}, "no variant 'best'; choose among"),
+        ({"overrides": {"n_epochs": 3}}, "training settings of toy-small: unknown surrogate settings"),
+        ({"overrides": {"patience": 0}}, "training settings of toy-small: patience = 0"),
+    ],
+)
+def test_impossible_settings_are_one_line_before_any_work(
+    make_spec: Any, change: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        _ = make_spec(**change).base_config
+
+
+def test_too_few_training_rows_are_one_line(make_spec: Any) -> None:
+    with pytest.raises(
+        InputError, match=r"train.npz has 32 rows, n_train is 33; simulate more or ask for less"
+    ):
+        make_spec(n_train=33)
