@@ -57,7 +57,7 @@ class SurrogateConfig:
     schedule: Schedule = "constant"
     max_epochs: int = 3000
     patience: int = 300
-    validate_every: int = 10
+    validate_every: int = 20
     device: Device = "auto"
     n_threads: int | None = None
 
@@ -142,14 +142,16 @@ def _check_type(name: str, value: object, hint: object) -> None:
 VARIANTS: dict[str, SurrogateConfig] = {
     "paper": SurrogateConfig(),
     "refined": SurrogateConfig(
+        n_hidden=256,
+        n_layers=3,
         activation="silu",
         theta_features="linear+log",
+        learning_rate=5e-3,
+        weight_decay=0.5,
         optimizer="adamw",
         schedule="one-cycle",
-        learning_rate=3e-3,
-        weight_decay=1e-2,
-        max_epochs=1000,
-        patience=1000,
+        max_epochs=600,
+        patience=600,
     ),
 }
 """Named forms of the same Eq. 3-7: "paper" as published, "refined" with what was found to help."""

@@ -85,14 +85,17 @@ class Surrogate:
             ValueError: As for `predict`.
         """
         point = torch.from_numpy(self._checked(theta, n_dimensions=1)).to(self.eps.device)
-
-        def flat_prediction(at: Tensor) -> Tensor:
-            return self.network.predict(self._features(at[None, :]), self.eps)[0]
-
-        with n_threads_set(self.config.n_threads):
-            slope = torch.func.jacfwd(flat_prediction)(point)  # (t * k, p)
+        with torch.enable_grad(), n_threads_set(self.config.n_threads):
+            point.requires_grad_()
+            x = self.network.predict(self._features(point[None, :]), self.eps)[0]  # (t * k,)
+            # Two reverse passes make a forward pass: v -> J'v is linear, so its derivative is J'. That is
+            # p gradients, not t * k; torch's own forward mode loads its deprecated script compiler.
+            v = torch.zeros_like(x, requires_grad=True)
+            (product,) = torch.autograd.grad(x, point, v, create_graph=True)  # J'v, (p,)
+            unit = torch.eye(point.numel(), dtype=product.dtype, device=product.device)
+            (transposed,) = torch.autograd.grad(product, v, unit, is_grads_batched=True)  # (p, t * k)
         shape = (self.shape.n_times, self.shape.n_outputs, self.shape.n_parameters)
-        standardized: Array = slope.detach().cpu().numpy().astype(np.float64).reshape(shape)
+        standardized: Array = transposed.T.cpu().numpy().astype(np.float64).reshape(shape)
         return standardized * self.output_standardizer.deviation[:, None]
 
     def in_double(self) -> Surrogate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import zipfile
@@ -88,7 +89,7 @@ def load_surrogate(folder: Path, device: Device) -> Surrogate:
             f"{folder / WEIGHTS} is damaged or not the one that {DESCRIPTION} names; train or copy both again"
         )
     try:
-        arrays = _read_arrays(folder / WEIGHTS)
+        arrays = _read_arrays(content)
         return _assembled(config, shape, arrays, resolve_device(device))
     except (KeyError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{folder / WEIGHTS} does not fit {DESCRIPTION}: {error}") from error
@@ -103,9 +104,9 @@ def _read_description(path: Path) -> tuple[SurrogateConfig, SurrogateShape, str]
     return SurrogateConfig.from_dict(read["config"]), shape, str(read["weights_sha256"])
 
 
-def _read_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+def _read_arrays(content: bytes) -> dict[str, npt.NDArray[Any]]:
     """Return all arrays by name; object arrays are refused."""
-    with np.load(path, allow_pickle=False) as file:
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 
 

@@ -1,0 +1,33 @@
+"""A closed-form case for the surrogate: the step response of one resistance and one capacity."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pelsvae.config import SurrogateConfig
+
+TIME_S = np.linspace(0.0, 40.0, 21)
+SMALL = SurrogateConfig(
+    n_latent=4,
+    n_hidden=16,
+    n_layers=3,
+    activation="silu",
+    theta_features="linear+log",
+    n_prediction_samples=6,
+    learning_rate=1e-2,
+    max_epochs=60,
+    patience=60,
+    validate_every=5,
+    device="cpu",
+    n_threads=1,
+)
+
+
+def rc_step(n: int, seed: int, n_outputs: int = 1) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return theta (n, 2) = (R, C) and y (n, 21, k): temperature, then heat flow in another unit."""
+    theta = np.random.default_rng(seed).uniform([1.0, 2.0], [3.0, 8.0], size=(n, 2))
+    decay = np.exp(-TIME_S / theta.prod(axis=1, keepdims=True))
+    temperature = 20.0 + 5.0 * (1.0 - decay)
+    flow = 1e4 * 5.0 * decay / theta[:, :1]
+    return theta, np.stack([temperature, flow], axis=2)[:, :, :n_outputs]

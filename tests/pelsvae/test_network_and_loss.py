@@ -1,0 +1,145 @@
+"""Eq. 3-7 term by term, against closed forms, torch.distributions and slow loops over rows and samples."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from rc_step_for_tests import SMALL
+
+from pelsvae.loss import kl_divergence, objective, reconstruction, regression_mean, regression_scale
+from pelsvae.network import PelsVae, latent_samples
+
+FLOAT64_TOL = 1e-12  # rounding of some hundred float64 operations on numbers near 1
+N_FEATURES, N_OUTPUTS, N_ROWS, N_SAMPLES = 3, 7, 5, 4
+gaussians = hnp.arrays(np.float64, (2, 3, 4), elements=st.floats(-20.0, 20.0))
+
+
+def network(seed: int = 0) -> PelsVae:
+    return PelsVae(N_FEATURES, N_OUTPUTS, SMALL, torch.Generator().manual_seed(seed)).double()
+
+
+def batch() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    shapes = [(N_ROWS, N_OUTPUTS), (N_ROWS, N_FEATURES), (N_SAMPLES, N_ROWS, SMALL.n_latent)]
+    x, theta, eps = (torch.randn(shape, generator=generator, dtype=torch.float64) for shape in shapes)
+    return x, theta, eps
+
+
+@given(gaussians)
+@settings(deadline=None)
+def test_kl_is_never_negative(moments: np.ndarray) -> None:
+    mean, log_variance = torch.from_numpy(moments)
+    assert kl_divergence(mean, log_variance).item() >= 0.0
+    assert kl_divergence(mean.float(), log_variance.float()).item() >= 0.0
+
+
+@given(gaussians)
+@settings(deadline=None)
+def test_kl_equals_torch_distributions(moments: np.ndarray) -> None:
+    mean, log_variance = torch.from_numpy(moments)
+    q = torch.distributions.Normal(mean, torch.exp(0.5 * log_variance))
+    p = torch.distributions.Normal(torch.zeros_like(mean), torch.ones_like(mean))
+    expected = torch.distributions.kl_divergence(q, p).sum(dim=1).mean()
+    assert kl_divergence(mean, log_variance).item() == pytest.approx(expected.item(), rel=1e-10, abs=1e-10)
+
+
+def test_kl_is_zero_at_the_standard_normal() -> None:
+    assert kl_divergence(torch.zeros(3, 4), torch.zeros(3, 4)).item() == 0.0
+
+
+def test_kl_golden_value_in_one_dimension() -> None:
+    # By hand from Eq. 4: mu = 1, sigma = 2 gives (4 + 1 - 1 - log 4) / 2.
+    kl = kl_divergence(torch.tensor([[1.0]], dtype=torch.float64), torch.tensor([[math.log(4.0)]]))
+    assert kl.item() == pytest.approx(2.0 - math.log(2.0), rel=1e-7)
+
+
+def test_scale_term_compares_sigma_not_its_logarithm() -> None:
+    log_four, log_nine = (torch.tensor([[math.log(v)]], dtype=torch.float64) for v in (4.0, 9.0))
+    assert regression_scale(log_four, log_nine).item() == pytest.approx((3.0 - 2.0) ** 2, rel=FLOAT64_TOL)
+
+
+def test_every_term_equals_its_slow_loop() -> None:
+    net, (x, theta, eps), beta = network(), batch(), 7.0
+    totals = np.zeros(4)
+    for i in range(N_ROWS):
+        mean, log_variance = (m[0].tolist() for m in net.encoder(x[i : i + 1], theta[i : i + 1]))
+        mean_re, log_variance_re = (m[0].tolist() for m in net.regressor(theta[i : i + 1]))
+        decoded = np.zeros(N_OUTPUTS)
+        for sample in eps[:, i]:
+            z = [m + math.exp(v / 2) * e for m, v, e in zip(mean, log_variance, sample.tolist(), strict=True)]
+            z_one = torch.tensor([[z]], dtype=torch.float64)  # (1, 1, z): one sample, one row
+            decoded += net.decoder(z_one, theta[i : i + 1])[0].detach().numpy() / N_SAMPLES
+        n_latent = len(mean)
+        kl = sum(-0.5 * (1 + v - math.exp(v) - m * m) for m, v in zip(mean, log_variance, strict=True))
+        error = sum((decoded[j] - x[i, j].item()) ** 2 for j in range(N_OUTPUTS)) / N_OUTPUTS
+        of_mean = sum((a - b) ** 2 for a, b in zip(mean, mean_re, strict=True)) / n_latent
+        of_scale = (
+            sum(
+                (math.exp(a / 2) - math.exp(b / 2)) ** 2
+                for a, b in zip(log_variance, log_variance_re, strict=True)
+            )
+            / n_latent
+        )
+        totals += np.array([kl, error, of_mean, of_scale]) / N_ROWS
+    terms = objective(net, x, theta, eps=eps, beta=beta)
+    np.testing.assert_allclose([t.item() for t in terms[1:]], totals, rtol=1e-10)
+    assert terms.total.item() == pytest.approx(totals @ [1.0, beta, 1.0, 1.0], rel=1e-10)
+
+
+def test_averaging_before_the_last_layer_is_the_mean_of_decoded_samples() -> None:
+    net, (x, theta, eps) = network(), batch()
+    z = latent_samples(*net.encoder(x, theta), eps)
+    one_by_one = torch.stack([net.decoder(sample[None], theta) for sample in z]).mean(dim=0)
+    torch.testing.assert_close(net.decoder(z, theta), one_by_one, rtol=FLOAT64_TOL, atol=FLOAT64_TOL)
+
+
+def test_prediction_is_regressor_then_mean_of_samples() -> None:
+    net, (_, theta, _) = network(), batch()
+    eps = torch.randn(N_SAMPLES, SMALL.n_latent, dtype=torch.float64, generator=torch.Generator())
+    mean, log_variance = net.regressor(theta)
+    samples = [net.decoder((mean + torch.exp(0.5 * log_variance) * e)[None], theta) for e in eps]
+    expected = torch.stack(samples).mean(dim=0)
+    torch.testing.assert_close(net.predict(theta, eps), expected, rtol=FLOAT64_TOL, atol=FLOAT64_TOL)
+
+
+def test_all_three_networks_see_theta() -> None:
+    net, (x, theta, _) = network(), batch()
+    z = torch.zeros(1, N_ROWS, SMALL.n_latent, dtype=torch.float64)
+    for function in (
+        lambda at: net.encoder(x, at)[0],
+        lambda at: net.regressor(at)[1],
+        lambda at: net.decoder(z, at),
+    ):
+        assert not torch.equal(function(theta), function(theta + 1.0))
+
+
+def test_regression_terms_reach_the_encoder_unless_detached() -> None:
+    def encoder_gradients(detach: bool) -> list[torch.Tensor | None]:
+        net, (x, theta, eps) = network(), batch()
+        terms = objective(net, x, theta, eps=eps, beta=1.0, detach_encoder=detach)
+        (terms.regression_mean + terms.regression_scale).backward()
+        assert net.regressing[0].weight.grad is not None
+        return [weight.grad for weight in net.encoding.parameters()]
+
+    assert all(gradient is None for gradient in encoder_gradients(detach=True))
+    assert all(gradient is not None and gradient.any() for gradient in encoder_gradients(detach=False))
+
+
+def test_simple_terms_are_means_over_all_entries() -> None:
+    zero, two = torch.zeros(2, 3), torch.full((2, 3), 2.0)
+    assert reconstruction(zero, two).item() == 4.0
+    assert regression_mean(zero, two).item() == 4.0
+
+
+def test_weights_come_from_the_generator_alone() -> None:
+    before = torch.get_rng_state()
+    weights = [torch.cat([w.flatten() for w in network(seed).parameters()]) for seed in (3, 3, 4)]
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+    assert torch.equal(torch.get_rng_state(), before)

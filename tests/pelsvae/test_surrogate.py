@@ -1,0 +1,201 @@
+"""A trained surrogate: predictions, Jacobian, and its two files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rc_step_for_tests import SMALL, rc_step
+
+from pelsvae.surrogate import Surrogate
+from pelsvae.training import fit
+
+# Central differences with a relative step of 1e-5 in float64: truncation 1e-10, cancellation 1e-11.
+FLOAT64_JACOBIAN_TOL = 1e-7
+FLOAT32_TOL = 1e-5  # relative to the largest value: float32 sums in another order
+
+
+@pytest.fixture(scope="module")
+def surrogate() -> Surrogate:
+    validation = rc_step(20, seed=2, n_outputs=2)
+    return fit(*rc_step(32, seed=1, n_outputs=2), validation, config=SMALL, seed=0).surrogate
+
+
+def test_prediction_has_physical_shape_and_precision(surrogate: Surrogate) -> None:
+    theta, y = rc_step(7, seed=3, n_outputs=2)
+    predicted = surrogate.predict(theta)
+    assert (predicted.shape, predicted.dtype) == (y.shape, np.float64)
+    assert (surrogate.shape.n_parameters, surrogate.shape.n_times, surrogate.shape.n_outputs) == (2, 21, 2)
+    assert surrogate.predict(theta[:0]).shape == (0, 21, 2)
+    np.testing.assert_array_equal(predicted, surrogate.predict(theta))
+
+
+def test_prediction_leaves_its_argument_alone(surrogate: Surrogate) -> None:
+    theta, _ = rc_step(7, seed=3)
+    theta.setflags(write=False)
+    surrogate.predict(theta)
+    surrogate.predict(np.asfortranarray(theta)[::-1])
+
+
+@given(st.permutations(range(600)))
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_rows_are_independent_of_order_and_chunk(surrogate: Surrogate, order: list[int]) -> None:
+    theta, _ = rc_step(600, seed=4)
+    together = surrogate.predict(theta)
+    scale = np.abs(together).max(axis=(0, 1))
+    assert (np.abs(surrogate.predict(theta[order]) - together[order]) <= FLOAT32_TOL * scale).all()
+    alone = np.concatenate([surrogate.predict(theta[i : i + 1]) for i in order[:5]])
+    assert (np.abs(alone - together[order[:5]]) <= FLOAT32_TOL * scale).all()
+
+
+def test_nan_row_stays_a_nan_row(surrogate: Surrogate) -> None:
+    theta, _ = rc_step(4, seed=3)
+    theta[1, 0] = np.nan
+    predicted = surrogate.predict(theta)
+    assert np.isnan(predicted[1]).all()
+    assert np.isfinite(predicted[[0, 2, 3]]).all()
+
+
+def test_wrong_parameters_are_refused(surrogate: Surrogate) -> None:
+    with pytest.raises(ValueError, match=r"theta has shape \(3, 5\); this surrogate takes \(n, 2\)"):
+        surrogate.predict(np.ones((3, 5)))
+    with pytest.raises(ValueError, match=r"theta has shape \(1, 2\); this surrogate takes \(2\)"):
+        surrogate.jacobian(np.ones((1, 2)))
+    with pytest.raises(ValueError, match=r"parameter columns \[1\] enter by their logarithm"):
+        surrogate.predict([[1.0, 0.0]])
+
+
+def test_jacobian_equals_finite_differences(surrogate: Surrogate) -> None:
+    double = surrogate.in_double()
+    theta = np.array([1.7, 4.2])
+    jacobian = double.jacobian(theta)
+    assert jacobian.shape == (21, 2, 2)
+    for i in range(2):
+        step = np.eye(2)[i] * 1e-5 * theta[i]
+        low, high = double.predict(np.stack([theta - step, theta + step]))
+        slope = (high - low) / (2 * step[i])
+        scale = np.abs(jacobian[:, :, i]).max(axis=0)
+        assert (np.abs(slope - jacobian[:, :, i]) <= FLOAT64_JACOBIAN_TOL * scale).all()
+
+
+def test_float32_jacobian_agrees_with_float64(surrogate: Surrogate) -> None:
+    theta = np.array([1.7, 4.2])
+    single, double = surrogate.jacobian(theta), surrogate.in_double().jacobian(theta)
+    assert single.dtype == np.float64
+    scale = np.abs(double).max(axis=(0, 2))[:, None]
+    assert (np.abs(single - double) <= FLOAT32_TOL * scale).all()
+
+
+def test_loaded_surrogate_is_the_same_bit_for_bit(surrogate: Surrogate, tmp_path: Path) -> None:
+    theta, _ = rc_step(300, seed=5)
+    surrogate.save(tmp_path / "a" / "n0032")
+    moved = (tmp_path / "a").rename(tmp_path / "b") / "n0032"
+    loaded = Surrogate.load(moved, device="cpu")
+    assert sorted(file.name for file in moved.iterdir()) == ["surrogate.json", "weights.npz"]
+    assert (loaded.config, loaded.shape) == (surrogate.config, surrogate.shape)
+    np.testing.assert_array_equal(loaded.predict(theta), surrogate.predict(theta))
+    np.testing.assert_array_equal(loaded.jacobian(theta[0]), surrogate.jacobian(theta[0]))
+    loaded.save(tmp_path / "c")
+    for name in ("surrogate.json", "weights.npz"):
+        assert (tmp_path / "c" / name).read_bytes() == (moved / name).read_bytes()
+
+
+def test_double_precision_survives_saving(surrogate: Surrogate, tmp_path: Path) -> None:
+    theta, _ = rc_step(3, seed=5)
+    double = surrogate.in_double()
+    double.save(tmp_path)
+    np.testing.assert_array_equal(Surrogate.load(tmp_path).predict(theta), double.predict(theta))
+
+
+def test_files_hold_no_pickle(surrogate: Surrogate, tmp_path: Path) -> None:
+    surrogate.save(tmp_path)
+    with np.load(tmp_path / "weights.npz", allow_pickle=False) as file:
+        assert all(file[name].dtype.kind in "fi" for name in file.files)
+
+
+@pytest.mark.parametrize("missing", ["weights.npz", "surrogate.json"])
+def test_missing_file_is_named(surrogate: Surrogate, tmp_path: Path, missing: str) -> None:
+    surrogate.save(tmp_path)
+    (tmp_path / missing).unlink()
+    with pytest.raises(FileNotFoundError, match=f"{missing} is missing"):
+        Surrogate.load(tmp_path)
+
+
+def test_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no surrogate in"):
+        Surrogate.load(tmp_path / "nothing")
+
+
+def edited(folder: Path, **changes: object) -> None:
+    path = folder / "surrogate.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_damaged_weights_are_refused(surrogate: Surrogate, tmp_path: Path) -> None:
+    surrogate.save(tmp_path)
+    weights = tmp_path / "weights.npz"
+    cut = weights.read_bytes()[:-100]
+    weights.write_bytes(cut)
+    with pytest.raises(ValueError, match=r"weights.npz is damaged or not the one"):
+        Surrogate.load(tmp_path)
+    edited(tmp_path, weights_sha256=hashlib.sha256(cut).hexdigest())
+    with pytest.raises(ValueError, match=r"weights.npz does not fit surrogate.json"):
+        Surrogate.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"format": 99},
+        {"format": None},
+        {"config": {"n_latnet": 4}},
+        {"config": "small"},
+        {"n_times": "many"},
+    ],
+)
+def test_damaged_description_is_refused(
+    surrogate: Surrogate, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    surrogate.save(tmp_path)
+    edited(tmp_path, **changes)
+    with pytest.raises(ValueError, match=r"surrogate.json is damaged"):
+        Surrogate.load(tmp_path)
+
+
+def test_description_that_is_no_json_is_refused(surrogate: Surrogate, tmp_path: Path) -> None:
+    surrogate.save(tmp_path)
+    for text in ("{", "[]", "null"):
+        (tmp_path / "surrogate.json").write_text(text)
+        with pytest.raises(ValueError, match=r"surrogate.json is damaged"):
+            Surrogate.load(tmp_path)
+    (tmp_path / "surrogate.json").write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"surrogate.json is damaged"):
+        Surrogate.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"n_times": 20}, {"n_parameters": 3}, {"config": SMALL.replace(n_hidden=8).to_dict()}],
+)
+def test_description_of_another_network_is_refused(
+    surrogate: Surrogate, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    surrogate.save(tmp_path)
+    edited(tmp_path, **changes)
+    with pytest.raises(ValueError, match=r"does not fit surrogate.json"):
+        Surrogate.load(tmp_path)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
+def test_one_surrogate_predicts_alike_on_cpu_and_cuda(surrogate: Surrogate, tmp_path: Path) -> None:
+    surrogate.save(tmp_path)
+    theta, _ = rc_step(300, seed=5)
+    on_cuda = Surrogate.load(tmp_path, device="cuda").predict(theta)
+    expected = surrogate.predict(theta)
+    assert np.abs(on_cuda - expected).max() <= 1e-3 * np.abs(expected).max()

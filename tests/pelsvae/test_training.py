@@ -1,0 +1,200 @@
+"""`fit`: it learns, stops, restores, repeats, and refuses what cannot be trained."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from rc_step_for_tests import SMALL, rc_step
+
+from pelsvae.config import VARIANTS, SurrogateConfig
+from pelsvae.metrics import errors
+from pelsvae.training import HISTORY_KEYS, EpochReport, FitResult, TrainingDiverged, fit
+
+FLOAT32_TOL = 1e-5  # relative; the same float32 sums, with denormals kept or flushed
+
+
+def trained(seed: int = 0, n: int = 24, n_outputs: int = 1, **changes: object) -> FitResult:
+    theta, y = rc_step(n, seed=1, n_outputs=n_outputs)
+    config = SurrogateConfig.from_dict({**SMALL.to_dict(), **changes})
+    return fit(theta, y, rc_step(20, seed=2, n_outputs=n_outputs), config=config, seed=seed)
+
+
+@pytest.mark.parametrize("variant", sorted(VARIANTS))
+def test_each_variant_learns_the_step_response(variant: str) -> None:
+    theta, y = rc_step(64, seed=1)
+    test_theta, test_y = rc_step(50, seed=3)
+    config = VARIANTS[variant].replace(n_hidden=32, n_latent=8, max_epochs=400, device="cpu", n_threads=1)
+    result = fit(theta, y, rc_step(20, seed=2), config=config, seed=0)
+    mae = errors(result.surrogate.predict(test_theta), test_y).mae
+    mae_of_the_mean = np.abs(test_y - y.mean(axis=0)).mean()
+    assert mae < 0.25 * mae_of_the_mean
+
+
+def test_same_seed_same_numbers_and_other_seed_others() -> None:
+    theta, _ = rc_step(5, seed=9)
+    first, again, other = (trained(seed).surrogate.predict(theta) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.0
+
+
+def test_minibatches_are_repeatable_too() -> None:
+    first, again = (trained(batch_size=7, max_epochs=10).history["loss"] for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def test_global_state_of_torch_is_left_alone() -> None:
+    random_state, n_threads = torch.get_rng_state(), torch.get_num_threads()
+    trained(max_epochs=5)
+    assert torch.equal(torch.get_rng_state(), random_state)
+    assert torch.get_num_threads() == n_threads
+    assert (torch.tensor([1e-40]) * 1.0).item() != 0.0  # denormals are kept again
+
+
+def test_history_has_one_row_per_validated_epoch() -> None:
+    reports: list[EpochReport] = []
+    theta, y = rc_step(24, seed=1)
+    config = SMALL.replace(max_epochs=12)
+    result = fit(theta, y, rc_step(20, seed=2), config=config, seed=0, on_epoch=reports.append)
+    assert tuple(result.history) == HISTORY_KEYS
+    assert result.history["epoch"].tolist() == [5.0, 10.0, 12.0]
+    assert [(r.epoch, r.max_epochs) for r in reports] == [(5, 12), (10, 12), (12, 12)]
+    assert [r.validation_mae for r in reports] == result.history["validation_mae"].tolist()
+    total = result.history["kl"] + config.beta * result.history["reconstruction"]
+    total += result.history["regression_mean"] + result.history["regression_scale"]
+    np.testing.assert_allclose(result.history["loss"], total, rtol=FLOAT32_TOL)
+
+
+def test_early_stopping_restores_the_best_weights() -> None:
+    # A learning rate that wanders: the last weights are not the best.
+    result = trained(learning_rate=0.1, max_epochs=2000, patience=40, validate_every=1)
+    validation = result.history["validation_mae"]
+    assert result.stop_reason == "patience"
+    assert result.n_epochs - result.best_epoch == 40
+    assert result.best_epoch == int(result.history["epoch"][validation.argmin()])
+    theta, y = rc_step(20, seed=2)
+    restored = errors(result.surrogate.predict(theta), y).mae
+    assert restored == pytest.approx(validation.min(), rel=FLOAT32_TOL)
+    assert restored < validation[-1]
+
+
+def test_full_length_is_reported_as_such() -> None:
+    result = trained(max_epochs=10)
+    assert (result.stop_reason, result.n_epochs) == ("max_epochs", 10)
+
+
+def test_exception_of_on_epoch_reaches_the_caller() -> None:
+    class PrunedError(Exception):
+        pass
+
+    def prune(report: EpochReport) -> None:
+        if report.epoch >= 10:
+            raise PrunedError(report.epoch)
+
+    theta, y = rc_step(24, seed=1)
+    n_threads = torch.get_num_threads()
+    with pytest.raises(PrunedError, match="10"):
+        fit(theta, y, rc_step(20, seed=2), config=SMALL, seed=0, on_epoch=prune)
+    assert torch.get_num_threads() == n_threads
+    assert (torch.tensor([1e-40]) * 1.0).item() != 0.0
+
+
+def test_divergence_is_its_own_exception() -> None:
+    with pytest.raises(TrainingDiverged, match="lower learning_rate"):
+        trained(learning_rate=1e20)
+
+
+def test_several_outputs_of_different_size_are_learned_alike() -> None:
+    result = trained(n=64, n_outputs=2, max_epochs=300, n_hidden=32)
+    theta, y = rc_step(50, seed=3, n_outputs=2)
+    predicted = result.surrogate.predict(theta)
+    assert predicted.shape == y.shape
+    scale = np.abs(y - y.mean(axis=0)).mean(axis=(0, 1))
+    assert (np.abs(predicted - y).mean(axis=(0, 1)) < 0.25 * scale).all()
+
+
+def test_one_training_row_is_reproduced() -> None:
+    result = trained(n=1)
+    theta, y = rc_step(1, seed=1)
+    assert np.isfinite(result.history["loss"]).all()
+    # Every standardized output is 0 here; what is left is a network near 0 at the scale of 1 K.
+    assert np.abs(result.surrogate.predict(theta) - y).max() < 0.5
+
+
+def test_constant_parameter_and_constant_output_are_harmless() -> None:
+    theta, y = rc_step(24, seed=1)
+    theta = np.column_stack([theta, np.full(24, 0.7)])
+    y = np.concatenate([y, np.full_like(y, 3.0)], axis=2)
+    result = fit(theta, y, (theta, y), config=SMALL, seed=0)
+    predicted = result.surrogate.predict(theta)
+    assert np.isfinite(predicted).all()
+    assert np.isfinite(result.surrogate.jacobian(theta[0])).all()
+
+
+def test_prediction_draws_come_in_pairs() -> None:
+    eps = trained(max_epochs=5).surrogate.eps
+    assert eps.shape == (SMALL.n_prediction_samples, SMALL.n_latent)
+    assert torch.equal(eps[:3], -eps[3:])
+    assert trained(max_epochs=5, n_prediction_samples=3).surrogate.eps.shape[0] == 3
+
+
+def test_logarithms_are_taken_where_values_allow() -> None:
+    theta, y = rc_step(24, seed=1)
+    theta = np.column_stack([theta, np.linspace(-1.0, 1.0, 24)])
+    free = fit(theta, y, (theta, y), config=SMALL.replace(max_epochs=5), seed=0)
+    assert free.surrogate.theta_standardizer.log_columns.tolist() == [0, 1]
+    chosen = fit(
+        theta, y, (theta, y), config=SMALL.replace(max_epochs=5), seed=0, log_columns=[False, True, False]
+    )
+    assert chosen.surrogate.theta_standardizer.log_columns.tolist() == [1]
+    with pytest.raises(ValueError, match=r"parameter columns \[2\] enter by their logarithm"):
+        fit(theta, y, (theta, y), config=SMALL, seed=0, log_columns=[False, True, True])
+    with pytest.raises(ValueError, match="log_columns must be 3 booleans"):
+        fit(theta, y, (theta, y), config=SMALL, seed=0, log_columns=[True, True])
+
+
+def test_nan_rows_are_the_callers_to_drop() -> None:
+    theta, y = rc_step(24, seed=1)
+    y[3] = math.nan
+    with pytest.raises(ValueError, match="1 of 24 training rows are not finite; drop failed rows"):
+        fit(theta, y, rc_step(20, seed=2), config=SMALL, seed=0)
+    with pytest.raises(ValueError, match="1 of 24 validation rows"):
+        fit(*rc_step(24, seed=1), (theta, y), config=SMALL, seed=0)
+
+
+def test_shapes_that_do_not_fit_are_named() -> None:
+    theta, y = rc_step(24, seed=1)
+    with pytest.raises(ValueError, match=r"training needs theta \(n, p\) and y \(n, t, k\)"):
+        fit(theta, y[:, :, 0], (theta, y), config=SMALL, seed=0)
+    with pytest.raises(ValueError, match="training needs theta"):
+        fit(theta[:5], y, (theta, y), config=SMALL, seed=0)
+    with pytest.raises(ValueError, match="validation needs theta"):
+        fit(theta, y, (theta[:0], y[:0]), config=SMALL, seed=0)
+    with pytest.raises(ValueError, match="do not go with training's"):
+        fit(theta, y, (theta, y[:, :-1]), config=SMALL, seed=0)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="asks what happens where there is no CUDA device")
+def test_cuda_asked_for_where_there_is_none() -> None:
+    with pytest.raises(ValueError, match="no CUDA device here"):
+        trained(device="cuda")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
+def test_cuda_trains_and_predicts_like_the_cpu() -> None:
+    cpu, cuda = trained(max_epochs=5), trained(max_epochs=5, device="cuda")
+    theta, y = rc_step(50, seed=3)
+    assert cuda.surrogate.eps.is_cuda
+    weights = [dict(r.surrogate.network.named_parameters()) for r in (cpu, cuda)]
+    assert {n: w.shape for n, w in weights[0].items()} == {n: w.shape for n, w in weights[1].items()}
+    assert errors(cuda.surrogate.predict(theta), y).mae < np.abs(y - y.mean(axis=0)).mean()
+    assert cuda.surrogate.jacobian(theta[0]).shape == (21, 1, 2)
+
+
+def test_results_are_frozen() -> None:
+    result = trained(max_epochs=5)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.best_epoch = 1  # type: ignore[misc]
