@@ -1,13 +1,10 @@
 """What each command does: put a study together, run its stages, show or hand over the results."""
 
 import argparse
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from simulation.case import load_case
-from simulation.errors import InputError
 from studies.console import Column, Console
 from studies.paths import find_case, find_project
 from studies.pipeline import Outcome, Study
@@ -179,17 +176,18 @@ def open_study(options: argparse.Namespace, console: Console) -> Study:
         profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
     if given.get("max_calls"):
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
-    case = load_case(find_case(paths, options.case), window_d=options.window)
-    if case.name != case.name.strip() or os.sep in case.name:
-        raise InputError(
-            f"{case.path}: the name {case.name!r} cannot name a folder; use letters, digits and -"
-        )
+    file = find_case(paths, options.case)
+    # Heavy imports wait until the words of the command line are known to be good.
+    from simulation.case import load_case
+    from simulation.parallel import available_cores
+
+    case = load_case(file, window_d=options.window)
     return Study(
         case=case,
         profile=profile,
         paths=paths,
         console=console,
-        n_jobs=options.jobs or len(os.sched_getaffinity(0)),
+        n_jobs=options.jobs or available_cores(),
         label=f"{case.name}-{profile.name}{label_end}",
         command=_command(options),
     )

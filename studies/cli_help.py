@@ -1,9 +1,10 @@
 """What `--help` of each command teaches: what happens, examples, where results land."""
 
 CHECK = """\
-what happens: reads the case, checks names, units, bounds and data against the FMU, simulates the estimates and
-the corners of the box, a reused against a fresh instance, half the communication step, moves every parameter
-once, and says what the profile will cost. Exit code 1 if anything fails; each finding says what to do.
+what happens: reads the case, checks names, units, bounds and data against the FMU, simulates the
+estimates and the corners of the box, a reused against a fresh instance, half the communication step,
+moves every parameter once, and says what the profile will cost. Exit code 1 if anything fails; each
+finding says what to do.
 
 examples:
   studies check                            the office
@@ -11,35 +12,37 @@ examples:
   studies check office --window 8-16 --profile paper --json
 """
 SIMULATE = """\
-what happens: one training design (its first n rows are the training set of size n), a validation and a test set
-that every study shares. Chunks land in data/<case>/generated/; a chunk that is there is never simulated again.
-Failed simulations are kept as such, counted, and left out of training.
+what happens: one training design (its first n rows are the training set of size n), a validation and a
+test set that every study shares. Chunks land in data/<case>/generated/; a chunk that is there is never
+simulated again. Failed simulations are kept as such, counted, and left out of training.
 
 examples:
   studies simulate --profile paper
   studies simulate my-case/ --jobs 8
 """
 SENSITIVITY = """\
-what happens: Saltelli's sample on the FMU itself, indices with bootstrapped confidence intervals at every output
-step. Lands in mlruns/results/<label>/sensitivity.npz; the table shows averages over time.
+what happens: Saltelli's sample on the FMU itself, indices with bootstrapped confidence intervals at
+every output step. Lands in mlruns/results/<label>/sensitivity.npz; the table shows averages over time.
 
 examples:
   studies sensitivity
   studies sensitivity office --window 8-16 --json
 """
 TUNE = """\
-what happens: one Optuna study per size in mlruns/optuna.journal; each trial trains a PELS-VAE and becomes an MLflow
-run with its learning curves and errors in kelvin. The best of each size lands in mlruns/champions/<label>/ and in
-the MLflow registry. A resumed study equals an uninterrupted one; more --trials extend it.
+what happens: one Optuna study per size in mlruns/optuna.journal; each trial trains a PELS-VAE and
+becomes an MLflow run with its learning curves and errors in kelvin. The best of each size lands in
+mlruns/champions/<label>/ and in the MLflow registry. A resumed study equals an uninterrupted one; more
+--trials extend it.
 
 examples:
   studies tune                             all sizes of the profile
   studies tune --n-train 32 128 --trials 20
 """
 CALIBRATE = """\
-what happens: differential evolution searches the whole box on the stored surrogate; the FMU is asked at the found
-point (the screening gap) and polished from there by LS-TRF. Every FMU call is counted. Needs the champion
-folder alone. Lands in mlruns/results/<label>/calibration-n<size>.json and .npz, and in MLflow.
+what happens: differential evolution searches the whole box on the stored surrogate; the FMU is asked at
+the found point (the screening gap) and polished from there by LS-TRF. Every FMU call is counted. Needs
+the champion folder alone. Lands in mlruns/results/<label>/calibration-n<size>.json and .npz, and in
+MLflow.
 
 examples:
   studies calibrate --n-train 64           prints the stored result if nothing changed
@@ -47,15 +50,16 @@ examples:
   studies calibrate --max-calls 100 --target 0.0121 --json
 """
 REPORT = """\
-what happens: gathers all stored results of the label into mlruns/reports/<label>/index.html with its figures.
+what happens: gathers all stored results of the label into mlruns/reports/<label>/index.html with its
+figures.
 
 examples:
   studies report
   studies report office-recorded --profile paper
 """
 UI = """\
-what happens: starts `mlflow ui` on 127.0.0.1 with this project's store (mlruns/mlflow.db) and prints the address.
-Ctrl-C stops it.
+what happens: starts `mlflow ui` on 127.0.0.1 with this project's store (mlruns/mlflow.db) and prints
+the address. Ctrl-C stops it.
 
 examples:
   studies ui
@@ -63,8 +67,8 @@ examples:
   studies ui --dry-run --json              what would be started
 """
 IMPORT = """\
-what happens: reads a recording as published (variables TRoom, TEnv, TSupply, FlowSupply, TRLTSupply, RLTFlow,
-IrrGH every 1800 s and Occupancy every 600 s, first column time in s), checks it, and writes
+what happens: reads a recording as published (variables TRoom, TEnv, TSupply, FlowSupply, TRLTSupply,
+RLTFlow, IrrGH every 1800 s and Occupancy every 600 s, first column time in s), checks it, and writes
 data/office-recorded/recording_1800s.csv and occupancy_600s.csv for the case office-recorded.
 
 examples:
@@ -73,8 +77,9 @@ examples:
   studies import-recording recording_1800s.csv occupancy_600s.csv
 """
 RUN = """\
-what happens: check, simulate, sensitivity, tune, calibrate (every size), report. A finished stage is skipped,
-an interrupted one goes on where it stopped. The report lands in mlruns/reports/<label>/index.html.
+what happens: check, simulate, sensitivity, tune, calibrate (every size), report. A finished stage is
+skipped, an interrupted one goes on where it stopped. The report lands in
+mlruns/reports/<label>/index.html.
 
 examples:
   studies run                              the office, quick profile

@@ -248,12 +248,12 @@ def _halving(case: Case, halved: Case, base: FloatArray, nominal: Trajectories) 
     if fine.failed[0]:
         return Finding(what, "warn", f"failed: {fine.failures[0]}", "check the FMU's smallest step")
     change = np.abs(fine.y[0] - nominal.y[0]).max(axis=0)
-    share = float(np.max(change / case.measurement.uncertainty))
+    share, most = float(np.max(change / case.measurement.uncertainty)), float(change.max())
     good = share <= STEP_SHARE
     return Finding(
         what,
         "ok" if good else "warn",
-        f"changes the output by {float(change.max()):.3g} at most, {share:.2g} times the sensor's uncertainty",
+        f"changes the output by {most:.3g} at most, {share:.2g} times the sensor's uncertainty",
         "" if good else "lower communication_step_s in the case file, or choose another interpolation",
     )
 

@@ -1,7 +1,7 @@
 """Stages with a memory: a stage whose inputs have a known digest and whose files exist is finished.
 
-Each stage leaves a manifest beside the results: digest, inputs, files, versions, wall time, host, seeds. It is
-written last and in one step, so that an interruption at any moment leaves either a finished stage or none.
+Each stage leaves a manifest beside the results: digest, inputs, files, versions, wall time, host, seeds. It
+is written last and in one step, so that an interruption at any moment leaves a finished stage or none.
 """
 
 import hashlib
@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from simulation.case import Case
 from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.profile import Profile
+
+if TYPE_CHECKING:
+    from simulation.case import Case
 
 PACKAGES = ("pelsvae-studies", "numpy", "scipy", "torch", "optuna", "mlflow", "fmpy", "numba", "SALib")
 Summary = dict[str, Any]
@@ -40,7 +42,7 @@ class Study:
         command: the end of the command line that names this study, for messages and the report.
     """
 
-    case: Case
+    case: "Case"
     profile: Profile
     paths: ProjectPaths
     console: Console
@@ -142,7 +144,7 @@ def run_stage(
 
 
 def read_manifest(paths: ProjectPaths, file: Path, digest: str) -> dict[str, Any] | None:
-    """Return a finished stage's manifest, or None where it is absent, of other inputs, or a file of it is gone."""
+    """Return a finished stage's manifest, None where it is absent, of other inputs, or a file is gone."""
     manifest = read_json(file)
     if manifest is None or manifest.get("digest") != digest:
         return None

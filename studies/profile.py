@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
+from pydantic_core import ArgsKwargs
 
 from simulation.errors import InputError
 
@@ -167,11 +168,19 @@ def load_profile(profile: str) -> Profile:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{file} is no TOML: {error}") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise InputError(
-            f"{file}: {key}: {first['msg']} (profiles to compare with: {PROFILE_FOLDER})"
-        ) from None
+        raise InputError(f"{file}: {_in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
+
+
+def _in_one_line(error: ValidationError) -> str:
+    """Say the fault a user can best act on: a misspelt key before the missing one that it leaves."""
+    faults = error.errors(include_url=False)
+    unknown = [fault for fault in faults if fault["type"] == "unexpected_keyword_argument"]
+    fault = (unknown or faults)[0]
+    key = ".".join(str(part) for part in fault["loc"]) or "the file"
+    if unknown:
+        return f"unknown key {key}; remove or correct it"
+    value = "" if isinstance(fault["input"], dict | ArgsKwargs) else f" = {fault['input']!r}"
+    return f"{key}{value}: {fault['msg'].removeprefix('Value error, ')}"
 
 
 def profile_names() -> list[str]:

@@ -83,7 +83,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
 
 def show_tuning(study: Study, outcome: Outcome) -> None:
     """Print the best surrogate of each size."""
-    unit = study.case.outputs[0].unit
+    unit = difference_unit(study.case.outputs[0].unit)
     columns = [
         Column("n_train", True),
         Column("trials", True),

@@ -115,7 +115,7 @@ def simulate_stage(study: Study) -> Outcome:
     return run_stage(
         study,
         "simulate",
-        what=f"{total} simulations ({sizes['train']} training, {sizes['validation']} validation, {sizes['test']} test)",
+        what=f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})",
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"{summary['n_simulations']} simulations reused",

@@ -1,0 +1,234 @@
+"""Wrong inputs: each one clear line, exit code 2, no traceback, nothing written."""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY, Answer, Run
+
+CASE = "fmus/office/case.toml"
+RECORDING = "data/office/recording_1800s.csv"
+SMALL_PROFILE = """\
+schema = 1
+name = "small"
+[data]
+n_train = [16, 32]
+[tuning]
+n_trials = 2
+"""
+
+
+def assert_refused(answer: Answer, *fragments: str) -> None:
+    """Check that an answer is one clear line that names what is wrong."""
+    assert answer.code == 2, answer.err
+    lines = answer.err.splitlines()
+    assert len(lines) == 1, answer.err
+    assert lines[0].startswith("studies: error: ")
+    for fragment in fragments:
+        assert fragment in lines[0]
+    assert answer.out == ""
+
+
+def files_of(project: Path) -> dict[str, int]:
+    return {str(file.relative_to(project)): file.stat().st_mtime_ns for file in project.rglob("*")}
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert text.count(old) >= 1, f"{old!r} is not in {file}"
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def edit_line(file: Path, number: int, new: str | None) -> None:
+    """Replace a line (counted from 1), or drop it."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    lines[number - 1 : number] = [] if new is None else [new]
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fragments"),
+    [
+        pytest.param('fmu = "Office.fmu"', 'fmu = "Offfice.fmu"', ["Offfice.fmu"], id="fmu-missing"),
+        pytest.param('fmu = "Office.fmu"', 'fmu = "case.toml"', ["case.toml", "zip"], id="fmu-not-a-zip"),
+        pytest.param("schema = 1", "schema = 1\nsparam = 3", ["sparam"], id="unknown-key"),
+        pytest.param("schema = 1", "schema = 7", ["schema"], id="unknown-schema"),
+        pytest.param("schema = 1", "schema = ", ["case.toml"], id="no-toml"),
+        pytest.param('name = "UWin"', 'name = "UWinn"', ["UWinn", "UWin"], id="parameter-not-in-fmu"),
+        pytest.param('name = "TAmbEq"', 'name = "TAmbEqu"', ["TAmbEqu", "TAmbEq"], id="input-not-in-fmu"),
+        pytest.param('name = "TAir"', 'name = "TAmb"', ["TAmb"], id="output-is-an-input"),
+        pytest.param('unit = "W/(m2.K)"', 'unit = "W/K"', ["UWin", "W/K", "W/(m2.K)"], id="unit"),
+        pytest.param("lower = 0.14", "lower = 14.0", ["UWin"], id="bounds-reversed"),
+        pytest.param("estimate = 0.7", "estimate = 70.0", ["UWin", "70"], id="estimate-outside"),
+        pytest.param("lower = 0.14", "lower = 0.0", ["UWin"], id="logarithm-of-zero"),
+        pytest.param('column = "TEnv_degC"', 'column = "TEnv"', ["TEnv", "recording_1800s.csv"], id="column"),
+        pytest.param('"recording_1800s.csv"', '"recording.csv"', ["recording.csv"], id="csv-missing"),
+        pytest.param('interpolation = "held"', 'interpolation = "cubic"', ["cubic"], id="interpolation"),
+        pytest.param("window_d = [0, 10]", "window_d = [10, 0]", ["window_d"], id="window-reversed"),
+        pytest.param("window_d = [0, 10]", "window_d = [0, 100]", ["100", "days"], id="window-too-long"),
+        pytest.param("communication_step_s = 600", "communication_step_s = 700", ["700"], id="steps"),
+        pytest.param('first_measured = "TAir"', 'first_measured = "TRoom"', ["TRoom"], id="first-measured"),
+    ],
+)
+def test_a_wrong_case_file_is_refused(
+    project: Path, studies: Run, old: str, new: str, fragments: list[str]
+) -> None:
+    edit(project / CASE, old, new)
+    before = files_of(project)
+    assert_refused(studies("check"), *fragments)
+    assert files_of(project) == before
+
+
+@pytest.mark.parametrize(
+    ("number", "new", "fragments"),
+    [
+        pytest.param(1, "time_s,TRoom,TEnv_degC", ["recording_1800s.csv"], id="heading"),
+        pytest.param(5, "5400,nan,0,28,1,20.5,0,0", ["TRoom_degC", "5"], id="nan"),
+        pytest.param(5, "5400,,0,28,1,20.5,0,0", ["TRoom_degC", "5"], id="empty-cell"),
+        pytest.param(5, "5400,warm,0,28,1,20.5,0,0", ["warm", "5"], id="no-number"),
+        pytest.param(5, "5400,22.0,0,28", ["5"], id="short-line"),
+        pytest.param(5, None, ["recording_1800s.csv"], id="gap"),
+        pytest.param(5, "3600,22,0,28,1,20.5,0,0", ["recording_1800s.csv", "5"], id="time-twice"),
+        pytest.param(5, "1800,22,0,28,1,20.5,0,0", ["recording_1800s.csv", "5"], id="time-goes-back"),
+    ],
+)
+def test_a_wrong_recording_is_refused(
+    project: Path, studies: Run, number: int, new: str | None, fragments: list[str]
+) -> None:
+    edit_line(project / RECORDING, number, new)
+    before = files_of(project)
+    assert_refused(studies("simulate"), *fragments)
+    assert files_of(project) == before
+
+
+def test_a_recording_too_short_for_the_window_is_refused(project: Path, studies: Run) -> None:
+    lines = (project / RECORDING).read_text(encoding="utf-8").splitlines()[: 48 * 5]
+    (project / RECORDING).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert_refused(studies("simulate"), "recording_1800s.csv", "window")
+
+
+def test_an_fmu_without_a_binary_for_this_machine_is_refused(project: Path, studies: Run) -> None:
+    fmu = project / "fmus" / "office" / "Office.fmu"
+    with zipfile.ZipFile(fmu) as archive:
+        kept = {name: archive.read(name) for name in archive.namelist() if not name.startswith("binaries/")}
+    with zipfile.ZipFile(fmu, "w") as archive:
+        for name, content in kept.items():
+            archive.writestr(name, content)
+    assert_refused(studies("check"), "Office.fmu")
+
+
+def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> None:
+    with zipfile.ZipFile(project / "fmus" / "office" / "Office.fmu", "w") as archive:
+        archive.writestr("readme.txt", "no model here")
+    assert_refused(studies("check"), "Office.fmu", "modelDescription.xml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        pytest.param(["check", "ofice"], ["ofice", "did you mean 'office'"], id="case-name"),
+        pytest.param(["check", "nowhere/case.toml"], ["nowhere/case.toml"], id="case-file"),
+        pytest.param(["check", "data"], ["data", "case.toml"], id="case-folder"),
+        pytest.param(["simulate", "--window", "10-0"], ["--window", "10-0"], id="window-reversed"),
+        pytest.param(["simulate", "--window", "ten"], ["--window", "ten"], id="window-no-numbers"),
+        pytest.param(["simulate", "--window", "0-99"], ["99"], id="window-beyond-the-data"),
+        pytest.param(["run", "--profile", "quickly"], ["quickly", "quick"], id="profile"),
+        pytest.param(["run", "--seed", "-1"], ["--seed", "-1"], id="seed"),
+        pytest.param(["run", "--jobs", "0"], ["--jobs", "0"], id="jobs"),
+        pytest.param(["tune", "--n-train", "many"], ["--n-train", "many"], id="n-train"),
+        pytest.param(["tune", "--trials", "0"], ["--trials", "0"], id="trials"),
+        pytest.param(["calibrate", "--target", "-1"], ["--target", "-1"], id="target"),
+        pytest.param(["calibrate", "--max-calls", "1.5"], ["--max-calls", "1.5"], id="max-calls"),
+        pytest.param(["calibrate"], ["no surrogate", "studies tune office"], id="nothing-tuned"),
+        pytest.param(["calibrate", "--n-train", "64"], ["64", "--n-train 64"], id="size-not-tuned"),
+        pytest.param(["report"], ["no calibration", "studies run office"], id="nothing-to-report"),
+        pytest.param(["ui"], ["mlflow.db", "studies run"], id="no-store"),
+        pytest.param(["ui", "--port", "99999"], ["99999"], id="port"),
+        pytest.param(["frobnicate"], ["frobnicate"], id="command"),
+        pytest.param([], ["COMMAND"], id="no-command"),
+        pytest.param(["check", "--frobnicate"], ["--frobnicate"], id="option"),
+        pytest.param(["import-recording"], ["FILE"], id="no-recording"),
+        pytest.param(["import-recording", "gone.mat"], ["gone.mat"], id="recording-missing"),
+    ],
+)
+def test_wrong_options_are_refused(
+    project: Path, studies: Run, arguments: list[str], fragments: list[str]
+) -> None:
+    before = files_of(project)
+    assert_refused(studies(*arguments), *fragments)
+    assert files_of(project) == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fragments"),
+    [
+        pytest.param("n_trials = 2", "n_trails = 2", ["n_trails"], id="unknown-key"),
+        pytest.param("n_trials = 2", "n_trials = 0", ["n_trials"], id="no-trials"),
+        pytest.param("[16, 32]", "[32, 16]", ["n_train", "ascending"], id="sizes-descending"),
+        pytest.param("n_trials = 2", 'n_trials = 2\nvariant = "magic"', ["variant", "paper"], id="variant"),
+        pytest.param("[data]", "[data", ["small.toml"], id="no-toml"),
+        pytest.param(
+            "[data]", "[sensitivity]\nn_base = 100\n[data]", ["sensitivity", "power of two"], id="n-base"
+        ),
+    ],
+)
+def test_a_wrong_profile_is_refused(
+    project: Path, studies: Run, old: str, new: str, fragments: list[str]
+) -> None:
+    file = project / "small.toml"
+    file.write_text(SMALL_PROFILE.replace(old, new), encoding="utf-8")
+    assert_refused(studies("run", "--profile", str(file)), "small.toml", *fragments)
+
+
+def test_a_wrong_root_is_refused(project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STUDIES_ROOT", str(project / "gone"))
+    assert_refused(studies("check"), "STUDIES_ROOT", "gone")
+
+
+def test_a_taken_port_is_refused(project: Path, studies: Run) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = str(other.getsockname()[1])
+        assert_refused(studies("ui", "--port", port), port, "taken")
+
+
+@pytest.mark.parametrize("arguments", [["check", "ofice"], ["tune", "--trials", "x"], ["ui"]])
+def test_json_says_errors_on_stdout_too(project: Path, studies: Run, arguments: list[str]) -> None:
+    answer = studies(*arguments, "--json")
+    assert answer.code == 2
+    assert len(answer.err.splitlines()) == 1
+    assert answer.err == f"studies: error: {answer.document['error']}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments", [["check", "ofice"], ["check", "--window", "3"], ["calibrate", "--json"]]
+)
+def test_a_process_of_its_own_answers_the_same(project: Path, arguments: list[str]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "studies", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        check=False,
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    if "--json" in arguments:
+        assert set(json.loads(done.stdout)) == {"error"}
+    else:
+        assert done.stdout == ""
+
+
+def test_a_damaged_champion_is_refused(project: Path, studies: Run) -> None:
+    folder = project / "mlruns" / "champions" / "office-quick" / "n0064"
+    folder.mkdir(parents=True)
+    (folder / "champion.json").write_text("{", encoding="utf-8")
+    assert_refused(studies("calibrate", "--n-train", "64"), "champion.json", "damaged")
+    shutil.rmtree(folder)
