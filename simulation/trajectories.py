@@ -121,7 +121,9 @@ class Trajectories:
         Returns:
             The selected rows, in the order asked for.
         """
-        rows = np.arange(self.n)[np.asarray(indices)]
+        chosen = np.asarray(indices)
+        # An empty list comes as floats.
+        rows = np.arange(self.n)[chosen if chosen.size else chosen.astype(np.intp)]
         return Trajectories(
             theta=self.theta[rows],
             y=self.y[rows],

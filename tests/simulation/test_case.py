@@ -1,0 +1,173 @@
+"""Cases: what a good one holds, and the real office through the whole chain."""
+
+import pickle
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.case import Case, load_case
+from simulation.parallel import ParallelModel
+
+
+def test_a_case_holds_what_its_file_says(decay_case: Path):
+    case = load_case(decay_case)
+    assert (case.name, case.title, case.note, case.interface) == ("decay", "One state", "", "co-simulation")
+    assert case.path == decay_case / "case.toml"
+    assert case.fmu_path == decay_case / "decay.fmu"
+    assert case.window_d == (0.25, 0.75)
+    assert (case.communication_step_s, case.output_step_s) == (600, 1800)
+    assert case.parameter_space.names == ("k", "mode")
+    assert case.parameter_space.is_log.tolist() == [True, False]
+    assert case.scenario.input_names == ("u",)
+    assert case.scenario.inputs.shape == (72, 1)
+    assert case.measurement.y.shape == (25, 1)
+    assert np.array_equal(case.measurement.time, case.scenario.time)
+    # Measured in degC, started in K.
+    assert case.fixed["x0"] == pytest.approx(case.measurement.y[0, 0] + 273.15, abs=1e-12)
+    assert case.outputs[0].unit == "degC"
+    assert case.measurement.uncertainty.tolist() == [0.5]
+
+
+def test_the_file_and_its_folder_are_the_same_case(decay_case: Path):
+    assert load_case(decay_case).digest == load_case(decay_case / "case.toml").digest
+
+
+def test_a_window_of_the_caller_replaces_the_file_s(decay_case: Path):
+    case = load_case(decay_case, window_d=(0, 1))
+    assert case.window_d == (0.0, 1.0)
+    assert len(case.measurement.time) == 49
+    assert case.digest != load_case(decay_case).digest
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ('title = "One state"', 'title = "Another"', True),
+        ("schema = 1", 'schema = 1\nnote = "said"', True),
+        ('description = "rate"', 'description = "the rate"', True),
+        ("estimate = 1e-4", "estimate = 2e-4", True),
+        ("lower = 2e-5", "lower = 3e-5", False),
+        ("communication_step_s = 600", "communication_step_s = 300", False),
+        ("[0.25, 0.75]", "[0.25, 0.5]", False),
+        ('"linear"', '"smooth"', False),
+        ('{ first_measured = "y" }', "290.0", False),
+        ('unit = "degC"', 'unit = "K"', False),
+    ],
+)
+def test_the_digest_sees_what_decides_the_answers_and_nothing_else(
+    decay_case: Path, old: str, new: str, same: bool
+):
+    before = load_case(decay_case).digest
+    text = (decay_case / "case.toml").read_text()
+    assert old in text
+    (decay_case / "case.toml").write_text(text.replace(old, new))
+    assert (load_case(decay_case).digest == before) is same
+
+
+def test_the_digest_does_not_see_the_place(decay_case: Path, tmp_path: Path):
+    moved = shutil.copytree(decay_case, tmp_path / "elsewhere")
+    assert load_case(moved).digest == load_case(decay_case).digest
+
+
+def test_the_digest_sees_the_fmu_and_the_inputs(decay_case: Path):
+    before = load_case(decay_case)
+    recording = decay_case / "data" / "recording.csv"
+    text = recording.read_text()
+    recording.write_text(text.replace("0.001000000", "0.001000001"))
+    changed_input = load_case(decay_case, window_d=(0, 0.5))
+    recording.write_text(text)
+    assert changed_input.digest != load_case(decay_case, window_d=(0, 0.5)).digest
+    with (decay_case / "decay.fmu").open("ab") as file:
+        file.write(b" ")
+    assert load_case(decay_case).digest != before.digest
+
+
+def test_a_sum_of_columns_is_interpolated_then_summed_then_converted(decay_case: Path):
+    text = (decay_case / "case.toml").read_text()
+    (decay_case / "case.toml").write_text(
+        text.replace('column = "heating"', "sum = { heating = 2.0, T_degC = 0.5 }")
+    )
+    single = load_case(decay_case)
+    (decay_case / "case.toml").write_text(text)
+    heating = load_case(decay_case).scenario.inputs
+    (decay_case / "case.toml").write_text(text.replace('column = "heating"', 'column = "T_degC"'))
+    warmth = load_case(decay_case).scenario.inputs
+    np.testing.assert_allclose(single.scenario.inputs, 2.0 * heating + 0.5 * warmth, rtol=1e-12)
+
+
+def test_the_recipe_of_the_model_travels(decay_case: Path):
+    case = load_case(decay_case)
+    make_model = pickle.loads(pickle.dumps(case.make_model))
+    row = np.array([[1e-4, 0.0]])
+    with make_model() as model, case.open_model() as other:
+        assert model.simulate(row).digest == other.simulate(row).digest
+
+
+@pytest.fixture(scope="module")
+def office(office_folder: Path, office_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """The office's own case file on the published recording, days 0 to 10."""
+    folder = tmp_path_factory.mktemp("office")
+    shutil.copy(office_folder / "Office.fmu", folder)
+    lines = (office_folder / "case.toml").read_text().splitlines()
+    lines = [f'data = "{office_recording}"' if line.startswith("data =") else line for line in lines]
+    (folder / "case.toml").write_text("\n".join(lines))
+    return load_case(folder, window_d=(0, 10))
+
+
+@pytest.fixture(scope="module")
+def rows(office: Case) -> np.ndarray:
+    """Sixteen rows all over the box."""
+    draw = np.random.default_rng(0).random((16, office.parameter_space.n_parameters))
+    return office.parameter_space.from_unit(draw)
+
+
+def test_the_office_answers_everywhere_in_its_box(office: Case, rows: np.ndarray):
+    space = office.parameter_space
+    with office.open_model() as model:
+        corners = model.simulate(np.stack([space.lower, space.upper]))
+        answer = model.simulate(rows)
+    assert not corners.failed.any()
+    assert not answer.failed.any()
+    assert answer.y.shape == (16, 481, 1)
+    # In degC, and it starts at the first measured temperature.
+    np.testing.assert_allclose(answer.y[:, 0, 0], office.measurement.y[0, 0], atol=1e-9)
+    assert (np.abs(answer.y) < 100).all()
+
+
+def test_every_parameter_of_the_office_moves_its_temperature(office: Case):
+    middle = office.parameter_space.from_unit(np.full((1, office.parameter_space.n_parameters), 0.5))
+    moved = np.repeat(middle, middle.shape[1], axis=0)
+    u = np.full_like(moved, 0.5)
+    np.fill_diagonal(u, 0.6)
+    with office.open_model() as model:
+        base, answer = model.simulate(middle), model.simulate(office.parameter_space.from_unit(u))
+    effect = np.abs(answer.y - base.y).max(axis=(1, 2))
+    assert (effect > 1e-4).all(), dict(zip(office.parameter_space.names, effect, strict=True))
+
+
+def test_the_office_is_the_same_reused_fresh_and_spread_over_processes(office: Case, rows: np.ndarray):
+    with office.open_model() as model:
+        model.simulate(rows[::-1])
+        reused = model.simulate(rows)
+    for index in (0, 15):
+        with office.open_model() as model:
+            assert model.simulate(rows[[index]]).digest == reused.take([index]).digest
+    with ParallelModel(office.make_model, 2, pool_pays_s=0.0) as parallel:
+        assert parallel.simulate(rows).digest == reused.digest
+        assert parallel.simulate(rows).digest == reused.digest
+
+
+def test_halving_the_communication_step_of_the_office_converges(office: Case, rows: np.ndarray):
+    text = office.path.read_text()
+    answers = []
+    for step_s in (1800, 600, 200):
+        path = office.path.with_name(f"step-{step_s}.toml")
+        path.write_text(text.replace("communication_step_s = 600", f"communication_step_s = {step_s}"))
+        with load_case(path, window_d=(0, 10)).open_model() as model:
+            answers.append(model.simulate(rows).y)
+    coarse, fine = (np.abs(answer - answers[-1]).mean() for answer in answers[:2])
+    assert fine < coarse / 2
+    # A tenth of the sensor's 0.5 K at the declared step.
+    assert fine < 0.05

@@ -1,0 +1,93 @@
+"""Inputs over communication steps: held, linear and smooth, each against an independent calculation."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.interpolate import PchipInterpolator
+
+from simulation.scenario import Scenario, covers, values_over_steps
+
+TIME = np.arange(9) * 1800.0
+VALUES = np.array([0.0, 1.0, 1.0, 4.0, 3.0, 3.5, -2.0, 0.0, 1.0])
+
+
+def _edges(start: float, step: float, n: int) -> np.ndarray:
+    return start + step * np.arange(n + 1)
+
+
+def test_a_held_value_is_the_last_sample_when_the_step_starts():
+    edges = _edges(1800, 600, 9)
+    held = values_over_steps(TIME, VALUES, edges, interpolation="held")
+    assert held.tolist() == [1, 1, 1, 1, 1, 1, 4, 4, 4]
+
+
+def test_held_values_do_not_slip_by_the_rounding_of_sums():
+    step = 0.1
+    time = np.cumsum(np.full(1000, step)) - step
+    edges = step * np.arange(1000)
+    held = values_over_steps(time, np.arange(1000.0), edges, interpolation="held")
+    assert held.tolist() == list(range(999))
+
+
+def test_a_linear_mean_is_the_trapezoid():
+    # Steps of 2400 s straddle samples: pieces between all breaks, by hand.
+    edges = _edges(0, 2400, 6)
+    fine = np.arange(0, 14400 + 1, 600.0)
+    line = np.interp(fine, TIME, VALUES)
+    trapezoids = ((line[1:] + line[:-1]) / 2).reshape(6, 4).mean(axis=1)
+    linear = values_over_steps(TIME, VALUES, edges, interpolation="linear")
+    np.testing.assert_allclose(linear, trapezoids, rtol=1e-13, atol=1e-13)
+
+
+def test_a_smooth_mean_is_the_quadrature_of_pchip():
+    edges = _edges(900, 700, 18)
+    curve = PchipInterpolator(TIME, VALUES)
+    smooth = values_over_steps(TIME, VALUES, edges, interpolation="smooth")
+    for value, a, b in zip(smooth, edges[:-1], edges[1:], strict=True):
+        inside = TIME[(a < TIME) & (b > TIME)]
+        area = quad(curve, a, b, points=inside if len(inside) else None, epsabs=1e-9)[0]
+        assert value == pytest.approx(area / (b - a), abs=1e-10)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(["held", "linear", "smooth"]), st.floats(-1e4, 1e4), st.integers(0, 20))
+def test_a_constant_stays_what_it_is(interpolation: str, level: float, day: int):
+    time = TIME + day * 86400
+    values = values_over_steps(time, np.full(9, level), _edges(time[0], 600, 24), interpolation=interpolation)
+    np.testing.assert_allclose(values, level, rtol=1e-12)
+
+
+@settings(deadline=None)
+@given(st.sampled_from(["linear", "smooth"]), st.lists(st.floats(-50, 50), min_size=9, max_size=9))
+def test_means_keep_the_integral_whatever_the_step(interpolation: str, samples: list[float]):
+    values = np.array(samples)
+    coarse = values_over_steps(TIME, values, _edges(0, 3600, 4), interpolation=interpolation)
+    fine = values_over_steps(TIME, values, _edges(0, 400, 36), interpolation=interpolation)
+    np.testing.assert_allclose(fine.reshape(4, 9).mean(axis=1), coarse, atol=1e-9)
+    assert fine.min() >= values.min() - 1e-9
+    assert fine.max() <= values.max() + 1e-9
+
+
+def test_nothing_is_extended_silently():
+    assert covers(TIME, _edges(0, 600, 27), "held")
+    assert not covers(TIME, _edges(0, 600, 28), "held")
+    assert covers(TIME, _edges(0, 600, 24), "smooth")
+    assert not covers(TIME, _edges(0, 600, 25), "smooth")
+    assert not covers(TIME, _edges(-600, 600, 5), "held")
+    for interpolation in ("held", "linear", "smooth"):
+        with pytest.raises(ValueError, match="does not cover"):
+            values_over_steps(TIME, VALUES, _edges(0, 600, 30), interpolation=interpolation)
+
+
+def test_outputs_lie_on_every_so_manyth_edge():
+    scenario = Scenario(_edges(100, 600, 6), np.zeros((6, 1)), ("u",), 3)
+    assert scenario.time.tolist() == [100, 1900, 3700]
+
+
+def test_a_scenario_that_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="expected"):
+        Scenario(_edges(0, 600, 6), np.zeros((5, 1)), ("u",), 3)
+    with pytest.raises(ValueError, match="every 4"):
+        Scenario(_edges(0, 600, 6), np.zeros((6, 1)), ("u",), 4)

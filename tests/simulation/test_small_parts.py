@@ -1,0 +1,102 @@
+"""Counting, units, toys and measurements."""
+
+import numpy as np
+import pytest
+
+from simulation.counting import BudgetExceeded, CountingModel
+from simulation.errors import InputError
+from simulation.measurement import Measurement
+from simulation.toy import IshigamiToy, ProductToy, ToyRC
+from simulation.units import offset_between, same_unit
+
+ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
+
+
+def test_every_row_asked_for_is_counted_also_the_failed_ones():
+    model = CountingModel(ToyRC())
+    model.simulate(ROWS)
+    model.simulate(ROWS[:1])
+    assert model.n_calls == 4
+
+
+def test_a_batch_beyond_the_budget_is_refused_whole_and_not_counted():
+    inner = CountingModel(ToyRC())
+    model = CountingModel(inner, budget=4)
+    model.simulate(ROWS)
+    with pytest.raises(BudgetExceeded, match=r"3 more calls would exceed the budget of 4 \(3 used\)"):
+        model.simulate(ROWS)
+    assert (model.n_calls, inner.n_calls) == (3, 3)
+    model.simulate(ROWS[:1])
+    assert model.n_calls == model.budget == 4
+
+
+def test_a_negative_budget_is_refused():
+    with pytest.raises(ValueError, match="budget is -1"):
+        CountingModel(ToyRC(), budget=-1)
+
+
+def test_the_rc_toy_obeys_its_differential_equation():
+    model = ToyRC(time=np.linspace(0, 3600, 3601))
+    y = model.simulate(np.array([[1.5, 1e4]])).y[0, :, 0]
+    # Central differences on 1 s: their error is y''' / 6, some 1e-10 K/s here.
+    rate = (y[2:] - y[:-2]) / 2
+    np.testing.assert_allclose(1e4 * rate, 10.0 - (y[1:-1] - 10.0) / 1.5, atol=1e-4)
+    assert y[0] == 10.0
+
+
+def test_the_product_toy_shows_the_product_alone():
+    y = ProductToy().simulate(np.array([[1.0, 2e4], [2.0, 1e4], [1.0, 1e4]])).y
+    np.testing.assert_allclose(y[0], y[1], rtol=1e-14)
+    assert np.abs(y[0] - y[2]).max() > 1
+
+
+def test_the_ishigami_toy_ends_as_the_classical_function():
+    y = IshigamiToy().simulate(np.array([[np.pi / 2, np.pi / 2, 2.0]])).y[0, :, 0]
+    assert y[-1] == pytest.approx(1 + 7 + 0.1 * 16)
+    assert y[0] == pytest.approx(1 + 7)
+
+
+def test_a_toy_can_fail():
+    answer = ToyRC(fails_above_r=1.5).simulate(ROWS)
+    assert answer.failures == ("", "parameter R is nan", "R = 2 K/W is above 1.5")
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("W/(m2.K)", "W/(m2 K)"),
+        ("W/(m2.K)", "W/m2/K"),
+        ("W/(m2.K)", "W.m-2.K-1"),
+        ("m2.K/W", "K·m²/W"),
+        ("degC", "°C"),
+        ("1", ""),
+        ("m3/s", "m^3/s"),
+        ("anything", None),
+    ],
+)
+def test_spellings_of_one_unit_are_the_same(first: str, second: str | None):
+    assert same_unit(first, second)
+    assert offset_between(first, second, "here") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("W", "K"), ("m2.K/W", "W/(m2.K)"), ("1", "%"), ("s", "h"), ("W/(m2", "W/m2.K")]
+)
+def test_other_units_contradict(first: str, second: str):
+    assert not same_unit(first, second)
+    with pytest.raises(InputError, match=r"here: unit = .* contradicts"):
+        offset_between(first, second, "here")
+
+
+def test_celsius_and_kelvin_are_converted():
+    assert offset_between("degC", "K", "here") == 273.15
+    assert offset_between("K", "degC", "here") == -273.15
+
+
+def test_a_measurement_has_one_column_and_one_uncertainty_per_output():
+    time = np.arange(3.0)
+    with pytest.raises(ValueError, match="do not fit"):
+        Measurement(time, np.zeros((3, 2)), ("T",), np.array([0.5]))
+    one = Measurement(time, np.zeros((3, 1)), ("T",), np.array([0.5]))
+    other = Measurement(time, np.ones((3, 1)), ("T",), np.array([0.5]))
+    assert one.digest != other.digest

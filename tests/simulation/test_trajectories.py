@@ -1,0 +1,106 @@
+"""Trajectories: shapes, failures, selection, files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from simulation.errors import InputError
+from simulation.trajectories import Trajectories
+
+any_float = st.floats(allow_nan=True, allow_infinity=True)
+batches = st.integers(1, 4).flatmap(
+    lambda n: st.tuples(
+        arrays(np.float64, (n, 2), elements=any_float), arrays(np.float64, (n, 3, 2), elements=any_float)
+    )
+)
+
+
+def _trajectories(theta: np.ndarray, y: np.ndarray, failures: list[str] | None = None) -> Trajectories:
+    return Trajectories.checked(
+        theta,
+        y,
+        time=np.array([0.0, 1.0, 2.0]),
+        parameter_names=("a", "b"),
+        output_names=("T", "q"),
+        failures=failures,
+    )
+
+
+@settings(deadline=None)
+@given(batches)
+def test_a_file_holds_every_bit(
+    tmp_path_factory: pytest.TempPathFactory, batch: tuple[np.ndarray, np.ndarray]
+):
+    saved = _trajectories(*batch)
+    path = tmp_path_factory.mktemp("t") / "deep" / "chunk.npz"
+    saved.save(path)
+    loaded = Trajectories.load(path)
+    assert loaded.digest == saved.digest
+    assert loaded.theta.tobytes() == saved.theta.tobytes()
+    assert loaded.failures == saved.failures
+    assert [file.name for file in path.parent.iterdir()] == ["chunk.npz"]
+
+
+@given(batches)
+def test_a_row_is_good_and_finite_or_failed_and_nan_throughout(batch: tuple[np.ndarray, np.ndarray]):
+    answer = _trajectories(*batch)
+    good = np.isfinite(batch[0]).all(axis=1) & np.isfinite(batch[1]).all(axis=(1, 2))
+    assert np.array_equal(answer.failed, ~good)
+    assert np.isnan(answer.y[answer.failed]).all()
+    assert np.array_equal(answer.y[good], batch[1][good])
+
+
+def test_reasons_name_the_first_fault():
+    y = np.zeros((4, 3, 2))
+    y[1, 2, 1] = np.inf
+    theta = np.zeros((4, 2))
+    theta[2, 1] = np.nan
+    answer = _trajectories(theta, y, ["", "", "", "given"])
+    assert answer.failures == ("", "output q is inf at 2 s", "parameter b is nan", "given")
+
+
+def test_taking_and_concatenating_are_inverse():
+    rng = np.random.default_rng(0)
+    whole = _trajectories(rng.random((6, 2)), rng.random((6, 3, 2)), ["", "x", "", "", "y", ""])
+    parts = [whole.take([0, 1]), whole.take([]), whole.take(np.arange(6) >= 2)]
+    assert Trajectories.concatenate(parts).digest == whole.digest
+    assert whole.take([4, 1]).failures == ("y", "x")
+
+
+def test_the_digest_sees_every_change():
+    base = _trajectories(np.zeros((1, 2)), np.zeros((1, 3, 2)))
+    other = _trajectories(np.zeros((1, 2)), np.nextafter(np.zeros((1, 3, 2)), 1))
+    failed = _trajectories(np.zeros((1, 2)), np.zeros((1, 3, 2)), ["x"])
+    assert len({base.digest, other.digest, failed.digest}) == 3
+
+
+def test_different_models_do_not_stack():
+    base = _trajectories(np.zeros((1, 2)), np.zeros((1, 3, 2)))
+    other = Trajectories(base.theta, base.y, base.time + 1, ("a", "b"), ("T", "q"), ("",))
+    with pytest.raises(ValueError, match="different models or time grids"):
+        Trajectories.concatenate([base, other])
+    with pytest.raises(ValueError, match="nothing"):
+        Trajectories.concatenate([])
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match=r"expected \(1, 2\) and \(1, 3, 2\)"):
+        Trajectories(np.zeros((1, 2)), np.zeros((1, 3, 1)), np.zeros(3), ("a", "b"), ("T", "q"), ("",))
+
+
+def test_a_missing_and_a_foreign_file_are_named(tmp_path: Path):
+    with pytest.raises(InputError, match=r"none\.npz: no such file"):
+        Trajectories.load(tmp_path / "none.npz")
+    np.savez(tmp_path / "other.npz", a=1)
+    with pytest.raises(InputError, match=r"other\.npz: not a readable trajectory file"):
+        Trajectories.load(tmp_path / "other.npz")
+
+
+def test_no_pickle_is_ever_opened(tmp_path: Path):
+    np.savez(tmp_path / "evil.npz", theta=np.array([object()], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="not a readable"):
+        Trajectories.load(tmp_path / "evil.npz")
