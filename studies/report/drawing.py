@@ -27,11 +27,14 @@ from studies.report.records import Floats
 INK = "#2f3437"
 MUTED = "#858c92"
 FAINT = "#d5d9dc"
-MEASURED = "#2f3437"
+MEASURED = "#8d9499"
 SURROGATE = "#8b6bae"
+BEST_SURROGATE = "#56397a"
 SCREENED = "#d27f2b"
 POLISHED = "#2a6a9e"
 TRAINING = "#dfe8ef"
+SIMULATED = "#7fa5c1"
+FAILED = "#b9566b"
 SERIES = ("#2a6a9e", "#d27f2b", "#3f9a8c", "#8b6bae", "#c3a23c", "#b9566b")
 
 WIDTH_IN = 8.0

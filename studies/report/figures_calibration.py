@@ -81,11 +81,11 @@ def _draw_output(
     days = day_axis(axes, measurement.time)
     series = (
         ("screened", calibration.y_screened[:, output], SCREENED, 1.3),
-        ("polished", calibration.y_polished[:, output], POLISHED, 2.2),
+        ("polished", calibration.y_polished[:, output], POLISHED, 1.6),
     )
     measured = measurement.y[:, output]
-    axes.plot(days, measured, linestyle="none", marker=".", markersize=2.4, color=MEASURED, zorder=5)
-    labels = [EndLabel(_last(measured), "measured", MEASURED)]
+    axes.plot(days, measured, linestyle="none", marker=".", markersize=5, color=MEASURED, zorder=2)
+    labels = [EndLabel(_last(measured), "measured", INK)]
     for name, values, color, width in series:
         axes.plot(days, values, color=color, linewidth=width, zorder=3)
         labels.append(EndLabel(_last(values), name, color))
@@ -109,7 +109,7 @@ def _draw_residual(
     if math.isfinite(uncertainty) and uncertainty > 0:
         axes.axhspan(-uncertainty, uncertainty, color=TRAINING, alpha=0.75, linewidth=0, zorder=0)
         labels.append(EndLabel(uncertainty, f"sensor\n±{uncertainty:g} {unit}", MUTED))
-    axes.axhline(0.0, color=MEASURED, linewidth=0.8)
+    axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.plot(days, residual, color=POLISHED, linewidth=1.1)
     labels.append(EndLabel(_last(residual), "polished", POLISHED))
     axes.set_ylabel(axis_label("residual", shortened(unit, 10)))
@@ -143,12 +143,16 @@ def polish_figure(
     """
     screened, final = calibration.mse_screened, calibration.mse_polished
     calls, total = count(calibration.n_polish, "call"), count(calibration.calls_paper)
-    title = (
-        f"{calls} of polishing take the MSE from {quantity(screened, mse_unit)} "
-        f"to {quantity(final, mse_unit)}; {total} in all"
-        if final < screened
-        else f"{calls} of polishing do not improve the screened point (MSE {quantity(screened, mse_unit)})"
-    )
+    if math.isinf(screened) and math.isfinite(final):
+        reached = quantity(final, mse_unit)
+        title = f"From a point that failed, {calls} of polishing reach {reached}; {total} in all"
+    elif final < screened:
+        title = (
+            f"{calls} of polishing take the MSE from {quantity(screened, mse_unit)} "
+            f"to {quantity(final, mse_unit)}; {total} in all"
+        )
+    else:
+        title = f"{calls} of polishing do not improve the screened point (MSE {quantity(screened, mse_unit)})"
     n_train, n_check = calibration.n_train, calibration.n_train + calibration.n_screen_checks
     last = max(calibration.calls_paper, int(calibration.history_calls.max(initial=0)), n_check + 1)
     first = max(0.0, n_train - 0.6 * (last - n_train))
@@ -261,9 +265,9 @@ def overview_figure(
         axes.set_xlabel("training simulations (above each: model calls in all, training + check + polish)")
         axes.set_ylabel(axis_label("MSE", mse_unit))
         labels = [
-            EndLabel(rows[-1, 0], "by the surrogate", SURROGATE),
-            EndLabel(rows[-1, 1], "by the model,\nas screened", SCREENED),
-            EndLabel(rows[-1, 2], "polished", POLISHED),
+            EndLabel(_last(rows[:, 0]), "by the surrogate", SURROGATE),
+            EndLabel(_last(rows[:, 1]), "by the model,\nas screened", SCREENED),
+            EndLabel(_last(rows[:, 2]), "polished", POLISHED),
         ]
         labels += [EndLabel(r.mse, r.label, MUTED) for r in references]
         end_labels(axes, labels)

@@ -11,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from studies.report.drawing import (
+    FAILED,
     INK,
     MUTED,
     POLISHED,
-    SCREENED,
+    SIMULATED,
     EndLabel,
     day_axis,
     drawing,
@@ -64,15 +65,15 @@ def coverage_figure(
             days = day_axis(axes, measurement.time)
             _draw_bundle(axes, days, good[:, :, output])
             axes.plot(days, measurement.y[:, output], color="white", linewidth=3.6, zorder=4)
-            axes.plot(days, measurement.y[:, output], color=SCREENED, linewidth=1.8, zorder=5)
+            axes.plot(days, measurement.y[:, output], color=INK, linewidth=1.8, zorder=5)
             axes.autoscale_view(scalex=False)
             name, unit = measurement.output_names[output], shown_unit(measurement.units[output])
             axes.set_ylabel(axis_label(shortened(name), shortened(unit)))
             axes.set_ylim(*axes.get_ylim())
-            labels = [EndLabel(float(measurement.y[-1, output]), "measured", SCREENED)]
+            labels = [EndLabel(float(measurement.y[-1, output]), "measured", INK)]
             if len(good):
                 labels.append(
-                    EndLabel(float(np.max(good[:, -1, output])), f"{len(good):,} simulated", POLISHED)
+                    EndLabel(float(np.max(good[:, -1, output])), f"{len(good):,} simulated", SIMULATED)
                 )
             end_labels(axes, labels)
         for axes in panels[:-1, 0]:
@@ -86,9 +87,9 @@ def _draw_bundle(axes: Axes, days: Floats, rows: Floats) -> None:
         return
     segments = np.empty((*rows.shape, 2))
     segments[:, :, 0], segments[:, :, 1] = days, rows
-    alpha = float(np.clip(45.0 / len(rows), 0.05, 0.5))
+    alpha = float(np.clip(60.0 / len(rows), 0.07, 0.6))
     axes.add_collection(
-        LineCollection(list(segments), colors=POLISHED, linewidths=0.7, alpha=alpha, zorder=2)
+        LineCollection(list(segments), colors=SIMULATED, linewidths=0.8, alpha=alpha, zorder=2)
     )
 
 
@@ -131,12 +132,12 @@ def coverage_pairs_figure(
         axes.tick_params(length=0)
         _draw_cells(axes, p)
         _draw_histograms(axes, unit)
-        size = float(np.clip(60.0 / max(len(unit), 1) ** 0.5, 0.6, 4.0))
-        _draw_points(axes, unit[~failed], marker=".", size=size, color=POLISHED, alpha=0.55)
-        _draw_points(axes, unit[failed], marker="x", size=2.5, color=SCREENED, alpha=1.0)
+        size = float(np.clip(60.0 / max(len(unit), 1) ** 0.5, 0.6, 4.0)) * max(1.0, 14 / p) ** 0.5
+        _draw_points(axes, unit[~failed], marker=".", size=size, color=SIMULATED, alpha=0.5)
+        _draw_points(axes, unit[failed], marker="x", size=2.5, color=FAILED, alpha=1.0)
         for point, marker in zip(marked, "*DP^" * len(marked), strict=False):
             place = (point.theta - parameters.lower) / (parameters.upper - parameters.lower)
-            _draw_points(axes, place[None, :], marker=marker, size=6.0, color=SCREENED, alpha=1.0)
+            _draw_points(axes, place[None, :], marker=marker, size=7.0, color=POLISHED, alpha=1.0)
         _explain(axes, p, marked, n_failed=int(failed.sum()))
     return path
 
@@ -184,14 +185,14 @@ def _draw_histograms(axes: Axes, unit: Floats) -> None:
 def _explain(axes: Axes, p: int, marked: Sequence[MarkedPoint], *, n_failed: int) -> None:
     """Say in the empty upper triangle how to read the cells."""
     lines = [
-        "each cell: one pair of parameters,",
-        "both from lower to upper bound, linear",
-        "diagonal: how often each tenth was drawn",
+        ("each cell: one pair of parameters,", INK),
+        ("both from lower to upper bound, linear", MUTED),
+        ("diagonal: how often each tenth was drawn", MUTED),
     ]
-    lines += [f"{sign} {point.name}" for sign, point in zip("★◆✚▲" * len(marked), marked, strict=False)]
-    lines += [f"× {count(n_failed, 'failed simulation')}"] if n_failed else []
-    for number, line in enumerate(lines):
-        color = SCREENED if number >= 3 else (INK if number == 0 else MUTED)
+    signs = zip("★◆✚▲" * len(marked), marked, strict=False)
+    lines += [(f"{sign} {shortened(point.name)}", POLISHED) for sign, point in signs]
+    lines += [(f"× {count(n_failed, 'failed simulation')}", FAILED)] if n_failed else []
+    for number, (line, color) in enumerate(lines):
         axes.annotate(
             line,
             (0.995, 0.985),

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from studies.report.drawing import (
+    BEST_SURROGATE,
     INK,
     MUTED,
-    POLISHED,
-    SCREENED,
     SERIES,
+    SURROGATE,
     EndLabel,
     category_log,
     decimal_log,
@@ -55,15 +55,16 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
             decimal_log(axes, *limits)
             axes.grid(visible=False, axis="x")
             _draw_trials(axes, trials, values, is_mae=what == "MAE")
-            axes.plot(trials.n_train[best], values[best], color=SCREENED, linewidth=1.1, zorder=4)
+            axes.plot(trials.n_train[best], values[best], color=BEST_SURROGATE, linewidth=1.1, zorder=4)
             axes.plot(
                 trials.n_train[best], values[best], linestyle="none", marker="*", markersize=13,
-                color=SCREENED, markeredgecolor="white", markeredgewidth=0.8, zorder=5,
+                color=BEST_SURROGATE, markeredgecolor="white", markeredgewidth=0.8, zorder=5,
             )  # fmt: skip
             for i in (i for i in best if trials.n_train[i] in labeled):
                 axes.annotate(
                     significant(float(values[i]), 2), (float(trials.n_train[i]), float(values[i])), (0, -9),
-                    textcoords="offset points", ha="center", va="top", fontsize=8.5, color=SCREENED, zorder=6,
+                    textcoords="offset points", ha="center", va="top", fontsize=8.5,
+                    color=BEST_SURROGATE, zorder=6,
                 )  # fmt: skip
             axes.set_title("Mean absolute error" if what == "MAE" else "90th percentile over parameter sets")
             axes.set_xlabel("training simulations")
@@ -96,7 +97,7 @@ def _draw_trials(axes: Axes, trials: TrialsRecord, values: Floats, *, is_mae: bo
     complete = (state == "complete") & np.isfinite(values)
     axes.plot(
         x[complete], values[complete], linestyle="none", marker="o", markersize=4.5,
-        color=POLISHED, alpha=0.6, markeredgewidth=0, zorder=3,
+        color=SURROGATE, alpha=0.6, markeredgewidth=0, zorder=3,
     )  # fmt: skip
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
     if is_mae:
@@ -123,7 +124,10 @@ def _beside_each_other(n_train: Floats | np.ndarray[tuple[int], np.dtype[np.int6
 
 def _explain_marks(axes: Axes, trials: TrialsRecord) -> None:
     n = {state: trials.state.count(state) for state in ("complete", "pruned", "failed")}
-    lines = [("★ best by validation", SCREENED), (f"● {count(n['complete'], 'complete trial')}", POLISHED)]
+    lines = [
+        ("★ best by validation", BEST_SURROGATE),
+        (f"● {count(n['complete'], 'complete trial')}", SURROGATE),
+    ]
     if n["pruned"]:
         lines.append((f"○ {count(n['pruned'])} pruned (left, at the last validation)", MUTED))
     if n["failed"]:
@@ -158,7 +162,7 @@ def learning_curves_figure(curves: LearningCurves, path: Path, *, unit: str, foo
     with drawing(path, title=title, height_in=3.4, footnote=footnote) as figure:
         left, right = figure.subplots(1, 2)
         decimal_log(left, *log_limits(curves.validation_mae))
-        left.plot(curves.epoch[finite], curves.validation_mae[finite], color=POLISHED)
+        left.plot(curves.epoch[finite], curves.validation_mae[finite], color=SURROGATE)
         if finite.any():
             left.axvline(curves.best_epoch, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)))
             left.plot(
@@ -166,7 +170,7 @@ def learning_curves_figure(curves: LearningCurves, path: Path, *, unit: str, foo
                 [best],
                 marker="*",
                 markersize=12,
-                color=SCREENED,
+                color=BEST_SURROGATE,
                 markeredgecolor="white",
             )
         left.set(title="Error on the validation set", xlabel="epoch", ylabel=axis_label("MAE", unit))
