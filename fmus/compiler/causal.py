@@ -11,7 +11,7 @@ from fmus.compiler.modelica import Check, FlatModel, Variable
 
 @dataclass(frozen=True)
 class Ode:
-    """Explicit form of a model: ``der(x) = derivative(t, x, u, p)``, ``y = output(t, x, u, p)``, ``x(0) = start(p)``.
+    """Explicit form of a model: der(x) = derivative(t, x, u, p), y = output(t, x, u, p), x(0) = start(p).
 
     All expressions are SX columns in the order of the variables.
     """
@@ -52,8 +52,8 @@ def column(expressions: list[Any]) -> Any:
 def make_explicit(model: FlatModel) -> Ode:
     """Solve a flat model for its derivatives and outputs.
 
-    The equations are sorted into the smallest blocks that can be solved one after another (block triangular form);
-    each block must be linear in its own unknowns.
+    The equations are sorted into the smallest blocks that can be solved one after another (block triangular
+    form); each block must be linear in its own unknowns.
 
     Args:
         model: Flat model.
@@ -68,21 +68,27 @@ def make_explicit(model: FlatModel) -> Ode:
     stacked = column(unknowns)
     residual = model.residual
     if residual.numel() != len(unknowns):
-        raise CompileError(f"{model.name}: {residual.numel()} equations for {len(unknowns)} unknowns; they must be equal")
+        raise CompileError(
+            f"{model.name}: {residual.numel()} equations for {len(unknowns)} unknowns; look for open ends"
+        )
     pattern = ca.jacobian_sparsity(residual, stacked)
     n_blocks, row_order, column_order, row_start, column_start, _, coarse = pattern.btf()
     if coarse[3] < len(unknowns):
         loose = ", ".join(unknowns[j].name() for j in column_order[: max(1, coarse[1])])
-        raise CompileError(f"{model.name}: no equation determines {loose}; look for a missing or circular equation")
+        raise CompileError(
+            f"{model.name}: no equation determines {loose}; look for x = x or storages in parallel"
+        )
     solved: dict[int, Any] = {}
-    # CasADi calls the form upper triangular, but orders it as here: a block needs only what earlier blocks give.
+    # CasADi calls the form upper triangular, but orders it so that a block needs only what earlier ones give.
     for block in range(n_blocks):
         rows = row_order[row_start[block] : row_start[block + 1]]
         columns = column_order[column_start[block] : column_start[block + 1]]
         equations = ca.vertcat(*(residual[i] for i in rows))
         if solved:
-            equations = ca.substitute(equations, column([unknowns[j] for j in solved]), column(list(solved.values())))
-        solved.update(zip(columns, _solve_block(equations, [unknowns[j] for j in columns], model.name), strict=True))
+            known = column([unknowns[j] for j in solved])
+            equations = ca.substitute(equations, known, column(list(solved.values())))
+        solution = _solve_block(equations, [unknowns[j] for j in columns], model.name)
+        solved.update(zip(columns, solution, strict=True))
     n_states = len(model.states)
     algebraic = {v.name: solved[n_states + i] for i, v in enumerate(model.algebraics)}
     declared = {v.name: v for v in (*model.algebraics, *model.states)}
@@ -114,28 +120,31 @@ def _solve_block(equations: Any, unknowns: list[Any], model_name: str) -> list[A
     if ca.depends_on(matrix, stacked):
         names = ", ".join(symbol.name() for symbol in unknowns)
         raise CompileError(
-            f"{model_name}: the equations of {names} are nonlinear in them; solve by hand or give one a storage"
+            f"{model_name}: the equations of {names} are nonlinear in them; solve by hand or add a storage"
         )
     at_zero = ca.substitute(equations, stacked, ca.SX.zeros(stacked.shape))
-    return _eliminate([[matrix[i, j] for j in range(len(unknowns))] for i in range(len(unknowns))],
-                      [-at_zero[i] for i in range(len(unknowns))], model_name, unknowns)
+    indices = range(len(unknowns))
+    rows = [[matrix[i, j] for j in indices] for i in indices]
+    return _eliminate(rows, [-at_zero[i] for i in indices], model_name, unknowns)
 
 
 def _eliminate(matrix: list[list[Any]], right: list[Any], model_name: str, unknowns: list[Any]) -> list[Any]:
     """Gaussian elimination on expressions.
 
-    A number is taken as pivot before an expression: in networks of conductances that leaves sums of conductances
-    as pivots, which vanish for no sensible parameter.
+    A number is taken as pivot before an expression: in networks of conductances that leaves sums of
+    conductances, which vanish for no sensible parameter.
     """
     n = len(right)
-    free_rows, order = list(range(n)), []
+    free_rows, free_columns = list(range(n)), list(range(n))
+    order: list[tuple[int, int]] = []
     for _ in range(n):
-        pivot = _pivot(matrix, free_rows, [j for j in range(n) if j not in {c for _, c in order}])
+        pivot = _pivot(matrix, free_rows, free_columns)
         if pivot is None:
             names = ", ".join(symbol.name() for symbol in unknowns)
             raise CompileError(f"{model_name}: the equations of {names} contradict each other")
         row, col = pivot
         free_rows.remove(row)
+        free_columns.remove(col)
         order.append(pivot)
         for i in free_rows:
             if _vanishes(matrix[i][col]):
@@ -165,7 +174,8 @@ def _pivot(matrix: list[list[Any]], rows: list[int], columns: list[int]) -> tupl
             entry = matrix[i][j]
             if _vanishes(entry):
                 continue
-            fill = sum(not _vanishes(matrix[i][k]) for k in columns) * sum(not _vanishes(matrix[k][j]) for k in rows)
+            in_row = sum(not _vanishes(matrix[i][k]) for k in columns)
+            fill = in_row * sum(not _vanishes(matrix[k][j]) for k in rows)
             key = (0, -abs(float(entry)), fill) if entry.is_constant() else (1, 0.0, fill)
             if best is None or key < best[0]:
                 best = (key, (i, j))

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from importlib.metadata import version
-from typing import Any
 from xml.etree import ElementTree
 
 import casadi as ca
@@ -20,7 +19,7 @@ SOURCE_FILES = ("fmi2.c", "integrate.c", "model.c")
 def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
     """Describe an FMU.
 
-    Value references and the order of the variables are: states, their derivatives, inputs, parameters, outputs.
+    Value references and variables are in this order: states, their derivatives, inputs, parameters, outputs.
 
     Args:
         ode: Explicit model.
@@ -39,7 +38,7 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         modelName=ode.name,
         guid=guid,
         description=ode.description,
-        generationTool=f"fmus.compiler (Modelica by pymoca {version('pymoca')} and CasADi {version('casadi')})",
+        generationTool=f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})",
         variableNamingConvention="structured",
         numberOfEventIndicators="0",
     )
@@ -81,32 +80,36 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
 
 def _variables(ode: Ode) -> list[tuple[dict[str, str], dict[str, str]]]:
     rows: list[tuple[dict[str, str], dict[str, str]]] = []
-    n_states = len(ode.states)
     for state in ode.states:
         rows.append(_scalar(state, causality="local", variability="continuous", initial="calculated"))
     for index, state in enumerate(ode.states):
-        scalar = {
-            "name": f"der({state.name})",
-            "description": f"Time derivative of: {state.description}",
-            "causality": "local",
-            "variability": "continuous",
-            "initial": "calculated",
-        }
-        rows.append((scalar, {"unit": derivative_unit(state.unit), "derivative": str(index + 1)}))
+        derivative = Variable(
+            name=f"der({state.name})",
+            symbol=None,
+            unit=derivative_unit(state.unit),
+            description=f"Time derivative of {state.name}",
+            minimum=None,
+            maximum=None,
+            start=None,
+        )
+        scalar, real = _scalar(derivative, causality="local", variability="continuous", initial="calculated")
+        rows.append((scalar, {**real, "derivative": str(index + 1)}))
     for variable in ode.inputs:
         rows.append(_scalar(variable, causality="input", variability="continuous"))
     for variable in ode.parameters:
         rows.append(_scalar(variable, causality="parameter", variability="fixed", initial="exact"))
     for variable in ode.outputs:
         rows.append(_scalar(variable, causality="output", variability="continuous", initial="calculated"))
-    if len({scalar["name"] for scalar, _ in rows}) != len(rows) or n_states == 0:
-        raise CompileError(f"{ode.name}: needs at least one state, and no output that is a state; add an output equation")
+    if not ode.states:
+        raise CompileError(f"{ode.name}: has no state; there is nothing to simulate")
+    if len({scalar["name"] for scalar, _ in rows}) != len(rows):
+        raise CompileError(f"{ode.name}: an output is a state; give it its own name and an equation")
     return rows
 
 
 def _scalar(variable: Variable, **attributes: str) -> tuple[dict[str, str], dict[str, str]]:
     if not variable.unit:
-        raise CompileError(f"{variable.name}: has no unit; give it one in the source (unit=\"1\" for a plain number)")
+        raise CompileError(f'{variable.name}: has no unit; give it one in the source (unit="1" for a number)')
     real = {"unit": variable.unit}
     if variable.minimum is not None:
         real["min"] = repr(variable.minimum)
@@ -114,7 +117,8 @@ def _scalar(variable: Variable, **attributes: str) -> tuple[dict[str, str], dict
         real["max"] = repr(variable.maximum)
     if attributes["causality"] in {"input", "parameter"}:
         real["start"] = repr(float(variable.start))
-    return {"name": variable.name, "description": variable.description, **attributes}, real
+    description = {"description": variable.description} if variable.description else {}
+    return {"name": variable.name, **description, **attributes}, real
 
 
 def _unit_definitions(root: ElementTree.Element, units: Iterable[str]) -> None:
@@ -138,14 +142,10 @@ def _structure(root: ElementTree.Element, ode: Ode) -> None:
     first_output = 2 * n_states + n_inputs + n_parameters + 1
     outputs = [(first_output + i, ode.output[i]) for i in range(len(ode.outputs))]
     derivatives = [(n_states + i + 1, ode.derivative[i]) for i in range(n_states)]
-    starts = [(i + 1, ode.start[i]) for i in range(n_states)]
     # At the start the states are themselves unknowns; what they depend on takes their place.
-    at_start = list(
-        ca.substitute([expression for _, expression in (*derivatives, *outputs)], [s for _, s in states], [s for _, s in starts])
-    )
-    initial = sorted(
-        [*starts, *zip([index for index, _ in (*derivatives, *outputs)], at_start, strict=True)], key=lambda item: item[0]
-    )
+    initial = [(i + 1, ode.start[i]) for i in range(n_states)]
+    for index, expression in (*derivatives, *outputs):
+        initial.append((index, ca.substitute(expression, ode.x, ode.start)))
     structure = ElementTree.SubElement(root, "ModelStructure")
     for tag, unknowns, knowns in (
         ("Outputs", outputs, [*states, *inputs]),
@@ -154,10 +154,5 @@ def _structure(root: ElementTree.Element, ode: Ode) -> None:
     ):
         parent = ElementTree.SubElement(structure, tag)
         for index, expression in unknowns:
-            ElementTree.SubElement(
-                parent, "Unknown", index=str(index), dependencies=_dependencies(expression, knowns)
-            )
-
-
-def _dependencies(expression: Any, knowns: list[tuple[int, Any]]) -> str:
-    return " ".join(str(index) for index, symbol in knowns if ca.depends_on(expression, symbol))
+            depends_on = " ".join(str(known) for known, symbol in knowns if ca.depends_on(expression, symbol))
+            ElementTree.SubElement(parent, "Unknown", index=str(index), dependencies=depends_on)

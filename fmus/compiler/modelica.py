@@ -41,7 +41,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Check:
-    """A quantity of a component that must be finite and lie within its declared limits, such as a capacity."""
+    """A quantity of a component that must be finite and within its declared limits, such as a capacity."""
 
     name: str
     expression: Any
@@ -70,8 +70,8 @@ class FlatModel:
 def read_model(sources: list[Path], class_name: str) -> FlatModel:
     """Read, flatten and resolve a model.
 
-    Constants, parameters of components and parameters that are bound to expressions are replaced by what they are
-    bound to; the other parameters of the model itself remain.
+    Constants, parameters of components and parameters that are bound to expressions are replaced by what they
+    are bound to; the other parameters of the model itself remain.
 
     Args:
         sources: Modelica files.
@@ -87,7 +87,10 @@ def read_model(sources: list[Path], class_name: str) -> FlatModel:
     try:
         raw = generator.generate(_parse(sources), class_name)
     except Exception as error:  # pymoca raises whatever its walk runs into
-        raise CompileError(f"{class_name}: pymoca cannot read it ({_first_line(error)}); keep to its subset") from error
+        message = (
+            f"{class_name}: pymoca cannot read it ({_first_line(error)}); keep to its subset of Modelica"
+        )
+        raise CompileError(message) from error
     return _resolve(raw, class_name, symbols, description)
 
 
@@ -148,7 +151,7 @@ def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: st
     values = convert([v.value for v in known])
     bound = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if not x.is_constant()}
     numbers = {v.symbol.name(): x for v, x in zip(known, values, strict=True) if x.is_constant()}
-    # A number that a component was built with is part of the model; the parameters are those of the model itself.
+    # A number that a component was built with is part of the model; parameters are those of the model itself.
     free = {v.symbol.name() for v in raw.parameters if "." not in v.symbol.name()} & numbers.keys()
     constants = {name: number for name, number in numbers.items() if name not in free}
     replaced = _close({**constants, **bound}, by_name, class_name)
@@ -189,7 +192,9 @@ def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: st
     )
     for check in checks:
         if check.expression.is_constant() and not check.minimum <= float(check.expression) <= check.maximum:
-            raise CompileError(f"{class_name}: {check.name} = {float(check.expression)} is missing or out of its limits")
+            raise CompileError(
+                f"{class_name}: {check.name} = {float(check.expression)} is missing or out of limits"
+            )
     return FlatModel(
         name=class_name,
         description=description,
@@ -199,7 +204,7 @@ def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: st
         algebraics=tuple(make(v, None) for v in raw.alg_states),
         inputs=tuple(make(v, limit(v.start)) for v in raw.inputs),
         parameters=tuple(
-            make(v, _value(numbers[v.symbol.name()], v.symbol.name())) for v in raw.parameters if v.symbol.name() in free
+            make(v, _value(numbers[name], name)) for v in raw.parameters if (name := v.symbol.name()) in free
         ),
         output_names=tuple(raw.outputs),
         residual=substitute([ca.vertcat(*convert(raw.equations))])[0],

@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from fmus.compiler.settings import read_settings
 
 WRAPPER = Path(__file__).parent / "c"
 # No contraction and no build id: the same sources give the same numbers and the same file.
-COMPILER = ("gcc", "-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-fno-ident")
+COMPILER = ("gcc", "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden")
 LINKER = ("-Wl,--build-id=none", "-Wl,-s", "-lm")
 _FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 # The earliest date that a ZIP entry can bear: a build has no time of its own.
@@ -42,10 +41,11 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
     modelica = sorted(folder.glob("*.mo"))
     ode = make_explicit(read_model(modelica, settings.model))
     code = write_code(ode, settings)
-    sources = {path.name: path.read_bytes() for path in sorted(WRAPPER.iterdir()) if path.suffix in {".c", ".h"}}
+    sources = {path.name: path.read_bytes() for path in sorted(WRAPPER.glob("*.[ch]"))}
     sources |= {"model.c": code.functions.encode(), "model.h": code.header.encode()}
     sources |= {name: (_fmi_headers() / name).read_bytes() for name in _FMI_HEADERS}
-    guid = _guid([*sources.values(), repr(settings).encode(), *(path.read_bytes() for path in modelica)])
+    described = write_description(ode, settings, guid="") + write_data(ode, guid="")
+    guid = _guid([*sources.values(), described.encode(), *(path.read_bytes() for path in modelica)])
     sources["model_data.h"] = write_data(ode, guid).encode()
     files = {
         "modelDescription.xml": write_description(ode, settings, guid).encode(),
@@ -67,7 +67,7 @@ def _fmi_headers() -> Path:
 
 def _guid(parts: list[bytes]) -> str:
     digest = hashlib.sha256()
-    for part in (*parts, version("pymoca").encode(), version("casadi").encode()):
+    for part in parts:
         digest.update(len(part).to_bytes(8, "little"))
         digest.update(part)
     text = digest.hexdigest()

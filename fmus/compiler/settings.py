@@ -17,8 +17,8 @@ class BuildSettings:
 
     Attributes:
         model: Qualified Modelica class, such as ``Office.R7C4Office``.
-        solver: ``exact`` (matrix exponential; needs a model that is affine while its inputs are held) or ``rk4``
-            (fourth-order Runge-Kutta with controlled substeps, for any model).
+        solver: ``exact`` (matrix exponential; needs a model that is affine while its inputs are held) or
+            ``rk4`` (fourth-order Runge-Kutta with controlled substeps, for any model).
         name: Name of the FMU and its model identifier; empty for the first part of ``model``.
         max_substep_s: Longest substep of ``rk4``. [s]
         tolerance: Error that ``rk4`` allows per substep, relative to 1 + the magnitude of the state.
@@ -58,7 +58,7 @@ def read_settings(folder: Path) -> BuildSettings:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise CompileError(f"{path}: not found; write it with at least: model = \"Package.Model\"") from None
+        raise CompileError(f'{path}: not found; write it with at least: model = "Package.Model"') from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise CompileError(f"{path}: cannot be read ({error}); correct it") from None
     known = {field.name: field.type for field in fields(BuildSettings)}
@@ -71,10 +71,10 @@ def read_settings(folder: Path) -> BuildSettings:
         if known[key] is float and not (is_number and math.isfinite(value)):
             raise CompileError(f"{path}: {key} = {value!r} must be a finite number")
     if "model" not in table:
-        raise CompileError(f"{path}: the key model is missing; name the class, as in \"Package.Model\"")
+        raise CompileError(f'{path}: the key model is missing; name the class, as in "Package.Model"')
     settings = BuildSettings(**table)
     if settings.solver not in SOLVERS:
-        raise CompileError(f"{path}: solver = {settings.solver!r} is unknown; take one of {', '.join(SOLVERS)}")
+        raise CompileError(f"{path}: solver = {settings.solver!r} is unknown; known are {', '.join(SOLVERS)}")
     for key in ("max_substep_s", "tolerance", "step_size_s"):
         if getattr(settings, key) <= 0:
             raise CompileError(f"{path}: {key} = {getattr(settings, key)} must be positive")

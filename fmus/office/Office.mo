@@ -129,24 +129,17 @@ package Office "Small thermal RC library and the grey-box office zone with 7 res
     Conductor wallInside(G=areaWall/rExt1) "Inner part of the external wall";
     Conductor wallOutside(G=areaWall/rExt2) "Outer part of the external wall";
     Conductor ceilingToZone(G=areaCeiling/rZone) "Surface of the thermoactive ceiling";
-    SwitchedConductor pipe(GOn=areaCeiling/rPipe) "Water circuit of the thermoactive ceiling";
-    SwitchedConductor ventilation(GOn=VSUP*capacitySupply) "Ventilation";
+    SwitchedConductor pipe(GOn=areaCeiling/rPipe, signal=ySupTAC) "Water circuit of the thermoactive ceiling";
+    SwitchedConductor ventilation(GOn=VSUP*capacitySupply, signal=ySupMV) "Ventilation";
     SharedPort zone(share=ceilingToMasses) "What the thermoactive ceiling sees";
-    Surrounding ambient "Outdoor air";
-    Surrounding ambientWall "Outdoor air and sun on the external wall";
-    Surrounding water "Supply water";
-    Surrounding supplyAir "Supply air";
-    HeatGain gainAir "Convective gains";
-    HeatGain gainMasses "Radiative gains";
+    Surrounding ambient(T=TAmb) "Outdoor air";
+    Surrounding ambientWall(T=TAmbEq) "Outdoor air and sun on the external wall";
+    Surrounding water(T=TSupTAC) "Supply water";
+    Surrounding supplyAir(T=TSupMV) "Supply air";
+    HeatGain gainAir(Q_flow=solarToAir*fSol*HGlo + occupantsToAir*qIntOcc*areaFloor*occ) "Gains of the air";
+    HeatGain gainMasses(Q_flow=(1 - solarToAir)*fSol*HGlo + (1 - occupantsToAir)*qIntOcc*areaFloor*occ)
+      "Gains of the internal masses";
   equation
-    ambient.T = TAmb;
-    ambientWall.T = TAmbEq;
-    water.T = TSupTAC;
-    supplyAir.T = TSupMV;
-    pipe.signal = ySupTAC;
-    ventilation.signal = ySupMV;
-    gainAir.Q_flow = solarToAir*fSol*HGlo + occupantsToAir*qIntOcc*areaFloor*occ;
-    gainMasses.Q_flow = (1 - solarToAir)*fSol*HGlo + (1 - occupantsToAir)*qIntOcc*areaFloor*occ;
     TAir = air.T;
     connect(ambient.port, window.a);
     connect(window.b, air.port);
