@@ -142,12 +142,14 @@ def _check_type(name: str, value: object, hint: object) -> None:
 VARIANTS: dict[str, SurrogateConfig] = {
     "paper": SurrogateConfig(),
     "refined": SurrogateConfig(
+        n_latent=32,
         n_hidden=256,
         n_layers=3,
         activation="silu",
         theta_features="linear+log",
-        learning_rate=5e-3,
-        weight_decay=0.5,
+        beta=10.0,
+        learning_rate=7e-3,
+        weight_decay=0.3,
         optimizer="adamw",
         schedule="one-cycle",
         max_epochs=600,

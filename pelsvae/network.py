@@ -9,6 +9,8 @@ from torch import Tensor, nn
 
 from pelsvae.config import SurrogateConfig
 
+_LOG_VARIANCE_BOUND = 12.0  # reached by no good training; a leap of the optimizer cannot overflow exp()
+
 
 class PelsVae(nn.Module):
     """Physics-enhanced latent space variational autoencoder.
@@ -55,13 +57,11 @@ class PelsVae(nn.Module):
 
     def encoder(self, x: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         """psi(x, theta): x (b, d), theta (b, f) -> mean, log-variance of z, each (b, z)."""
-        mean, log_variance = self.encoding(torch.cat([x, theta], dim=-1)).chunk(2, dim=-1)
-        return mean, log_variance
+        return _gaussian(self.encoding(torch.cat([x, theta], dim=-1)))
 
     def regressor(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """varphi(theta), Eq. 6: theta (b, f) -> mean, log-variance of z, each (b, z)."""
-        mean, log_variance = self.regressing(theta).chunk(2, dim=-1)
-        return mean, log_variance
+        return _gaussian(self.regressing(theta))
 
     def decoder(self, z: Tensor, theta: Tensor) -> Tensor:
         """Mean of L decoded samples, Eq. 7: z (L, b, z), theta (b, f) -> x (b, d).
@@ -77,6 +77,12 @@ class PelsVae(nn.Module):
         mean, log_variance = self.regressor(theta)
         z = latent_samples(mean, log_variance, eps[:, None, :])  # (L, b, z)
         return self.decoder(z, theta)
+
+
+def _gaussian(heads: Tensor) -> tuple[Tensor, Tensor]:
+    """Split (b, 2 z) into mean and log-variance, each (b, z); sigma lies between 0.0025 and 400."""
+    mean, log_variance = heads.chunk(2, dim=-1)
+    return mean, _LOG_VARIANCE_BOUND * torch.tanh(log_variance / _LOG_VARIANCE_BOUND)
 
 
 def latent_samples(mean: Tensor, log_variance: Tensor, eps: Tensor) -> Tensor:

@@ -207,8 +207,14 @@ def _train(
 def _optimizer(network: PelsVae, config: SurrogateConfig) -> torch.optim.Optimizer:
     """Return the update rule; fused, because at these sizes its overhead is a third of an epoch."""
     if config.optimizer == "adamw":
+        # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of
+        # a thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
         return torch.optim.AdamW(
-            network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
+            network.parameters(),
+            lr=config.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=config.weight_decay,
+            fused=True,
         )
     return torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
 
