@@ -40,7 +40,8 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 fmu_sha256=study.case.fmu_sha256,
                 output_unit=study.case.outputs[0].unit,
                 variant=budget.variant,
-                overrides={"max_epochs": budget.max_epochs, "patience": budget.patience},
+                # One thread in training and prediction: the same numbers whatever --jobs says.
+                overrides={"max_epochs": budget.max_epochs, "patience": budget.patience, "n_threads": 1},
                 search=budget.search,
                 seed=study.profile.seed,
                 note=study.case.note,

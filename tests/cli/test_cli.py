@@ -1,0 +1,176 @@
+"""What the command line promises: help that teaches, one JSON document, quiet runs, labels, lazy imports."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY, Run
+
+from studies.cli import main
+from studies.console import Console, format_seconds
+
+COMMANDS = (
+    "check",
+    "simulate",
+    "sensitivity",
+    "tune",
+    "calibrate",
+    "report",
+    "ui",
+    "import-recording",
+    "run",
+)
+HEAVY = (
+    "torch",
+    "mlflow",
+    "optuna",
+    "matplotlib",
+    "numba",
+    "fmpy",
+    "SALib",
+    "scipy",
+    "numpy",
+    "pydantic",
+    "rich",
+)
+
+
+def test_help_answers_without_any_heavy_import() -> None:
+    program = (
+        "import sys\nfrom studies.cli import main\nmain(['--help'])\n"
+        f"print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        check=True,
+    )
+    assert done.stderr == "[]\n"
+    for command in COMMANDS:
+        assert command in done.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_says_what_happens_and_gives_examples(studies: Run, command: str) -> None:
+    answer = studies(command, "--help")
+    assert answer.code == 0
+    assert answer.err == ""
+    assert "what happens:" in answer.out
+    assert f"examples:\n  studies {command}" in answer.out
+    assert max(len(line) for line in answer.out.splitlines()) <= 120
+
+
+def test_every_command_in_an_example_is_understood() -> None:
+    from studies import cli_help
+    from studies.cli import EPILOG, build_parser
+
+    texts = [EPILOG, *(text for name, text in vars(cli_help).items() if name.isupper())]
+    examples = [line for text in texts for line in text.splitlines() if line.startswith("  studies ")]
+    assert len(examples) > 15
+    for example in examples:
+        words = re.split(r"\s{2,}", example.strip())[0].split()
+        build_parser().parse_args(words[1:])
+
+
+def test_version(studies: Run) -> None:
+    answer = studies("--version")
+    assert answer.code == 0
+    assert re.fullmatch(r"studies (\d+\.\d+\.\d+\S*|\(not installed\))\n", answer.out)
+
+
+def test_simulate_as_json_is_one_document_and_the_rest_on_stderr(project: Path, studies: Run) -> None:
+    answer = studies("simulate", "--profile", "smoke", "--json")
+    assert answer.code == 0
+    (stage,) = answer.document["stages"]
+    assert stage["n"] == {"train": 32, "validation": 32, "test": 32}
+    assert not stage["finished_before"]
+    assert answer.err.startswith("simulate: 96 simulations")
+    again = studies("simulate", "--profile", "smoke", "--json", "--quiet")
+    assert again.err == ""
+    (reused,) = again.document["stages"]
+    assert reused["finished_before"]
+    assert reused["files"] == stage["files"]
+
+
+def test_a_larger_training_set_goes_on_from_the_smaller_one(project: Path, studies: Run) -> None:
+    studies("simulate", "--profile", "smoke", "--json")
+    profile = (REPOSITORY / "studies" / "profiles" / "smoke.toml").read_text()
+    (project / "larger.toml").write_text(
+        profile.replace('name = "smoke"', 'name = "larger"').replace("[16, 32]", "[16, 200]")
+    )
+    answer = studies("simulate", "--profile", "larger.toml", "--json")
+    (stage,) = answer.document["stages"]
+    assert stage["n"]["train"] == 200
+    assert stage["n_reused"] == 96
+    assert answer.document["label"] == "office-larger"
+
+
+def test_window_and_seed_are_part_of_the_label(project: Path, studies: Run) -> None:
+    arguments = ("simulate", "--profile", "smoke", "--json", "-q")
+    plain = studies(*arguments).document
+    assert plain["label"] == "office-smoke"
+    other = studies(*arguments, "--window", "8-16", "--seed", "3").document
+    assert other["label"] == "office-smoke-d8-16-seed3"
+    assert set(other["stages"][0]["files"].values()).isdisjoint(plain["stages"][0]["files"].values())
+    seeded = studies(*arguments, "--seed", "3").document["stages"][0]["files"]
+    first = plain["stages"][0]["files"]
+    assert seeded["train"] != first["train"]
+    assert (seeded["validation"], seeded["test"]) == (first["validation"], first["test"])
+
+
+@pytest.mark.parametrize("case", ["office", "fmus/office", "fmus/office/case.toml"])
+def test_a_case_is_a_name_a_folder_or_a_file(project: Path, studies: Run, case: str) -> None:
+    answer = studies("check", case, "--profile", "smoke", "--json")
+    assert answer.document["label"] == "office-smoke"
+
+
+def test_tables_are_on_stdout_and_progress_is_not(project: Path, studies: Run) -> None:
+    answer = studies("simulate", "--profile", "smoke")
+    assert "train" in answer.out
+    assert "simulate: finished" in answer.err
+    assert "\x1b" not in answer.out + answer.err
+
+
+def test_ui_says_what_it_would_start(project: Path, studies: Run) -> None:
+    document = studies("ui", "--dry-run", "--json").document
+    assert document["environment"]["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
+    assert document["argv"][document["argv"].index("--host") + 1] == "127.0.0.1"
+    assert f"sqlite:///{project}/mlruns/mlflow.db" in document["argv"]
+    assert document["url"].startswith("http://127.0.0.1:")
+    assert not (project / "mlruns").exists()
+
+
+def test_ctrl_c_says_how_to_go_on(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("simulation.case.load_case", interrupted)
+    assert main(["run", "office", "--seed", "3", "--json"]) == 130
+    captured = capsys.readouterr()
+    assert captured.err.splitlines() == [
+        "studies: interrupted; what is finished is kept, go on with: studies run office --seed 3 --json"
+    ]
+    assert json.loads(captured.out)["go_on_with"] == "studies run office --seed 3 --json"
+
+
+def test_progress_bars_are_left_out_where_nobody_watches(capsys: pytest.CaptureFixture[str]) -> None:
+    with Console().progress("simulations", 10) as advance:
+        advance(5, 10)
+    captured = capsys.readouterr()
+    assert captured.err == captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.04, "0.0 s"), (9.9, "9.9 s"), (42.4, "42 s"), (600, "10.0 min"), (9000, "2.5 h")],
+)
+def test_durations_are_said_as_people_say_them(seconds: float, words: str) -> None:
+    assert format_seconds(seconds) == words

@@ -1,0 +1,176 @@
+"""A run that is interrupted in every stage, by Ctrl-C or by SIGKILL, ends where an uninterrupted one does."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import REPOSITORY, make_project
+
+LABEL = "office-smoke"
+LIMIT_S = 300.0
+RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
+
+
+def environment(project: Path) -> dict[str, str]:
+    return os.environ | {
+        "STUDIES_ROOT": str(project),
+        "PYTHONPATH": str(REPOSITORY),
+        "OMP_NUM_THREADS": "1",
+    }
+
+
+def finish(project: Path) -> str:
+    """Run to the end and return what was said on the way."""
+    done = subprocess.run(
+        RUN, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+def interrupt(project: Path, how: signal.Signals, is_moment: Callable[[Path, str], bool]) -> tuple[int, str]:
+    """Start a run, interrupt it at a moment, and return its exit code and what it said."""
+    log = project / "stderr.txt"
+    with log.open("w") as stderr:
+        process = subprocess.Popen(
+            RUN, env=environment(project), stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True
+        )
+        deadline = time.monotonic() + LIMIT_S
+        while not is_moment(project, log.read_text()):
+            assert process.poll() is None, f"the run ended before its moment came:\n{log.read_text()}"
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+        if how is signal.SIGINT:
+            # a terminal sends Ctrl-C to the whole group, workers included
+            os.killpg(process.pid, how)
+        else:
+            process.kill()
+        code = process.wait(LIMIT_S)
+    return code, log.read_text()
+
+
+def said(words: str) -> Callable[[Path, str], bool]:
+    return lambda project, text: words in text
+
+
+def there_is(pattern: str) -> Callable[[Path, str], bool]:
+    return lambda project, text: any(project.glob(pattern))
+
+
+MOMENTS = {
+    "check": said("check: examining"),
+    "simulate": there_is("data/office/generated/train-*/chunk-*.npz"),
+    "sensitivity": there_is("data/office/generated/sobol-*/*/chunk-*.npz"),
+    "tune, at its start": said("tune: "),
+    "tune, after a trial": there_is(f"mlruns/trials/{LABEL}/*/t000/trial.json"),
+    "calibrate": said("calibrate-n0016: differential"),
+    "calibrate, the second": said("calibrate-n0032: differential"),
+    "report": there_is(f"mlruns/reports/{LABEL}/*.png"),
+}
+
+
+def results(project: Path) -> dict[str, Any]:
+    """Return all numbers that a run leaves, without times, processes and places."""
+    folder = project / "mlruns" / "results" / LABEL
+    found: dict[str, Any] = {
+        file.name: json.loads(file.read_text()) for file in sorted(folder.glob("calibration-*.json"))
+    }
+    for name in ("simulate", "sensitivity"):
+        summary = json.loads((folder / f"{name}.json").read_text())["summary"]
+        found[name] = {key: value for key, value in summary.items() if key != "n_reused"}
+    for file in sorted((project / "mlruns" / "trials" / LABEL).glob("*/t*/trial.json")):
+        record = json.loads(file.read_text())
+        kept = ("params", "config", "seed", "metrics", "state", "n_epochs", "best_epoch", "digests")
+        found[str(file.relative_to(project))] = {key: record[key] for key in kept}
+    return found
+
+
+def finished_work(project: Path) -> dict[str, tuple[int, int]]:
+    """Return the identity of every finished simulation chunk and trial; redone ones are other files."""
+    patterns = ("data/office/generated/**/chunk-*.npz", "mlruns/trials/**/trial.json")
+    files = [file for pattern in patterns for file in project.glob(pattern)]
+    return {
+        str(f.relative_to(project)): (f.stat().st_ino, f.stat().st_mtime_ns)
+        for f in files
+        if not f.parent.name.startswith(".")
+    }
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with an empty MLflow store, whose making costs more than all the rest."""
+    from studies.mlflow_tracker import MlflowTracker
+
+    root = make_project(tmp_path_factory.mktemp("template") / "project")
+    MlflowTracker(root / "mlruns" / "mlflow.db", root / "mlruns" / "artifacts")
+    return root
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nobody interrupts; a second one finds everything finished."""
+    project = shutil.copytree(template, tmp_path_factory.mktemp("uninterrupted") / "project")
+    finish(project)
+    assert {"calibration-n0016.json", "calibration-n0032.json"} <= set(results(project))
+    work = finished_work(project)
+    log = finish(project)
+    stages = ("check", "simulate", "sensitivity", "tune", "calibrate-n0016", "calibrate-n0032", "report")
+    for stage in stages:
+        assert f"{stage}: finished before" in log
+    assert "96 simulations reused" in log
+    assert finished_work(project) == work
+    return project
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "sigkill"])
+def test_a_run_interrupted_in_every_stage_ends_the_same(
+    template: Path, tmp_path: Path, uninterrupted: Path, how: signal.Signals
+) -> None:
+    project = shutil.copytree(template, tmp_path / "project")
+    for moment, is_moment in MOMENTS.items():
+        before = finished_work(project)
+        code, log = interrupt(project, how, is_moment)
+        if how is signal.SIGINT:
+            assert code == 130, f"{moment}: {log}"
+            assert log.splitlines()[-1].startswith("studies: interrupted"), log
+            assert "studies run --profile smoke --jobs 2" in log.splitlines()[-1]
+            assert "Traceback" not in log
+        else:
+            assert code == -signal.SIGKILL
+        after = finished_work(project)
+        assert {name: after.get(name) for name in before} == before, f"work was redone or lost at {moment}"
+    before = finished_work(project)
+    log = finish(project)
+    after = finished_work(project)
+    assert {name: after.get(name) for name in before} == before
+    assert "simulate: finished before" in log
+    assert results(project) == results(uninterrupted)
+
+
+def test_a_copy_at_another_place_calibrates_to_the_same_numbers(
+    template: Path, tmp_path: Path, uninterrupted: Path
+) -> None:
+    """Needs the champion's folder alone: no simulations, no Optuna store, no MLflow runs."""
+    project = shutil.copytree(template, tmp_path / "moved" / "elsewhere")
+    shutil.copytree(uninterrupted / "mlruns" / "champions", project / "mlruns" / "champions")
+    command = [*RUN[:3], "calibrate", "--profile", "smoke", "--n-train", "32", "--json", "--again"]
+    answers = []
+    for _ in range(2):
+        done = subprocess.run(
+            command, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        stage = json.loads(done.stdout)["stages"][0]
+        assert not stage["finished_before"]
+        answers.append({name: value for name, value in stage.items() if "wall" not in name})
+    assert answers[0] == answers[1]
+    file = project / "mlruns" / "results" / LABEL / "calibration-n0032.json"
+    assert json.loads(file.read_text()) == results(uninterrupted)["calibration-n0032.json"]

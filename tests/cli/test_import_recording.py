@@ -1,0 +1,213 @@
+"""Importing a recording from each form it is published in, and refusing what is not one."""
+
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Run
+from made_up_recording import Array, made_up_recording, write_csv_files
+from scipy.io import savemat
+
+BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data" / "office_recording"
+SHARED = Path(os.environ.get("OFFICE_RECORDING", BESIDE))
+needs_recording = pytest.mark.skipif(
+    not (SHARED / "recording_1800s.csv").is_file(),
+    reason="the paper's recording is not ours to ship; set OFFICE_RECORDING to its folder",
+)
+Recording = dict[str, tuple[Array, Array]]
+
+
+def write_matlab(file: Path, recording: Recording, *, version: str = "5", transposed: bool = False) -> Path:
+    tables = {name: np.column_stack(columns) for name, columns in recording.items()}
+    if transposed:
+        tables = {name: table.T for name, table in tables.items()}
+    savemat(file, tables, format=version)
+    return file
+
+
+def imported(project: Path) -> tuple[str, str]:
+    folder = project / "data" / "office-recorded"
+    return (folder / "recording_1800s.csv").read_text(), (folder / "occupancy_600s.csv").read_text()
+
+
+@pytest.fixture
+def expected(tmp_path: Path) -> tuple[str, str]:
+    write_csv_files(tmp_path / "expected")
+    folder = tmp_path / "expected"
+    return (folder / "recording_1800s.csv").read_text(), (folder / "occupancy_600s.csv").read_text()
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+@pytest.mark.parametrize("transposed", [False, True])
+def test_a_matlab_file_becomes_the_two_csv_files(
+    project: Path, studies: Run, tmp_path: Path, expected: tuple[str, str], version: str, transposed: bool
+) -> None:
+    file = write_matlab(tmp_path / "data.mat", made_up_recording(), version=version, transposed=transposed)
+    answer = studies("import-recording", str(file), "--json")
+    assert answer.code == 0, answer.err
+    assert answer.document["n_rows"] == [1056, 3168]
+    assert answer.document["files"] == [
+        "data/office-recorded/recording_1800s.csv",
+        "data/office-recorded/occupancy_600s.csv",
+    ]
+    assert imported(project) == expected
+
+
+def test_the_fmu_that_holds_the_recording_is_read(
+    project: Path, studies: Run, tmp_path: Path, expected: tuple[str, str]
+) -> None:
+    file = write_matlab(tmp_path / "data.mat", made_up_recording())
+    with zipfile.ZipFile(tmp_path / "Office.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", "<fmiModelDescription/>")
+        archive.write(file, "resources/identification_data.mat")
+    answer = studies("import-recording", str(tmp_path / "Office.fmu"))
+    assert answer.code == 0, answer.err
+    assert "resources/identification_data.mat" in answer.out
+    assert imported(project) == expected
+
+
+def test_csv_files_and_their_folder_are_read(
+    project: Path, studies: Run, tmp_path: Path, expected: tuple[str, str]
+) -> None:
+    folder = tmp_path / "expected"
+    files = [str(folder / name) for name in ("occupancy_600s.csv", "recording_1800s.csv")]
+    for arguments in ([str(folder)], files):
+        assert studies("import-recording", *arguments).code == 0
+        assert imported(project) == expected
+
+
+def test_kelvin_becomes_degrees_celsius(project: Path, studies: Run, tmp_path: Path) -> None:
+    recording = made_up_recording()
+    time, room = recording["TRoom"]
+    recording["TRoom"] = (time, room + 273.15)
+    answer = studies("import-recording", str(write_matlab(tmp_path / "data.mat", recording)), "--json")
+    assert answer.document["converted_from_kelvin"] == ["TRoom_degC"]
+    first = imported(project)[0].splitlines()[1].split(",")
+    assert float(first[1]) == pytest.approx(room[0], abs=1e-6)
+
+
+def cut(recording: Recording, name: str, rows: slice) -> None:
+    recording[name] = (recording[name][0][rows], recording[name][1][rows])
+
+
+def drop_variable(recording: Recording) -> None:
+    del recording["TSupply"]
+
+
+def put_nan(recording: Recording) -> None:
+    recording["TEnv"][1][7] = np.nan
+
+
+def shorten(recording: Recording) -> None:
+    for name in recording:
+        cut(recording, name, slice(0, 48 * 9 * (3 if name == "Occupancy" else 1)))
+
+
+def shorten_one(recording: Recording) -> None:
+    cut(recording, "RLTFlow", slice(0, -5))
+
+
+def make_gap(recording: Recording) -> None:
+    time, values = recording["IrrGH"]
+    recording["IrrGH"] = (np.delete(time, 20), np.delete(values, 20))
+
+
+def use_fahrenheit(recording: Recording) -> None:
+    time, values = recording["TRoom"]
+    recording["TRoom"] = (time, values * 1.8 + 32.0)
+
+
+def begin_later(recording: Recording) -> None:
+    recording["Occupancy"] = (recording["Occupancy"][0] + 600.0, recording["Occupancy"][1])
+
+
+def occupancy_in_percent(recording: Recording) -> None:
+    recording["Occupancy"] = (recording["Occupancy"][0], 100.0 * recording["Occupancy"][1])
+
+
+def three_columns(recording: Recording) -> None:
+    recording["TRoom"] = (recording["TRoom"][0], np.tile(recording["TRoom"][1], (2, 1)).T)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fragments"),
+    [
+        (drop_variable, ["TSupply", "TRLTSupply"]),
+        (put_nan, ["TEnv_degC", "nan", "12600"]),
+        (shorten, ["days", "10"]),
+        (shorten_one, ["RLTFlow", "1051"]),
+        (make_gap, ["IrrGH", "34200", "1800"]),
+        (use_fahrenheit, ["TRoom_degC", "unit"]),
+        (begin_later, ["Occupancy", "600"]),
+        (occupancy_in_percent, ["Occupancy", "0 to 1"]),
+        (three_columns, ["TRoom", "two columns"]),
+    ],
+)
+def test_a_wrong_recording_is_refused_and_nothing_written(
+    project: Path, studies: Run, tmp_path: Path, spoil: Callable[[Recording], None], fragments: list[str]
+) -> None:
+    recording = made_up_recording()
+    spoil(recording)
+    answer = studies("import-recording", str(write_matlab(tmp_path / "data.mat", recording)))
+    assert answer.code == 2, answer.out
+    (line,) = answer.err.splitlines()
+    for fragment in fragments:
+        assert fragment in line
+    assert not (project / "data" / "office-recorded").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fragment"),
+    [
+        ("data.mat", b"not MATLAB at all" * 20, "MATLAB"),
+        ("data.mat", b"", "MATLAB"),
+        ("Office.fmu", b"not a zip", "zip"),
+        ("data.xlsx", b"", ".xlsx"),
+        ("data.csv", b"time_s,TRoom_degC\n0,1\n1800,2\n", "TEnv_degC"),
+        ("data.csv", b"TRoom_degC\n1\n", "time_s"),
+        ("data.csv", b"time_s,TRoom_degC\n0,warm\n", "warm"),
+        ("data.csv", b"time_s,TRoom_degC\n0\n", "line 2"),
+        ("data.csv", b"", "no rows"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(
+    project: Path, studies: Run, tmp_path: Path, name: str, content: bytes, fragment: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    answer = studies("import-recording", str(tmp_path / name))
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    assert fragment in line
+    assert not (project / "data" / "office-recorded").exists()
+
+
+def test_an_fmu_without_the_recording_is_refused(project: Path, studies: Run) -> None:
+    answer = studies("import-recording", str(project / "fmus" / "office" / "Office.fmu"))
+    assert answer.code == 2
+    assert "identification_data.mat" in answer.err
+
+
+@needs_recording
+def test_the_papers_recording_is_taken_over_to_the_last_digit(project: Path, studies: Run) -> None:
+    assert studies("import-recording", str(SHARED)).code == 0
+    assert imported(project) == tuple(
+        (SHARED / name).read_text() for name in ("recording_1800s.csv", "occupancy_600s.csv")
+    )
+
+
+@needs_recording
+def test_the_papers_recording_survives_the_way_through_matlab(
+    project: Path, studies: Run, tmp_path: Path
+) -> None:
+    columns: Recording = {}
+    for name, variables in (
+        ("recording_1800s.csv", ["TRoom", "TEnv", "TSupply", "FlowSupply", "TRLTSupply", "RLTFlow", "IrrGH"]),
+        ("occupancy_600s.csv", ["Occupancy"]),
+    ):
+        table = np.loadtxt(SHARED / name, delimiter=",", skiprows=1)
+        columns |= {variable: (table[:, 0], table[:, i + 1]) for i, variable in enumerate(variables)}
+    assert studies("import-recording", str(write_matlab(tmp_path / "data.mat", columns))).code == 0
+    assert imported(project)[0] == (SHARED / "recording_1800s.csv").read_text()

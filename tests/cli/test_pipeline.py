@@ -1,0 +1,133 @@
+"""Stages remember what they did: same inputs and files there means finished, anything else means again."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulation.case import load_case
+from studies.console import Console
+from studies.paths import ProjectPaths, find_case, size_name
+from studies.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
+from studies.profile import load_profile
+
+
+@pytest.fixture
+def study(project: Path) -> Study:
+    paths = ProjectPaths(project)
+    return Study(
+        case=load_case(find_case(paths, "office")),
+        profile=load_profile("smoke"),
+        paths=paths,
+        console=Console(),
+        n_jobs=1,
+        label="office-smoke",
+        command="office",
+    )
+
+
+class Worker:
+    """Does a stage and counts how often."""
+
+    def __init__(self, study: Study) -> None:
+        self.study, self.n_done = study, 0
+        self.file = study.results / "result.txt"
+
+    def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome:
+        return run_stage(
+            self.study,
+            "work",
+            what="working",
+            inputs=inputs,
+            work=self._work,
+            reuse_note=lambda summary: f"{summary['n']} reused",
+            keep=lambda summary: keep,
+        )
+
+    def _work(self) -> tuple[Summary, list[Path]]:
+        self.n_done += 1
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        self.file.write_text("result")
+        return {"n": 7}, [self.file]
+
+
+def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
+    worker = Worker(study)
+    first, second = worker.run({"a": 1}), worker.run({"a": 1})
+    assert worker.n_done == 1
+    assert (first.reused, second.reused) == (False, True)
+    assert first.summary == second.summary
+    assert second.wall_s == pytest.approx(first.wall_s, abs=1e-3)
+    assert "work: finished before, 7 reused" in capsys.readouterr().err
+
+
+def test_other_inputs_or_a_missing_or_changed_file_mean_again(study: Study) -> None:
+    worker = Worker(study)
+    worker.run({"a": 1})
+    worker.run({"a": 2})
+    assert worker.n_done == 2
+    worker.file.unlink()
+    worker.run({"a": 2})
+    assert worker.n_done == 3
+    worker.file.write_text("half")
+    worker.run({"a": 2})
+    assert worker.n_done == 4
+
+
+def test_a_damaged_manifest_means_again(study: Study) -> None:
+    worker = Worker(study)
+    worker.run({"a": 1})
+    (study.results / "work.json").write_text('{"digest": ')
+    worker.run({"a": 1})
+    assert worker.n_done == 2
+
+
+def test_a_result_not_worth_keeping_is_not_kept(study: Study) -> None:
+    worker = Worker(study)
+    worker.run({"a": 1}, keep=False)
+    worker.run({"a": 1})
+    assert worker.n_done == 2
+
+
+def test_an_interrupted_stage_leaves_no_manifest(study: Study) -> None:
+    def work() -> tuple[Summary, list[Path]]:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(study, "work", what="", inputs={}, work=work, reuse_note=lambda summary: "")
+    assert not (study.results / "work.json").exists()
+
+
+def test_a_manifest_says_what_made_it(study: Study) -> None:
+    Worker(study).run({"a": 1})
+    manifest = json.loads((study.results / "work.json").read_text())
+    assert manifest["inputs"] == {"a": 1}
+    assert manifest["files"] == {"mlruns/results/office-smoke/result.txt": 6}
+    assert manifest["seed"] == 0
+    assert {"python", "numpy", "torch"} <= set(manifest["versions"])
+    assert {"host", "wall_s", "finished", "platform"} <= set(manifest)
+
+
+@given(st.dictionaries(st.text(max_size=5), st.integers() | st.text(max_size=5), min_size=1, max_size=5))
+def test_digests_depend_on_content_and_not_on_order(content: dict[str, Any]) -> None:
+    backwards = dict(reversed(list(content.items())))
+    assert digest_of(content) == digest_of(backwards)
+    name = next(iter(content))
+    assert digest_of(content) != digest_of({**content, name: [content[name]]})
+
+
+def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    file = tmp_path / "deep" / "content.json"
+    write_json(file, {"a": 1})
+    with pytest.raises(TypeError):
+        write_json(file, {("a", "b"): 1})  # type: ignore[dict-item]
+    assert read_json(file) == {"a": 1}
+    assert [found.name for found in file.parent.iterdir()] == ["content.json"]
+
+
+def test_sizes_sort_by_name_as_by_number() -> None:
+    sizes = [32, 64, 128, 1024, 4096]
+    assert sorted(map(size_name, sizes)) == [size_name(n) for n in sizes]

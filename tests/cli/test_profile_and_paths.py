@@ -1,0 +1,66 @@
+"""Profiles are budgets checked at the edge; paths find the project and its cases."""
+
+from pathlib import Path
+
+import pytest
+from conftest import make_project
+
+from simulation.errors import InputError
+from studies.paths import ProjectPaths, find_case, find_project
+from studies.profile import load_profile, profile_names
+
+
+def test_all_shipped_profiles_are_read_under_their_own_name() -> None:
+    assert {"quick", "paper", "smoke"} <= set(profile_names())
+    for name in profile_names():
+        assert load_profile(name).name == name
+        assert load_profile(name).note
+
+
+def test_the_paper_profile_has_the_papers_sizes() -> None:
+    profile = load_profile("paper")
+    assert profile.data.n_train == (32, 64, 128, 256, 512, 1024, 1536, 2048, 4096)
+    assert (profile.data.n_validation, profile.data.n_test) == (320, 320)
+    assert profile.tuning.variant == "paper"
+
+
+def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 1\n', encoding="utf-8")
+    profile = load_profile(str(file))
+    assert (profile.name, profile.data.n_train, profile.tuning.n_trials, profile.seed) == ("mine", (8,), 1, 0)
+
+
+def test_a_profile_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        load_profile("smoke").seed = 3  # type: ignore[misc]
+
+
+def test_the_project_is_found_from_below_and_by_the_variable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = make_project(tmp_path / "project")
+    monkeypatch.delenv("STUDIES_ROOT", raising=False)
+    monkeypatch.chdir(root / "fmus" / "office")
+    assert find_project().root == root
+    monkeypatch.chdir(tmp_path)
+    assert (find_project().root / "studies").is_dir()
+    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    assert find_project().root == root
+
+
+def test_cases_are_found_by_folder_name_and_by_file_name(tmp_path: Path) -> None:
+    root = make_project(tmp_path / "project")
+    other = root / "fmus" / "office" / "winter.toml"
+    other.write_text("", encoding="utf-8")
+    paths = ProjectPaths(root)
+    assert find_case(paths, "office") == root / "fmus" / "office" / "case.toml"
+    assert find_case(paths, "winter") == other
+    with pytest.raises(InputError, match="did you mean 'winter'"):
+        find_case(paths, "wintr")
+
+
+def test_paths_are_shown_as_a_reader_would_type_them(tmp_path: Path) -> None:
+    paths = ProjectPaths(tmp_path)
+    assert paths.show(tmp_path / "mlruns" / "mlflow.db") == "mlruns/mlflow.db"
+    assert paths.show(Path("/elsewhere/file")) == "/elsewhere/file"
