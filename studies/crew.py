@@ -150,10 +150,16 @@ def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> N
     exit_with_parent()
     from studies.trial_worker import StudyInterruptedError, run_study
 
+    def emit(event: TuneEvent) -> None:
+        try:
+            connection.send(event)
+        except OSError:  # the parent has hung up; without this the trial would look like a failed one
+            raise StudyInterruptedError from None
+
     while (spec := _next(connection)) is not None:
         try:
-            run_study(spec, mlruns=mlruns, n_trials=n_trials, emit=connection.send, should_stop=stop.is_set)
-        except (StudyInterruptedError, BrokenPipeError):
+            run_study(spec, mlruns=mlruns, n_trials=n_trials, emit=emit, should_stop=stop.is_set)
+        except StudyInterruptedError:
             return
         except InputError as error:
             connection.send(_Failure(str(error), is_input_error=True))
@@ -165,7 +171,7 @@ def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> N
 def _next(connection: Connection) -> StudySpec | None:
     try:
         spec: StudySpec | None = connection.recv()
-    except EOFError:  # the parent has hung up
+    except (EOFError, OSError):  # the parent has hung up
         return None
     return spec
 

@@ -46,19 +46,36 @@ def register_champion(
     present = _version_by_alias(client, name)
     if present is not None and present.tags.get(_IDENTITY) == identity:
         return
-    wake()
-    with tempfile.TemporaryDirectory() as scratch:
-        model = Path(scratch) / "model"
-        _save_model(info, folder, model, Path(scratch) / "code")
-        client.log_artifacts(run_id, str(model), f"champion/t{info.index:03d}")
     if not client.search_registered_models(f"name = '{name}'"):
         client.create_registered_model(
             name, description=f"Best surrogate of {spec.label}, n_train {spec.n_train}."
         )
-    root = client.get_run(run_id).info.artifact_uri
-    created = client.create_model_version(
+    versions = client.search_model_versions(f"name = '{name}'")
+    known = [version for version in versions if version.tags.get(_IDENTITY) == identity]
+    version = known[0] if known else _create_version(client, info, folder, name, identity, run_id, wake)
+    if present is not None:
+        client.set_registered_model_alias(name, PREVIOUS, present.version)
+    client.set_registered_model_alias(name, ALIAS, version.version)
+
+
+def _create_version(
+    client: "MlflowClient",
+    info: ChampionInfo,
+    folder: Path,
+    name: str,
+    identity: str,
+    run_id: str,
+    wake: Callable[[], None],
+) -> "ModelVersion":
+    wake()
+    place = f"champion/t{info.index:03d}"
+    with tempfile.TemporaryDirectory() as scratch:
+        model = Path(scratch) / "model"
+        _save_model(info, folder, model, Path(scratch) / "code")
+        client.log_artifacts(run_id, str(model), place)
+    return client.create_model_version(
         name,
-        source=f"{root}/champion/t{info.index:03d}",
+        source=f"{client.get_run(run_id).info.artifact_uri}/{place}",
         run_id=run_id,
         tags={
             _IDENTITY: identity,
@@ -70,9 +87,6 @@ def register_champion(
         },
         description=_description(info),
     )
-    if present is not None:
-        client.set_registered_model_alias(name, PREVIOUS, present.version)
-    client.set_registered_model_alias(name, ALIAS, created.version)
 
 
 def fetch_champion(client: "MlflowClient", *, label: str, n_train: int, folder: Path) -> bool:
@@ -115,11 +129,14 @@ def _version_by_alias(client: "MlflowClient", name: str) -> "ModelVersion | None
 
 def _save_model(info: ChampionInfo, folder: Path, model: Path, code: Path) -> None:
     """Write an MLflow model: the champion's files, the code that reads them, and what they are called."""
-    import mlflow.pyfunc
     import numpy as np
     import pandas as pd
-    from mlflow.models import ModelSignature
-    from mlflow.types import ColSpec, Schema, TensorSpec
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
+        import mlflow.pyfunc
+        from mlflow.models import ModelSignature
+        from mlflow.types import ColSpec, Schema, TensorSpec
 
     shutil.copytree(_ROOT / "pelsvae", code / "pelsvae", ignore=shutil.ignore_patterns("__pycache__"))
     (code / "studies").mkdir()
@@ -129,7 +146,7 @@ def _save_model(info: ChampionInfo, folder: Path, model: Path, code: Path) -> No
     middle = pd.DataFrame([dict(zip(info.parameter_names, _middle(info), strict=True))])
     outputs = Schema([TensorSpec(np.dtype(np.float64), (-1, -1, len(info.output_names)))])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # MLflow's own deprecations
+        warnings.simplefilter("ignore")
         mlflow.pyfunc.save_model(
             model,
             loader_module="studies.pyfunc_loader",

@@ -37,7 +37,7 @@ class MlflowTracker:
         artifacts.mkdir(parents=True, exist_ok=True)
         self.uri = f"sqlite:///{database.resolve().as_posix()}"
         self._artifacts = artifacts.resolve()
-        self._client = connect(self.uri)
+        self.client = connect(self.uri)
         self._origin = origin_tags(root or Path.cwd())
         self._experiments: dict[str, str] = {}
         self._studies: dict[str, str] = {}
@@ -50,7 +50,7 @@ class MlflowTracker:
         if found:
             self._studies[spec.name] = found[0].info.run_id
         else:
-            run = self._client.create_run(
+            run = self.client.create_run(
                 experiment,
                 run_name=f"{size_name(spec.n_train)} study",
                 tags={
@@ -68,10 +68,13 @@ class MlflowTracker:
                 **spec.shared_settings,
             }
             params |= {f"search.{name}": span for name, span in vars(spec.search).items() if span is not None}
-            self._client.log_batch(run.info.run_id, params=_params(params))
+            self.client.log_batch(run.info.run_id, params=_params(params))
             self._log_datasets(run.info.run_id, spec)
         for run in self._search(experiment, {"study_key": spec.name, "role": "trial"}):
             self._trials[run.data.tags["trial_key"]] = (run.info.run_id, run.info.status)
+        keys = [key for key in self._trials if key.startswith(f"{spec.name}/")]
+        if len(keys) < n_trials:
+            self._wake(self._studies[spec.name])
 
     def log_trial(self, spec: StudySpec, record: TrialRecord, history: Callable[[], History]) -> None:
         """Write a finished trial as a run below its study's, or complete the run an interruption left."""
@@ -89,7 +92,7 @@ class MlflowTracker:
                 "reason": record.reason[:4000],
                 "mlflow.parentRunId": self._studies[spec.name],
             }
-            run_id = self._client.create_run(
+            run_id = self.client.create_run(
                 self._experiments[spec.label],
                 start_time=_ms(record.started_s),
                 run_name=f"{size_name(spec.n_train)} trial {record.index:03d}",
@@ -106,10 +109,10 @@ class MlflowTracker:
         metrics = [Metric(name, float(value), end, 0) for name, value in results.items()]
         metrics += _curves(history(), _ms(record.started_s), end)
         settings = {**record.config, "seed": record.seed, "n_train": record.n_train}
-        self._client.log_batch(run_id, metrics=metrics, params=_params(settings))
+        self.client.log_batch(run_id, metrics=metrics, params=_params(settings))
         self._log_datasets(run_id, spec)
         status = _STATUS[record.state]
-        self._client.set_terminated(run_id, status, end)
+        self.client.set_terminated(run_id, status, end)
         self._trials[record.key] = (run_id, status)
 
     def trial_run_id(self, spec: StudySpec, key: str) -> str:
@@ -118,10 +121,12 @@ class MlflowTracker:
 
     def finish_study(self, spec: StudySpec, summary: StudySummary, status: RunStatus) -> None:
         """Write the best trial's errors on the study's run, for the collapsed list, and end it."""
-        run_id = self._studies[spec.name]
-        tags = self._client.get_run(run_id).data.tags
-        told = json.dumps([status, summary.n_trials, summary.best_index])
-        if tags.get("told") == told:
+        run_id = self._studies.get(spec.name)
+        if run_id is None:  # interrupted before the study was opened here
+            return
+        run = self.client.get_run(run_id)
+        told = json.dumps([summary.n_trials, summary.best_index])
+        if run.info.status == status and run.data.tags.get("told") == told:
             return
         self._wake(run_id)
         now = _ms(time.time())
@@ -135,19 +140,19 @@ class MlflowTracker:
         metrics = [Metric(k, float(v), now, summary.n_trials) for k, v in {**counts, **best}.items()]
         said = {"told": told, "best_trial": summary.best_index, "n_trials": summary.n_trials}
         said |= {f"best_{name}": summary.best_config.get(name) for name in ("n_latent", "n_hidden", "beta")}
-        self._client.log_batch(run_id, metrics=metrics, tags=[RunTag(k, str(v)) for k, v in said.items()])
-        self._client.set_terminated(run_id, status)
+        self.client.log_batch(run_id, metrics=metrics, tags=[RunTag(k, str(v)) for k, v in said.items()])
+        self.client.set_terminated(run_id, status)
 
     def register_champion(self, spec: StudySpec, folder: Path) -> None:
         """Register the champion in its folder under the alias "champion", unless it is there already."""
         run_id = self._studies[spec.name]
         register_champion(
-            self._client, spec=spec, folder=folder, run_id=run_id, wake=lambda: self._wake(run_id)
+            self.client, spec=spec, folder=folder, run_id=run_id, wake=lambda: self._wake(run_id)
         )
 
     def fetch_champion(self, label: str, n_train: int, folder: Path) -> bool:
         """Copy the files of the registered champion into an empty folder; return whether there is one."""
-        return fetch_champion(self._client, label=label, n_train=n_train, folder=folder)
+        return fetch_champion(self.client, label=label, n_train=n_train, folder=folder)
 
     def log_stage(self, stage: StageRun) -> None:
         """Write a stage as a run of its own, or complete the run an interruption left."""
@@ -162,37 +167,37 @@ class MlflowTracker:
         else:
             tags = {"role": stage.kind, "stage_key": stage.key, "label": stage.label, **stage.tags}
             tags |= {"mlflow.note.content": stage.note} if stage.note else {}
-            run_id = self._client.create_run(
+            run_id = self.client.create_run(
                 experiment,
                 start_time=start,
                 run_name=stage.name,
                 tags={**self._origin, **{name: str(value) for name, value in tags.items()}},
             ).info.run_id
-        self._client.log_batch(run_id, params=_params(stage.params))
+        self.client.log_batch(run_id, params=_params(stage.params))
         metrics = [Metric(name, float(value), end, 0) for name, value in stage.metrics.items()]
         for name, curve in stage.curves.items():
             metrics += [Metric(name, float(value), end, int(step)) for step, value in _thinned(curve)]
         for first in range(0, len(metrics), 1000):
-            self._client.log_batch(run_id, metrics=metrics[first : first + 1000])
+            self.client.log_batch(run_id, metrics=metrics[first : first + 1000])
         for file in stage.figures:
-            self._client.log_artifact(run_id, str(file), "figures")
+            self.client.log_artifact(run_id, str(file), "figures")
         for file in stage.artifacts:
-            self._client.log_artifact(run_id, str(file))
-        self._client.set_tag(run_id, "whole", "yes")
-        self._client.set_terminated(run_id, stage.status, end)
+            self.client.log_artifact(run_id, str(file))
+        self.client.set_tag(run_id, "whole", "yes")
+        self.client.set_terminated(run_id, stage.status, end)
 
     def _experiment(self, label: str, note: str = "") -> str:
         if label not in self._experiments:
-            found = self._client.get_experiment_by_name(label)
+            found = self.client.get_experiment_by_name(label)
             if found is None:
                 location = (self._artifacts / label).as_uri()
-                self._experiments[label] = self._client.create_experiment(label, location)
+                self._experiments[label] = self.client.create_experiment(label, location)
             else:
                 if found.lifecycle_stage == "deleted":
-                    self._client.restore_experiment(found.experiment_id)
+                    self.client.restore_experiment(found.experiment_id)
                 self._experiments[label] = found.experiment_id
         if note:
-            self._client.set_experiment_tag(self._experiments[label], "mlflow.note.content", note)
+            self.client.set_experiment_tag(self._experiments[label], "mlflow.note.content", note)
         return self._experiments[label]
 
     def _search(self, experiment: str, tags: Mapping[str, str]) -> list[Run]:
@@ -200,7 +205,7 @@ class MlflowTracker:
         found: list[Run] = []
         token = None
         while True:
-            page = self._client.search_runs(
+            page = self.client.search_runs(
                 [experiment], wanted, order_by=["attributes.start_time ASC"], page_token=token
             )
             found += page
@@ -209,8 +214,8 @@ class MlflowTracker:
                 return found
 
     def _wake(self, run_id: str) -> None:
-        if self._client.get_run(run_id).info.status != "RUNNING":
-            self._client.update_run(run_id, status="RUNNING")
+        if self.client.get_run(run_id).info.status != "RUNNING":
+            self.client.update_run(run_id, status="RUNNING")
 
     def _log_datasets(self, run_id: str, spec: StudySpec) -> None:
         inputs = []
@@ -218,7 +223,7 @@ class MlflowTracker:
             source = json.dumps({"file": getattr(spec, f"{name}_file").name})
             dataset = Dataset(f"{spec.case_name} {name}", spec.digests[name][:32], "local", source)
             inputs.append(DatasetInput(dataset, [InputTag("mlflow.data.context", context)]))
-        self._client.log_inputs(run_id, inputs)
+        self.client.log_inputs(run_id, inputs)
 
 
 def _study_tags(spec: StudySpec) -> dict[str, str]:
@@ -240,7 +245,7 @@ def _experiment_note(spec: StudySpec) -> str:
         f"PELS-VAE surrogates of the case **{spec.case_name}**: a study (parent run) per training-set size,",
         f"a run per trial below it. `val/mae` and `test/mae` are mean absolute errors in {unit}, `p90` the",
         "90th percentile over simulations; `best/...` on a study is its best trial by validation error.",
-        "States: FINISHED complete, KILLED pruned or interrupted, FAILED with its reason in the tag `reason`.",
+        "States: FINISHED complete, KILLED pruned or interrupted, FAILED with its `reason` as a tag.",
     ]
     return " ".join(lines) + (f"\n\n{spec.note}" if spec.note else "")
 

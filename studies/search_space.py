@@ -1,5 +1,6 @@
 """Which hyperparameters are searched, and which a trial tries next: a function of the trials before."""
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import create_trial
 
+from simulation.errors import InputError
 from studies.profile import SearchRanges
 
 N_STARTUP_TRIALS = 5
@@ -40,7 +42,10 @@ def distributions(ranges: SearchRanges) -> dict[str, BaseDistribution]:
     found: dict[str, BaseDistribution] = {}
     for name in _POWERS_OF_TWO:
         low, high = getattr(ranges, name)
-        found[f"log2_{name}"] = IntDistribution(round(np.log2(low)), round(np.log2(high)))
+        lowest, highest = math.ceil(math.log2(low)), math.floor(math.log2(high))
+        if lowest > highest:
+            raise InputError(f"the search range of {name}, {low} to {high}, holds no power of two; widen it")
+        found[f"log2_{name}"] = IntDistribution(lowest, highest)
     for name in _LOGARITHMIC:
         if (span := getattr(ranges, name)) is not None:
             found[name] = FloatDistribution(span[0], span[1], log=True)

@@ -1,15 +1,20 @@
 """What a study tells a tracking product: the protocol, a silent tracker, and the way to MLflow's."""
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
+from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.study_spec import StudySpec, StudySummary
 from studies.trial_record import TrialRecord
+
+_T = TypeVar("_T")
+logger = logging.getLogger(__name__)
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED"]
 History = Mapping[str, NDArray[Any]]
@@ -104,8 +109,69 @@ class NullTracker:
         """Do nothing."""
 
 
+class PatientTracker:
+    """Tells another tracker, and takes its failures as a warning: what it misses now it hears next time.
+
+    A store that is locked, full or read-only must not cost a training.
+
+    Args:
+        tracker: the tracker that may fail.
+    """
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+
+    def start_study(self, spec: StudySpec, *, n_trials: int) -> None:
+        """Pass it on."""
+        self._try(lambda: self._tracker.start_study(spec, n_trials=n_trials), None)
+
+    def log_trial(self, spec: StudySpec, record: TrialRecord, history: Callable[[], History]) -> None:
+        """Pass it on."""
+        self._try(lambda: self._tracker.log_trial(spec, record, history), None)
+
+    def trial_run_id(self, spec: StudySpec, key: str) -> str:
+        """Ask, empty without an answer."""
+        return self._try(lambda: self._tracker.trial_run_id(spec, key), "")
+
+    def finish_study(self, spec: StudySpec, summary: StudySummary, status: RunStatus) -> None:
+        """Pass it on."""
+        self._try(lambda: self._tracker.finish_study(spec, summary, status), None)
+
+    def register_champion(self, spec: StudySpec, folder: Path) -> None:
+        """Pass it on."""
+        self._try(lambda: self._tracker.register_champion(spec, folder), None)
+
+    def fetch_champion(self, label: str, n_train: int, folder: Path) -> bool:
+        """Ask, False without an answer."""
+        return self._try(lambda: self._tracker.fetch_champion(label, n_train, folder), False)
+
+    def log_stage(self, stage: StageRun) -> None:
+        """Pass it on."""
+        self._try(lambda: self._tracker.log_stage(stage), None)
+
+    def _try(self, call: Callable[[], _T], otherwise: _T) -> _T:
+        try:
+            return call()
+        except Exception as error:
+            line = str(error).splitlines()[0] if str(error) else ""
+            logger.warning(
+                "MLflow missed something (%s: %s); the next run makes it good", type(error).__name__, line
+            )
+            return otherwise
+
+
 def open_tracker(paths: ProjectPaths) -> Tracker:
-    """Open MLflow's store under `mlruns/`, creating it where absent (some 7 s); costs MLflow's import."""
+    """Open MLflow's store under `mlruns/`, creating it where absent; costs MLflow's import, some 3 s.
+
+    Raises:
+        InputError: the database cannot be opened.
+    """
     from studies.mlflow_tracker import MlflowTracker
 
-    return MlflowTracker(paths.tracking_database, paths.artifacts, root=paths.root)
+    try:
+        return PatientTracker(MlflowTracker(paths.tracking_database, paths.artifacts, root=paths.root))
+    except Exception as error:
+        line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(
+            f"MLflow cannot open {paths.tracking_database} ({line}); move it away, tuning writes it again"
+        ) from error

@@ -154,7 +154,7 @@ def _run_trial(
     except Exception as error:
         # Whatever a configuration provokes (divergence, memory) is a result of the trial; the study goes on.
         outcome.state, outcome.reason = "failed", f"{type(error).__name__}: {error}"
-        logger.warning("%s trial %d failed: %s", spec.name, index, outcome.reason)
+        logger.info("%s trial %d failed: %s", spec.name, index, outcome.reason)
     fitted = outcome.fitted
     record = TrialRecord(
         study=spec.name,

@@ -50,13 +50,13 @@ def tune(
         KeyboardInterrupt: after the workers have stopped and their trials have been marked as interrupted.
     """
     desk = _Desk(paths, n_trials, tracker or NullTracker(), on_event or (lambda event: None))
-    for spec in studies:
-        desk.open(spec)
     unfinished = sorted(
         (spec for spec in studies if not desk.is_finished(spec)), key=lambda spec: -spec.n_train
     )
     crew = Crew(mlruns=paths.mlruns, n_trials=n_trials, n_workers=n_jobs or os.cpu_count() or 1)
     try:
+        for spec in studies:
+            desk.open(spec)
         for spec, event in crew.run(unfinished):
             desk.hear(spec, event)
     except BaseException:

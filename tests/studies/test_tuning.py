@@ -128,10 +128,11 @@ def test_trial_killed_between_its_record_and_the_journal_is_adopted(
     make_spec: MakeSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spec = make_spec()
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         patch.setattr(StudyStore, "finish", _interrupt)
         patch.setattr(StudyStore, "reap", lambda self, crash="": None)
-        run_study(spec, mlruns=tmp_path, n_trials=1, emit=ignore)
+        with pytest.raises(KeyboardInterrupt):
+            run_study(spec, mlruns=tmp_path, n_trials=1, emit=ignore)
     before = read_records(spec.folder(tmp_path))
     assert in_journal(spec, tmp_path)[0].state == TrialState.RUNNING
     run_study(spec, mlruns=tmp_path, n_trials=1, emit=ignore)

@@ -34,6 +34,14 @@ def test_widths_are_searched_as_powers_of_two_and_rates_logarithmically() -> Non
     assert "n_layers" not in space
 
 
+def test_range_without_a_power_of_two_is_one_line() -> None:
+    with pytest.raises(
+        InputError, match=r"search range of n_latent, 5 to 7, holds no power of two; widen it"
+    ):
+        distributions(SearchRanges(n_latent=(5, 7)))
+    assert distributions(SearchRanges(n_latent=(3, 9)))["log2_n_latent"] == IntDistribution(2, 3)
+
+
 def test_settings_are_those_of_the_surrogate() -> None:
     settings = to_settings({"log2_n_latent": 5, "beta": 7.0})
     assert settings == {"n_latent": 32, "beta": 7.0}

@@ -1,0 +1,192 @@
+"""The best surrogate: found again anywhere, refused when damaged, registered under an alias."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tuning_checks import ignore
+
+from simulation.errors import InputError
+from simulation.trajectories import Trajectories
+from studies.champion import ChampionInfo, load_champion, read_champion, restore_champion, write_champion
+from studies.mlflow_registry import model_name
+from studies.mlflow_tracker import MlflowTracker
+from studies.paths import ProjectPaths
+from studies.study_spec import StudySpec
+from studies.tracking import NullTracker
+from studies.trial_record import best_record, read_records
+from studies.trial_worker import run_study
+
+MakeSpec = Callable[..., StudySpec]
+CASE = "c" * 64
+
+
+@pytest.fixture(scope="module")
+def original(make_spec: MakeSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple[StudySpec, Path, Path]:
+    """A study, the folder of its trials, and the folder of its champion."""
+    mlruns = tmp_path_factory.mktemp("crowned")
+    spec = make_spec()
+    run_study(spec, mlruns=mlruns, n_trials=3, emit=ignore)
+    folder = mlruns / "champions" / "n0016"
+    crown(spec, spec.folder(mlruns), folder)
+    return spec, spec.folder(mlruns), folder
+
+
+@pytest.fixture
+def champion(original: tuple[StudySpec, Path, Path], tmp_path: Path) -> Path:
+    """A copy of the champion at another path."""
+    return Path(shutil.copytree(original[2], tmp_path / "elsewhere" / "n0016"))
+
+
+def crown(spec: StudySpec, study_folder: Path, folder: Path) -> bool:
+    best = best_record(read_records(study_folder))
+    assert best is not None
+    return write_champion(spec, best, study_folder=study_folder, folder=folder, run_id="run")
+
+
+def test_champion_predicts_the_same_at_any_path(
+    original: tuple[StudySpec, Path, Path], champion: Path
+) -> None:
+    spec, _, folder = original
+    theta = Trajectories.load(spec.test_file).theta
+    first, info = load_champion(folder, case_digest=CASE, device="cpu")
+    second, copied = load_champion(champion, case_digest=CASE, device="cpu")
+    assert info == copied
+    np.testing.assert_array_equal(first.predict(theta), second.predict(theta))
+
+
+def test_champion_knows_where_it_comes_from(original: tuple[StudySpec, Path, Path]) -> None:
+    spec, study_folder, folder = original
+    best = best_record(read_records(study_folder))
+    assert best is not None
+    info = read_champion(folder)
+    assert isinstance(info, ChampionInfo)
+    assert (info.study, info.index, info.seed, info.metrics) == (
+        spec.name,
+        best.index,
+        best.seed,
+        best.metrics,
+    )
+    assert info.parameter_names == spec.parameter_space.names
+    assert info.upper == tuple(spec.parameter_space.upper)
+    assert info.digests["train"] == spec.train_digest
+    assert info.note == "A toy."
+    assert json.loads(json.dumps(info.to_dict()))["label"] == "toy-small"
+
+
+def test_the_same_champion_is_not_written_again(original: tuple[StudySpec, Path, Path]) -> None:
+    spec, study_folder, folder = original
+    before = (folder / "champion.json").stat().st_mtime_ns
+    assert not crown(spec, study_folder, folder)
+    assert (folder / "champion.json").stat().st_mtime_ns == before
+
+
+def test_missing_champion_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"there is no champion in .*n0064; train one with `studies tune`"):
+        load_champion(tmp_path / "n0064")
+
+
+@pytest.mark.parametrize("name", ["weights.npz", "surrogate.json"])
+def test_damaged_or_missing_file_is_one_line(champion: Path, name: str) -> None:
+    content = (champion / name).read_bytes()
+    (champion / name).write_bytes(content[:-20] + b"x" * 20)
+    with pytest.raises(InputError, match=rf"{name} is damaged"):
+        load_champion(champion)
+    (champion / name).unlink()
+    with pytest.raises(InputError, match=rf"has no {name}"):
+        load_champion(champion)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"schema": 1}', '{"schema": 7}'])
+def test_unreadable_record_is_one_line(champion: Path, content: str) -> None:
+    (champion / "champion.json").write_text(content)
+    with pytest.raises(InputError, match=r"champion.json (is damaged|has schema 7)") as caught:
+        load_champion(champion)
+    assert "\n" not in str(caught.value)
+
+
+def test_champion_of_other_physics_is_refused(champion: Path) -> None:
+    with pytest.raises(InputError, match="trained for other physics"):
+        load_champion(champion, case_digest="d" * 64)
+
+
+def test_registered_champion_has_the_alias_and_one_version(
+    tracker: MlflowTracker, original: tuple[StudySpec, Path, Path]
+) -> None:
+    spec, _, folder = original
+    tracker.start_study(spec, n_trials=3)
+    tracker.register_champion(spec, folder)
+    tracker.register_champion(spec, folder)
+    name = model_name("toy-small", 16)
+    assert name == "toy-small-n0016"
+    assert len(tracker.client.search_model_versions(f"name = '{name}'")) == 1
+    version = tracker.client.get_model_version_by_alias(name, "champion")
+    assert version.tags["case_sha256"] == CASE
+
+
+def test_new_champion_leaves_the_old_one_as_previous(
+    tracker: MlflowTracker, original: tuple[StudySpec, Path, Path], champion: Path
+) -> None:
+    spec, _, folder = original
+    tracker.start_study(spec, n_trials=3)
+    tracker.register_champion(spec, folder)
+    changed = replace(read_champion(champion), index=77)
+    (champion / "champion.json").write_text(json.dumps(changed.to_dict()))
+    tracker.register_champion(spec, champion)
+    name = model_name("toy-small", 16)
+    assert tracker.client.get_model_version_by_alias(name, "champion").tags["trial"] == "77"
+    assert int(tracker.client.get_model_version_by_alias(name, "previous").version) == 1
+
+
+def test_champion_comes_back_from_the_registry(
+    tracker: MlflowTracker, original: tuple[StudySpec, Path, Path], tmp_path: Path
+) -> None:
+    spec, _, folder = original
+    tracker.start_study(spec, n_trials=3)
+    tracker.register_champion(spec, folder)
+    restored = tmp_path / "restored" / "n0016"
+    assert restore_champion(restored, lambda scratch: tracker.fetch_champion("toy-small", 16, scratch))
+    assert load_champion(restored, case_digest=CASE)[1] == read_champion(folder)
+    assert not restore_champion(
+        tmp_path / "n0032", lambda scratch: tracker.fetch_champion("toy-small", 32, scratch)
+    )
+    assert not restore_champion(
+        tmp_path / "n0016", lambda scratch: NullTracker().fetch_champion("toy-small", 16, scratch)
+    )
+    assert [file.name for file in (tmp_path / "restored").iterdir()] == ["n0016"]
+
+
+def test_registered_champion_loads_where_this_project_is_not(
+    tracker: MlflowTracker, original: tuple[StudySpec, Path, Path], project: ProjectPaths, tmp_path: Path
+) -> None:
+    spec, _, folder = original
+    tracker.start_study(spec, n_trials=3)
+    tracker.register_champion(spec, folder)
+    theta = Trajectories.load(spec.test_file).theta[:3]
+    np.save(tmp_path / "theta.npy", theta)
+    stranger = f"""
+import sys
+sys.path[:] = [entry for entry in sys.path if entry != {str(Path.cwd())!r}]
+import mlflow, numpy as np, pandas as pd
+mlflow.set_tracking_uri({tracker.uri!r})
+model = mlflow.pyfunc.load_model("models:/toy-small-n0016@champion")
+columns = [column.name for column in model.metadata.signature.inputs]
+np.save("y.npy", model.predict(pd.DataFrame(np.load("theta.npy"), columns=columns)))
+import pelsvae
+print(pelsvae.__file__)
+"""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    command = [sys.executable, "-c", stranger]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert str(project.artifacts) in done.stdout
+    surrogate, info = load_champion(folder, device="cpu")
+    assert info.parameter_names == spec.parameter_space.names
+    np.testing.assert_allclose(np.load(tmp_path / "y.npy"), surrogate.predict(theta), rtol=1e-6)

@@ -1,0 +1,233 @@
+"""MLflow's view of studies: searchable, nested, complete however often it is written."""
+
+import logging
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tuning_checks import ignore
+
+from studies.mlflow_tracker import MlflowTracker
+from studies.paths import ProjectPaths
+from studies.study_spec import StudySpec
+from studies.tracking import NullTracker, StageRun, Tracker
+from studies.trial_record import TrialRecord, best_record, read_history, read_records, summarize
+from studies.trial_worker import run_study
+
+MakeSpec = Callable[..., StudySpec]
+N = 7
+
+
+@pytest.fixture(scope="module")
+def study(make_spec: MakeSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple[StudySpec, Path]:
+    """A finished study with completed, pruned and failed trials, and the folder of its records."""
+    mlruns = tmp_path_factory.mktemp("tracked")
+    spec = make_spec()
+    run_study(spec, mlruns=mlruns, n_trials=N, emit=ignore)
+    return spec, spec.folder(mlruns)
+
+
+def tell_all(tracker: Tracker, spec: StudySpec, folder: Path, n_trials: int = N) -> None:
+    """Tell a tracker a study's whole story."""
+    tracker.start_study(spec, n_trials=n_trials)
+    records = read_records(folder)[:n_trials]
+    for record in records:
+        tracker.log_trial(spec, record, lambda record=record: read_history(folder, record.index))
+    tracker.finish_study(spec, summarize(spec, records, None), "FINISHED")
+
+
+def runs(tracker: MlflowTracker, wanted: str = "") -> list[Any]:
+    client = tracker.client
+    experiment = client.get_experiment_by_name("toy-small")
+    assert experiment is not None
+    return list(client.search_runs([experiment.experiment_id], wanted))
+
+
+def test_trials_are_runs_below_their_study(tracker: MlflowTracker, study: tuple[StudySpec, Path]) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder)
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    trials = runs(tracker, f"tags.`mlflow.parentRunId` = '{parent.info.run_id}'")
+    assert len(trials) == N
+    assert parent.info.run_name == "n0016 study"
+    assert parent.info.status == "FINISHED"
+    assert {run.info.run_name for run in trials} == {f"n0016 trial {index:03d}" for index in range(N)}
+    by_key = {run.data.tags["trial_key"]: run for run in trials}
+    for record in read_records(folder):
+        run = by_key[record.key]
+        assert (
+            run.info.status == {"complete": "FINISHED", "pruned": "KILLED", "failed": "FAILED"}[record.state]
+        )
+        assert run.info.start_time == round(1000 * record.started_s)
+        assert run.info.end_time == round(1000 * record.ended_s)
+        assert {k: v for k, v in run.data.metrics.items() if k in record.metrics} == record.metrics
+        assert run.data.params["n_latent"] == str(record.config["n_latent"])
+        assert run.data.params["seed"] == str(record.seed)
+        expected = {
+            "case": "toy",
+            "label": "toy-small",
+            "n_train": "16",
+            "variant": "refined",
+            "state": record.state,
+        }
+        assert expected.items() <= run.data.tags.items()
+        assert run.data.tags["train_sha256"] == spec.train_digest
+        assert run.data.tags["fmu_sha256"] == "f" * 64
+        assert len(run.inputs.dataset_inputs) == 3
+
+
+def test_runs_are_found_by_their_errors(tracker: MlflowTracker, study: tuple[StudySpec, Path]) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder)
+    records = [r for r in read_records(folder) if r.state == "complete"]
+    limit = sorted(r.metrics["test/p90"] for r in records)[1]
+    found = runs(
+        tracker, f"metrics.`test/p90` <= {limit!r} and metrics.`val/mae` > 0 and tags.role = 'trial'"
+    )
+    assert len(found) == 2
+    best = best_record(records)
+    assert best is not None
+    (parent,) = runs(tracker, f"metrics.`best/val/mae` = {best.metrics['val/mae']!r}")
+    assert parent.data.metrics["best/test/p90"] == best.metrics["test/p90"]
+    assert parent.data.tags["best_trial"] == str(best.index)
+
+
+def test_learning_curves_are_thinned_but_keep_their_ends(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path]
+) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder)
+    record = read_records(folder)[0]
+    run_id = tracker.trial_run_id(spec, record.key)
+    curve = tracker.client.get_metric_history(run_id, "curve/validation_mae")
+    history = read_history(folder, 0)
+    assert len(curve) <= 60
+    assert curve[0].step == history["epoch"][0]
+    assert curve[-1].step == history["epoch"][-1]
+    assert curve[-1].value == history["validation_mae"][-1]
+
+
+def test_telling_twice_changes_nothing(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path], project: ProjectPaths
+) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder)
+    before = {run.info.run_id: (run.info.status, run.info.end_time, run.data) for run in runs(tracker)}
+    tell_all(tracker, spec, folder)
+    tell_all(MlflowTracker(project.tracking_database, project.artifacts), spec, folder)
+    after = {run.info.run_id: (run.info.status, run.info.end_time, run.data) for run in runs(tracker)}
+    assert before.keys() == after.keys()
+    for run_id, (status, end, data) in before.items():
+        assert after[run_id][:2] == (status, end)
+        assert after[run_id][2].to_dictionary() == data.to_dictionary()
+
+
+def test_extended_study_goes_on_in_the_same_run(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path]
+) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder, n_trials=2)
+    tell_all(tracker, spec, folder)
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    assert parent.info.status == "FINISHED"
+    assert parent.data.tags["n_trials"] == str(N)
+    assert len(runs(tracker, "tags.role = 'trial'")) == N
+
+
+def test_run_that_was_interrupted_half_way_is_completed(
+    tracker: MlflowTracker,
+    study: tuple[StudySpec, Path],
+    project: ProjectPaths,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spec, folder = study
+    with monkeypatch.context() as patch:
+        patch.setattr(tracker.client, "set_terminated", _die)
+        with pytest.raises(KeyboardInterrupt):
+            tell_all(tracker, spec, folder)
+    assert [run.info.status for run in runs(tracker, "tags.role = 'trial'")] == ["RUNNING"]
+    tell_all(MlflowTracker(project.tracking_database, project.artifacts), spec, folder)
+    trials = runs(tracker, "tags.role = 'trial'")
+    assert len(trials) == N
+    assert {run.info.status for run in trials} <= {"FINISHED", "KILLED", "FAILED"}
+    record = read_records(folder)[0]
+    curve = tracker.client.get_metric_history(tracker.trial_run_id(spec, record.key), "curve/validation_mae")
+    assert len({point.step for point in curve}) == len(curve)
+
+
+def _die(*arguments: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_failed_trial_shows_its_reason(tracker: MlflowTracker, study: tuple[StudySpec, Path]) -> None:
+    spec, folder = study
+    good = read_records(folder)[0]
+    bad = TrialRecord(
+        study=spec.name,
+        n_train=16,
+        index=99,
+        state="failed",
+        reason="MemoryError: too wide",
+        params=good.params,
+        config=good.config,
+        seed=1,
+        started_s=good.started_s,
+        wall_s=1.0,
+        digests=good.digests,
+        owner=good.owner,
+    )
+    tracker.start_study(spec, n_trials=N)
+    tracker.log_trial(spec, bad, dict)
+    (run,) = runs(tracker, "tags.state = 'failed'")
+    assert run.info.status == "FAILED"
+    assert run.data.tags["reason"] == "MemoryError: too wide"
+
+
+def test_stage_is_a_run_with_curve_and_figures(tracker: MlflowTracker, tmp_path: Path) -> None:
+    figure = tmp_path / "polish.png"
+    figure.write_bytes(b"png")
+    stage = StageRun(
+        label="toy-small",
+        kind="calibration",
+        name="n0016 calibration",
+        key="k1",
+        params={"ftol": 1e-4},
+        metrics={"calibration/mse_polished": 0.01},
+        curves={"calibration/best_mse": [(17, 0.5), (40, 0.01)]},
+        tags={"case": "toy", "n_train": 16},
+        figures=[figure],
+        started_s=1e9,
+        wall_s=2.0,
+        note="A toy.",
+    )
+    tracker.log_stage(stage)
+    tracker.log_stage(stage)
+    (run,) = runs(tracker, "tags.role = 'calibration' and metrics.`calibration/mse_polished` < 0.02")
+    assert run.info.status == "FINISHED"
+    assert run.info.end_time - run.info.start_time == 2000
+    assert [p.step for p in tracker.client.get_metric_history(run.info.run_id, "calibration/best_mse")] == [
+        17,
+        40,
+    ]
+    assert [file.path for file in tracker.client.list_artifacts(run.info.run_id, "figures")] == [
+        "figures/polish.png"
+    ]
+    assert math.isclose(run.data.metrics["calibration/best_mse"], 0.01)
+
+
+def test_store_broken_in_the_middle_does_not_stop_a_study(
+    make_spec: MakeSpec, caplog: pytest.LogCaptureFixture
+) -> None:
+    from studies.tracking import PatientTracker
+
+    class Broken(NullTracker):
+        def log_trial(self, *arguments: object, **named: object) -> None:
+            raise OSError("database is locked")
+
+    tracker = PatientTracker(Broken())
+    record: Any = object()
+    with caplog.at_level(logging.WARNING):
+        tracker.log_trial(make_spec(), record, dict)
+    assert "database is locked" in caplog.text
