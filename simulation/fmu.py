@@ -127,9 +127,10 @@ class FmuModel:
         failures = [
             self._simulate_row(row, y[i]) if np.isfinite(row).all() else "" for i, row in enumerate(theta)
         ]
+        y += self._settings.output_offsets
         return Trajectories.checked(
             theta,
-            y + self._settings.output_offsets,
+            y,
             time=self.time,
             parameter_names=self.parameter_space.names,
             output_names=self.output_names,

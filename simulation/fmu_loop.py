@@ -87,11 +87,11 @@ def simulate_row(
         parameter_references: Value references. Shape (n_set,), uint32.
         parameter_values: Values set before initialization. Shape (n_set,). [model's units]
         input_references: Value references. Shape (n_inputs,), uint32.
-        inputs: Constant input of every step. Shape (m, n_inputs). [model's units]
+        inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
-        y: Filled with the outputs. Shape (t, k). [model's units]
+        y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
 
     Returns:
         Status of the last call (0 or 1 when all went well), its index in FUNCTIONS, and its step.
@@ -99,7 +99,11 @@ def simulate_row(
     n_set, n_inputs, n_outputs = parameter_values.size, input_references.size, output_references.size
     n_steps = time.size - 1
     true, false = np.int32(1), np.int32(0)
-    set_parameters = (component, parameter_references.ctypes.data, n_set, parameter_values.ctypes.data)
+    # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
+    # signed, as numba adds an unsigned and a signed integer to a float.
+    inputs_address, inputs_stride = np.intp(inputs.ctypes.data), n_inputs * inputs.itemsize
+    y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
+    input_list, output_list = input_references.ctypes.data, output_references.ctypes.data
     status = _call(functions[_RESET], (component,))
     if status > WARNING:
         return status, _RESET, 0
@@ -107,44 +111,41 @@ def simulate_row(
     if status > WARNING:
         return status, _SETUP, 0
     if n_set > 0:
-        status = _call(functions[_SET_REAL], set_parameters)
+        status = _call(
+            functions[_SET_REAL],
+            (component, parameter_references.ctypes.data, n_set, parameter_values.ctypes.data),
+        )
         if status > WARNING:
             return status, _SET_REAL, 0
     status = _call(functions[_ENTER], (component,))
     if status > WARNING:
         return status, _ENTER, 0
-    # The step's inputs are set twice in the first step: initial outputs may depend on them.
+    # Inputs of the first step are set here too: initial values may depend on them.
     if n_inputs > 0:
-        status = _call(
-            functions[_SET_REAL], (component, input_references.ctypes.data, n_inputs, inputs[0].ctypes.data)
-        )
+        status = _call(functions[_SET_REAL], (component, input_list, n_inputs, inputs_address))
         if status > WARNING:
             return status, _SET_REAL, 0
     status = _call(functions[_EXIT], (component,))
     if status > WARNING:
         return status, _EXIT, 0
-    status = _call(
-        functions[_GET_REAL], (component, output_references.ctypes.data, n_outputs, y[0].ctypes.data)
-    )
+    status = _call(functions[_GET_REAL], (component, output_list, n_outputs, y_address))
     if status > WARNING:
         return status, _GET_REAL, 0
+    until_output = output_every
     for step in range(n_steps):
         if n_inputs > 0:
-            status = _call(
-                functions[_SET_REAL],
-                (component, input_references.ctypes.data, n_inputs, inputs[step].ctypes.data),
-            )
+            values = inputs_address + step * inputs_stride
+            status = _call(functions[_SET_REAL], (component, input_list, n_inputs, values))
             if status > WARNING:
                 return status, _SET_REAL, step
         status = _call(functions[_DO_STEP], (component, time[step], time[step + 1] - time[step], true))
         if status > WARNING:
             return status, _DO_STEP, step
-        if (step + 1) % output_every == 0:
-            row = (step + 1) // output_every
-            status = _call(
-                functions[_GET_REAL],
-                (component, output_references.ctypes.data, n_outputs, y[row].ctypes.data),
-            )
+        until_output -= 1
+        if until_output == 0:
+            until_output = output_every
+            y_address += y_stride
+            status = _call(functions[_GET_REAL], (component, output_list, n_outputs, y_address))
             if status > WARNING:
                 return status, _GET_REAL, step
     return status, _GET_REAL, n_steps - 1

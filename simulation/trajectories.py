@@ -61,7 +61,7 @@ class Trajectories:
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
-            y: Outputs. Shape (n, t, k). [per output]
+            y: Outputs; taken over without a copy where no row failed. Shape (n, t, k). [per output]
             time: Output times. Shape (t,). [s]
             parameter_names: Names of the p parameters.
             output_names: Names of the k outputs.
@@ -71,7 +71,7 @@ class Trajectories:
             The trajectories, failed rows marked.
         """
         theta = np.array(theta, dtype=np.float64)
-        y = np.array(y, dtype=np.float64)
+        y = np.asarray(y, dtype=np.float64)
         reasons = list(failures) if failures is not None else [""] * len(theta)
         for row in np.flatnonzero(~np.isfinite(theta).all(axis=1)):
             column = int(np.flatnonzero(~np.isfinite(theta[row]))[0])
@@ -81,7 +81,9 @@ class Trajectories:
             reasons[row] = reasons[row] or (
                 f"output {output_names[column]} is {y[row, step, column]} at {time[step]:g} s"
             )
-        y[[reason != "" for reason in reasons]] = np.nan
+        failed = np.array([reason != "" for reason in reasons], dtype=np.bool_)
+        if failed.any():
+            y = np.where(failed[:, None, None], np.nan, y)
         return cls(
             theta=theta,
             y=y,
