@@ -39,7 +39,9 @@ class SurrogateModel:
             The predictions, one per row; a row whose parameters or prediction are not finite has failed.
         """
         theta = np.asarray(theta, dtype=np.float64)
-        usable = np.isfinite(theta).all(axis=1)
+        is_log = self.parameter_space.is_log
+        no_logarithm = np.any(theta[:, is_log] <= 0.0, axis=1)
+        usable = np.isfinite(theta).all(axis=1) & ~no_logarithm
         y = np.full((len(theta), len(self.time), len(self.output_names)), np.nan)
         if usable.any():
             predicted = self.surrogate.predict(theta[usable])
@@ -55,4 +57,5 @@ class SurrogateModel:
             time=self.time,
             parameter_names=self.parameter_space.names,
             output_names=self.output_names,
+            failures=["a logarithmic parameter is not positive" if bad else "" for bad in no_logarithm],
         )
