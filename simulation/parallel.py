@@ -25,13 +25,17 @@ POOL_PAYS_S: Final = 3.0
 # Once the workers stand, a batch must still outweigh the transport of its rows.
 SHARE_PAYS_S: Final = 0.05
 _PIECE_S: Final = 0.5
+# Trajectories travel through pipes at about this rate; a faster model is quicker alone.
+_TRANSPORT_BYTES_PER_S: Final = 1e8
+_PIECE_BYTES: Final = 8e6
 
 
 class ParallelModel:
     """A model that answers large batches with all cores and small ones in this process.
 
     The first rows are simulated here and timed. Workers start when the serial work seen so far in batches
-    reaches pool_pays_s; each builds its model once. A row whose process dies is a failed row like any other.
+    reaches pool_pays_s and a row takes longer than its transport; each builds its model once. A row whose
+    process dies is a failed row like any other.
     """
 
     def __init__(
@@ -118,15 +122,22 @@ class ParallelModel:
             self._spent_s += spent
         return answer
 
+    @property
+    def _row_bytes(self) -> int:
+        return 8 * len(self.time) * len(self.output_names)
+
     def _pays(self, n: int) -> bool:
-        expected_s = n * (self._row_s or 0.0)
-        if expected_s < min(SHARE_PAYS_S, self._pool_pays_s):
+        row_s = self._row_s or 0.0
+        expected_s = n * row_s
+        if self._pool_pays_s <= 0.0:
+            return True
+        if expected_s < SHARE_PAYS_S or row_s < 2 * self._row_bytes / _TRANSPORT_BYTES_PER_S:
             return False
         return self._pool is not None or self._spent_s + expected_s >= self._pool_pays_s
 
     def _shared(self, theta: FloatArray) -> Trajectories:
         """Split rows over the workers; pieces of about half a second keep all of them busy to the end."""
-        most = max(1, int(_PIECE_S / max(self._row_s or 0.0, 1e-9)))
+        most = max(1, int(min(_PIECE_S / max(self._row_s or 0.0, 1e-9), _PIECE_BYTES / self._row_bytes)))
         size = min(most, -(-len(theta) // self._n_workers))
         pieces = [theta[start : start + size] for start in range(0, len(theta), size)]
         pool = self._pool or self._start(self._n_workers)
