@@ -71,6 +71,8 @@ def time_grid(
     if not (math.isfinite(start_d) and math.isfinite(end_d) and 0.0 <= start_d < end_d):
         raise InputError(f"{where}: the end must lie after the start and neither before day 0; correct it")
     step, output_step = file.time.communication_step_s, file.time.output_step_s
+    if not step > 0:
+        raise InputError(f"{path}: communication_step_s = {step:g} is not above 0; correct it")
     output_every = round(output_step / step)
     if output_every < 1 or not math.isclose(output_every * step, output_step, rel_tol=1e-9):
         raise InputError(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from simulation.case import Case, load_case
+from simulation.errors import InputError
 from simulation.parallel import ParallelModel
 
 
@@ -64,6 +65,14 @@ def test_the_digest_sees_what_decides_the_answers_and_nothing_else(
     assert old in text
     (decay_case / "case.toml").write_text(text.replace(old, new))
     assert (load_case(decay_case).digest == before) is same
+
+
+def test_a_communication_step_of_the_caller_replaces_the_file_s(decay_case: Path):
+    case = load_case(decay_case, communication_step_s=300)
+    assert case.communication_step_s == 300
+    assert case.scenario.inputs.shape == (144, 1)
+    with pytest.raises(InputError, match="communication_step_s = 0 is not above 0"):
+        load_case(decay_case, communication_step_s=0)
 
 
 def test_the_digest_does_not_see_the_place(decay_case: Path, tmp_path: Path):
@@ -160,12 +169,10 @@ def test_the_office_is_the_same_reused_fresh_and_spread_over_processes(office: C
 
 
 def test_halving_the_communication_step_of_the_office_converges(office: Case, rows: np.ndarray):
-    text = office.path.read_text()
     answers = []
     for step_s in (1800, 600, 200):
-        path = office.path.with_name(f"step-{step_s}.toml")
-        path.write_text(text.replace("communication_step_s = 600", f"communication_step_s = {step_s}"))
-        with load_case(path, window_d=(0, 10)).open_model() as model:
+        case = load_case(office.path, window_d=(0, 10), communication_step_s=step_s)
+        with case.open_model() as model:
             answers.append(model.simulate(rows).y)
     coarse, fine = (np.abs(answer - answers[-1]).mean() for answer in answers[:2])
     assert fine < coarse / 2
