@@ -148,6 +148,7 @@ VARIANTS: dict[str, SurrogateConfig] = {
         activation="silu",
         theta_features="linear+log",
         beta=10.0,
+        n_prediction_samples=8,
         learning_rate=7e-3,
         weight_decay=0.3,
         optimizer="adamw",

@@ -17,7 +17,7 @@ from pelsvae.device import n_threads_set
 from pelsvae.network import PelsVae
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 
-_CHUNK_ROWS = 256  # L = 16 samples of 256 rows at h = 128 are 2 MiB: they stay in a core's cache
+_CHUNK_ROWS = 128  # 8 samples of 128 rows at h = 256 are 1 MiB: they stay in a core's cache
 _CHUNK_ROWS_CUDA = 4096
 
 
