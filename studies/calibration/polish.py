@@ -127,9 +127,9 @@ class LeastSquaresTRF:
                 reason = f"the starting point cannot be simulated: {first.failures[0]}"
             else:
                 found = least_squares(
-                    lambda x: search.objective(np.clip(x - ORIGIN, 0.0, 1.0)),
+                    search.objective,
                     v0 + ORIGIN,
-                    jac=lambda x: search.jacobian(np.clip(x - ORIGIN, 0.0, 1.0)),
+                    jac=search.jacobian,
                     bounds=(ORIGIN, ORIGIN + 1.0),
                     method="trf",
                     ftol=self.ftol,
@@ -201,23 +201,31 @@ class _Search:
         self._last = (v.copy(), answer)
         return answer
 
-    def objective(self, v: FloatArray) -> FloatArray:
+    def objective(self, x: FloatArray) -> FloatArray:
         """Return what the solver squares and sums; not finite where the simulation failed. Shape (t*k,).
+
+        Args:
+            x: The point as the solver sees it, from `ORIGIN` on. Shape (p,). [1]
 
         Raises:
             _StepsFailError: The point fails although it nearly is the accepted one; SciPy would go on trying.
         """
+        v = np.clip(x - ORIGIN, 0.0, 1.0)
         answer = self.evaluate_at(v)
         moved = np.inf if self._accepted is None else float(np.max(np.abs(v - self._accepted)))
         if answer.failures[0] and moved < self._settings.difference_step:
             raise _StepsFailError(answer.failures[0])
         return self._form(answer.residuals[0])
 
-    def jacobian(self, v: FloatArray) -> FloatArray:
-        """Return the differences of the objective, all p of them from one batch. Shape (t*k, p)."""
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return the differences of the objective, all p of them from one batch. Shape (t*k, p).
+
+        Args:
+            x: The point as the solver sees it, from `ORIGIN` on. Shape (p,). [1]
+        """
         self.n_jacobians += 1
-        self._accepted = v.copy()
-        here = self.objective(v)
+        self._accepted = v = np.clip(x - ORIGIN, 0.0, 1.0)
+        here = self._form(self.evaluate_at(v).residuals[0])
         step = self._settings.difference_step
         steps = np.where(v + step > 1.0, -step, step)
         moved = self._differences(v, steps)
