@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from studies.champion import CHAMPION_FILE, ChampionInfo, read_champion
 from studies.paths import size_name
+from studies.report.wording import difference_unit
 from studies.study_spec import StudySpec
 
 if TYPE_CHECKING:
@@ -170,6 +171,7 @@ def _public_version(package: str) -> str:
 
 
 def _description(info: ChampionInfo) -> str:
-    errors = ", ".join(f"{name} {value:.4g} {info.output_unit}" for name, value in info.metrics.items())
+    unit = difference_unit(info.output_unit)
+    errors = ", ".join(f"{name} {value:.4g} {unit}" for name, value in info.metrics.items())
     settings = ", ".join(f"{name} {info.config[name]:g}" for name in ("n_latent", "n_hidden", "beta"))
     return f"Trial {info.index} of {info.study}: {settings}. {errors}. {info.note}"

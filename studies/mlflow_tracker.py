@@ -13,6 +13,7 @@ from studies.mlflow_registry import fetch_champion, register_champion
 from studies.origin import origin_tags
 from studies.paths import size_name
 from studies.quiet_mlflow import Dataset, DatasetInput, InputTag, Metric, Param, Run, RunTag, connect
+from studies.report.wording import difference_unit
 from studies.study_spec import StudySpec, StudySummary
 from studies.tracking import History, RunStatus, StageRun
 from studies.trial_record import TrialRecord
@@ -240,7 +241,7 @@ def _study_tags(spec: StudySpec) -> dict[str, str]:
 
 
 def _experiment_note(spec: StudySpec) -> str:
-    unit = spec.output_unit
+    unit = difference_unit(spec.output_unit)
     lines = [
         f"PELS-VAE surrogates of the case **{spec.case_name}**: a study (parent run) per training-set size,",
         f"a run per trial below it. `val/mae` and `test/mae` are mean absolute errors in {unit}, `p90` the",

@@ -5,7 +5,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -61,24 +60,28 @@ def undisturbed(
 
 
 @pytest.fixture
-def parent(specs: list[StudySpec], tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """A command that tunes both studies with two workers, as a user's shell would start it."""
+def start(specs: list[StudySpec], tmp_path: Path) -> Iterator[Callable[[], subprocess.Popen[str]]]:
+    """Start a command that tunes both studies with two workers, as a user's shell would."""
     script, given = tmp_path / "parent.py", tmp_path / "specs.pickle"
     script.write_text(PARENT)
     given.write_bytes(pickle.dumps(specs))
     command = [sys.executable, str(script), str(given), str(tmp_path)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-        start_new_session=True,
-    ) as process:
-        yield process
-        if process.poll() is None:
-            process.kill()
+    pipe = subprocess.PIPE
+    started: list[subprocess.Popen[str]] = []
+
+    def start() -> subprocess.Popen[str]:
+        started.append(
+            subprocess.Popen(
+                command, stdout=pipe, stderr=pipe, text=True, env=environment, start_new_session=True
+            )
+        )
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
 def records_of(spec: StudySpec, paths: ProjectPaths) -> list[TrialRecord]:
@@ -99,54 +102,41 @@ def wait_for_end(processes: list[psutil.Process]) -> None:
     assert not alive
 
 
-def assert_all_as_undisturbed(
-    specs: list[StudySpec], paths: ProjectPaths, undisturbed: dict[str, list[tuple[object, ...]]]
+def test_interrupted_and_killed_commands_lose_and_repeat_nothing(
+    specs: list[StudySpec],
+    start: Callable[[], subprocess.Popen[str]],
+    tmp_path: Path,
+    undisturbed: dict[str, list[tuple[object, ...]]],
 ) -> None:
+    paths = ProjectPaths(tmp_path)
+
+    interrupted = start()
+    wait_for_trial(interrupted, 2)
+    workers = psutil.Process(interrupted.pid).children(recursive=True)
+    os.killpg(interrupted.pid, signal.SIGINT)  # as a terminal does: the whole group
+    _, errors = interrupted.communicate(timeout=30)
+    assert interrupted.returncode != 0
+    assert errors.strip().endswith("KeyboardInterrupt")
+    wait_for_end(workers)
+    for spec in specs:
+        assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
+
+    killed = start()
+    wait_for_trial(killed, 4)
+    workers = psutil.Process(killed.pid).children(recursive=True)
+    killed.send_signal(signal.SIGKILL)
+    wait_for_end(workers)
+    finished = {spec.name: records_of(spec, paths) for spec in specs}
+    assert all(finished.values())
+
     tune(specs, paths=paths, n_trials=N, n_jobs=2)
     for spec in specs:
         assert essence(records_of(spec, paths)) == undisturbed[spec.name]
+        assert (
+            records_of(spec, paths)[: len(finished[spec.name])] == finished[spec.name]
+        )  # none was run again
         assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
         assert (paths.champion(spec.label, spec.n_train) / "champion.json").is_file()
-
-
-def test_killed_command_takes_its_workers_along_and_the_next_one_goes_on(
-    specs: list[StudySpec],
-    parent: subprocess.Popen[str],
-    tmp_path: Path,
-    undisturbed: dict[str, list[tuple[object, ...]]],
-) -> None:
-    wait_for_trial(parent, 2)
-    workers = psutil.Process(parent.pid).children(recursive=True)
-    parent.send_signal(signal.SIGKILL)
-    wait_for_end(workers)
-    paths = ProjectPaths(tmp_path)
-    finished = {spec.name: records_of(spec, paths) for spec in specs}
-    assert any(finished.values())
-    assert_all_as_undisturbed(specs, paths, undisturbed)
-    for spec in specs:  # no finished trial was run again
-        n_before = len(finished[spec.name])
-        assert records_of(spec, paths)[:n_before] == finished[spec.name]
-
-
-def test_ctrl_c_stops_soon_and_leaves_no_ghost(
-    specs: list[StudySpec],
-    parent: subprocess.Popen[str],
-    tmp_path: Path,
-    undisturbed: dict[str, list[tuple[object, ...]]],
-) -> None:
-    wait_for_trial(parent, 3)
-    workers = psutil.Process(parent.pid).children(recursive=True)
-    started = time.monotonic()
-    os.killpg(parent.pid, signal.SIGINT)  # as a terminal does: the whole group
-    _, errors = parent.communicate(timeout=20)
-    assert time.monotonic() - started < 10.0
-    assert parent.returncode != 0
-    assert errors.strip().endswith("KeyboardInterrupt")
-    wait_for_end(workers)
-    paths = ProjectPaths(tmp_path)
-    for spec in specs:
-        assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
-    assert_all_as_undisturbed(specs, paths, undisturbed)
 
 
 def test_worker_killed_once_is_replaced_and_killed_twice_is_a_failed_trial(
