@@ -22,7 +22,7 @@ FMU: Final = ROOT / "fmus" / "office-whitebox" / "WhiteBoxOffice.fmu"
 RECORDING: Final = "recording_1800s.csv"
 OCCUPANCY: Final = "occupancy_600s.csv"
 
-SEED: Final = 20180221
+SEED: Final = 20180225
 RECORDING_STEP_S: Final = 1800
 OCCUPANCY_STEP_S: Final = 600
 SENSOR_BIAS_K: Final = 0.2
@@ -95,7 +95,8 @@ def half_hour_mean(series: Array) -> Array:
     """Average a series over the half hour around the start of each step. Shape (t,)."""
     half = RECORDING_STEP_S // STEP_S // 2
     total = np.concatenate([[0.0], np.cumsum(np.pad(series, half, mode="edge"))])
-    return (total[2 * half :] - total[: -2 * half])[:-1] / (2 * half)
+    mean: Array = (total[2 * half :] - total[: -2 * half])[:-1] / (2 * half)
+    return mean
 
 
 def read_sensors(

@@ -73,7 +73,7 @@ def _ceiling(rng: np.random.Generator, t: Array, outdoor: Array) -> tuple[Array,
     """Run the ceiling by heating curve, night boost, midday pause, heating limit: supply [degC], on [1]."""
     hour, which_day = hour_of_day(t), day_number(t)
     is_night = (hour < 6.7) | (hour > 19.0)
-    curve = 25.3 - 0.30 * (lagged(outdoor, 10 * 3600.0) - 3.0) + np.where(is_night, 1.4, -1.0)
+    curve = 24.1 - 0.30 * (lagged(outdoor, 10 * 3600.0) - 3.0) + np.where(is_night, 1.4, -1.0)
     curve += 0.5 * red_noise(rng, t.size, 2 * 3600.0)
     running = np.ones(t.size, dtype=bool)
     for day in DAYS:
@@ -81,7 +81,7 @@ def _ceiling(rng: np.random.Generator, t: Array, outdoor: Array) -> tuple[Array,
         if rng.random() < 0.8:
             running[(which_day == day) & (hour > start) & (hour < start + length)] = False
     running &= lagged(outdoor, 24 * 3600.0) < 6.0
-    standing = 23.5 + 0.1 * red_noise(rng, t.size, 6 * 3600.0)
+    standing = 23.0 + 0.1 * red_noise(rng, t.size, 6 * 3600.0)
     supply = lagged(np.where(running, curve, standing), np.where(running, 1500.0, 6 * 3600.0))
     return supply, running.astype(np.float64)
 
@@ -92,8 +92,8 @@ def _ventilation(rng: np.random.Generator, t: Array, outdoor: Array) -> tuple[Ar
     day_of_week = np.array([weekday(day) for day in DAYS])[day_number(t) + WARM_UP_DAYS]
     end = np.where(day_of_week == 4, 17.25, 18.25)
     running = (day_of_week < 5) & (hour >= 7.25) & (hour < end)
-    standing = 20.2 + 0.04 * (lagged(outdoor, 10 * 3600.0) - 2.0)
-    supply = lagged(np.where(running, 22.0, standing), np.where(running, 1800.0, 7200.0))
+    standing = 20.0 + 0.04 * (lagged(outdoor, 10 * 3600.0) - 2.0)
+    supply = lagged(np.where(running, 21.0, standing), np.where(running, 1800.0, 7200.0))
     return supply + 0.05 * red_noise(rng, t.size, 3600.0), running.astype(np.float64)
 
 
@@ -119,7 +119,7 @@ def make_operation(rng: np.random.Generator, t: Array, weather: Weather) -> Oper
         ventilation_supply=ventilation_supply,
         ventilation_on=ventilation_on,
         people=people,
-        equipment=12.0 + lagged(65.0 * people, 900.0),
-        light=45.0 * people * (weather.horizontal < 120.0),
+        equipment=10.0 + lagged(52.0 * people, 900.0),
+        light=28.0 * people * (weather.horizontal < 120.0),
         window_opening=np.where(is_open, 0.02, 0.0),
     )

@@ -34,7 +34,7 @@ package WhiteBoxOffice "A single office in more detail than a grey box can ident
     parameter Real A(unit="m2", min=0) = 1 "Surface area";
     parameter Real kWarm(unit="W/(m2.K)", min=0) = 1.31 "Coefficient at 1 K while the surface is warmer than the air";
     parameter Real kCold(unit="W/(m2.K)", min=0) = 1.31 "Coefficient at 1 K while the surface is colder than the air";
-    parameter Real hMix(unit="W/(m2.K)", min=0) = 0.3 "Coefficient that room air currents keep up";
+    parameter Real hMix(unit="W/(m2.K)", min=0) = 0.6 "Coefficient that room air currents keep up";
     parameter Real dTSmooth(unit="K", min=0) = 0.3 "Difference below which the cube-root law is rounded off";
     HeatPort surface "Surface";
     HeatPort air "Room air";
@@ -73,7 +73,7 @@ package WhiteBoxOffice "A single office in more detail than a grey box can ident
   end OutdoorSurface;
 
   model Infiltration "Air exchange through leaks and an opened window, driven by wind and stack effect"
-    parameter Real ALeak(unit="m2", min=0) = 2.0e-3 "Effective leakage area";
+    parameter Real ALeak(unit="m2", min=0) = 1.0e-3 "Effective leakage area";
     parameter Real fStack(unit="m2/(s2.K)", min=0) = 0.0145 "Stack coefficient (squared velocity per kelvin)";
     parameter Real fWind(unit="1", min=0) = 0.0104 "Wind coefficient (squared velocity per squared wind speed)";
     input Real AOpen(unit="m2") "Effective area of an opened window";
@@ -112,14 +112,14 @@ package WhiteBoxOffice "A single office in more detail than a grey box can ident
     parameter Real AWall(unit="m2", min=0) = 4.888 "Opaque facade area";
     parameter Real AWindow(unit="m2", min=0) = 2.626 "Glazed area";
     parameter Real APartition(unit="m2", min=0) = 27.0 "Area of the light partitions";
-    parameter Real ACorridor(unit="m2", min=0) = 8.0 "Area of the masonry wall to the corridor";
+    parameter Real ACorridor(unit="m2", min=0) = 8.0 "Area of the wall to the corridor";
     parameter Real AFurniture(unit="m2", min=0) = 14.0 "Exchanging area of the furniture";
     parameter Real VRoom(unit="m3", min=0) = 36.76 "Air volume";
-    parameter Real VSupply(unit="m3/s", min=0) = 0.0120 "Ventilation flow";
-    parameter Real GPipe(unit="W/K", min=0) = 105.0 "Pipe to slab core at full flow";
+    parameter Real VSupply(unit="m3/s", min=0) = 0.0150 "Ventilation flow";
+    parameter Real GPipe(unit="W/K", min=0) = 110.0 "Pipe to slab core at full flow";
     parameter Real gGlass(unit="1", min=0) = 0.50 "Total solar transmittance of the glazing, normal incidence";
-    parameter Real fBlind(unit="1", min=0) = 0.15 "Share of the sun that the lowered blinds let through";
-    parameter Real QPerson(unit="W", min=0) = 75.0 "Sensible heat of one person";
+    parameter Real fBlind(unit="1", min=0) = 0.06 "Share of the sun that the lowered blinds let through";
+    parameter Real QPerson(unit="W", min=0) = 70.0 "Sensible heat of one person";
 
     parameter Real TRoomStart(unit="K", min=0) = 296.15 "Room-side temperatures at the start";
     parameter Real TFacadeStart(unit="K", min=0) = 275.15 "Facade skin temperature at the start";
@@ -145,52 +145,52 @@ package WhiteBoxOffice "A single office in more detail than a grey box can ident
     output Real EStar(unit="W/m2") "Black-body emissive power of the radiant star";
 
     Mass air(C=1.23*1008*VRoom + 2.0e4, TStart=TRoomStart) "Room air, with paper and textiles";
-    Mass furniture(C=1.5e5, TStart=TRoomStart) "Furniture, outer layer";
-    Mass furnitureCore(C=1.5e5, TStart=TRoomStart) "Furniture, inside";
+    Mass furniture(C=6.0e4, TStart=TRoomStart) "Furniture, outer layer";
+    Mass furnitureCore(C=6.0e4, TStart=TRoomStart) "Furniture, inside";
     Mass partition(C=APartition*8.0e3, TStart=TRoomStart) "Gypsum board facing the room";
     Mass partitionCore(C=APartition*9.0e3, TStart=TRoomStart) "Inner gypsum board up to the middle of the partition";
-    Mass corridor(C=ACorridor*2.0e4, TStart=TRoomStart) "Masonry, plaster and first layer";
-    Mass corridorCore(C=ACorridor*4.0e4, TStart=TRoomStart) "Masonry up to its middle";
+    Mass corridor(C=ACorridor*1.1e4, TStart=TRoomStart) "Corridor wall facing the room";
+    Mass corridorCore(C=ACorridor*2.2e4, TStart=TRoomStart) "Corridor wall up to its middle";
     Mass wallInside(C=AWall*1.9e4, TStart=TRoomStart) "Gypsum boards of the facade panel";
     Mass insulationInside(C=AWall*1.4e3, TStart=0.67*TRoomStart + 0.33*TFacadeStart) "Insulation, inner half";
     Mass insulationOutside(C=AWall*1.4e3, TStart=0.33*TRoomStart + 0.67*TFacadeStart) "Insulation, outer half";
-    Mass cladding(C=AWall*1.3e4, TStart=TFacadeStart) "Facade panel's fiber cement";
+    Mass cladding(C=AWall*2.5e4, TStart=TFacadeStart) "Facade panel's thin concrete shell";
     Mass paneInside(C=AWindow*1.1e4, TStart=0.8*TRoomStart + 0.2*TFacadeStart) "Inner glass pane";
     Mass paneOutside(C=AWindow*1.1e4, TStart=TFacadeStart) "Outer glass pane";
-    Mass ceiling(C=AFloor*4.0e4, TStart=TRoomStart) "Slab: lowest 2 cm, facing the room";
-    Mass slabLow(C=AFloor*1.5e5, TStart=TRoomStart + 1) "Slab: between ceiling and pipes";
-    Mass core(C=AFloor*1.6e5, TStart=TRoomStart + 2) "Slab: concrete around the pipes";
-    Mass slabHigh(C=AFloor*2.3e5, TStart=TRoomStart + 1) "Slab: above the pipes";
-    Mass deck(C=AFloor*3.5e4, TStart=TRoomStart) "Panels of the raised floor";
+    Mass ceiling(C=AFloor*2.9e4, TStart=TRoomStart) "Slab: lowest 13 mm, facing the room";
+    Mass slabLow(C=AFloor*1.05e5, TStart=TRoomStart + 1) "Slab: between ceiling and pipes";
+    Mass core(C=AFloor*1.1e5, TStart=TRoomStart + 2) "Slab: concrete around the pipes";
+    Mass slabHigh(C=AFloor*1.6e5, TStart=TRoomStart + 1) "Slab: above the pipes";
+    Mass deck(C=AFloor*5.5e4, TStart=TRoomStart) "Panels of the raised floor";
     Mass floor(C=AFloor*1.2e4, TStart=TRoomStart) "Floor covering, facing the room above";
     Mass sensor(C=60.0, TStart=TRoomStart) "Room sensor with its housing on the wall";
 
     Conduction furnitureLayers(G=45.0) "Inside the furniture";
     Conduction partitionLayers(G=APartition*12.0) "Between the gypsum boards";
-    Conduction corridorLayers(G=ACorridor*14.0) "Inside the masonry";
-    Conduction wallInsulation1(G=AWall*2.6) "Gypsum to insulation";
-    Conduction wallInsulation2(G=AWall*1.3) "Middle of the insulation";
-    Conduction wallInsulation3(G=AWall*2.6) "Insulation to cladding";
-    Conduction glazingGap(G=AWindow*1.0) "Gas between the panes";
-    Conduction slab1(G=AFloor*35.0) "Ceiling surface to slab";
-    Conduction slab2(G=AFloor*25.0) "Slab to pipe level";
+    Conduction corridorLayers(G=ACorridor*14.0) "Inside the corridor wall";
+    Conduction wallInsulation1(G=AWall*2.0) "Gypsum to insulation";
+    Conduction wallInsulation2(G=AWall*1.0) "Middle of the insulation";
+    Conduction wallInsulation3(G=AWall*2.0) "Insulation to cladding";
+    Conduction glazingGap(G=AWindow*0.8) "Gas between the panes";
+    Conduction slab1(G=AFloor*40.0) "Ceiling surface to slab";
+    Conduction slab2(G=AFloor*30.0) "Slab to pipe level";
     Conduction slab3(G=AFloor*18.0) "Pipe level to upper slab";
-    Conduction slab4(G=AFloor*1.4) "Cavity under the raised floor";
+    Conduction slab4(G=AFloor*1.2) "Cavity under the raised floor";
     Conduction slab5(G=AFloor*14.0) "Panels to covering";
-    Conduction sensorMount(G=0.012) "Sensor to the wall behind it";
+    Conduction sensorMount(G=0.006) "Sensor to the wall behind it";
 
     RoomConvection convectionFurniture(A=AFurniture) "Furniture to air";
     RoomConvection convectionPartition(A=APartition) "Partitions to air";
-    RoomConvection convectionCorridor(A=ACorridor) "Masonry to air";
+    RoomConvection convectionCorridor(A=ACorridor) "Corridor wall to air";
     RoomConvection convectionWall(A=AWall) "Facade panel to air";
-    RoomConvection convectionPane(A=AWindow, hMix=1.0) "Glass to air";
+    RoomConvection convectionPane(A=AWindow) "Glass to air";
     RoomConvection convectionCeiling(A=AFloor, kWarm=0.76, kCold=1.52) "Ceiling to air";
     RoomConvection convectionFloor(A=AFloor, kWarm=1.52, kCold=0.76) "Floor to air";
-    RoomConvection convectionSensor(A=0.012, hMix=2.0) "Sensor to air";
+    RoomConvection convectionSensor(A=0.012, hMix=12.0) "Sensor to air";
 
     RoomRadiation radiationFurniture(A=AFurniture, share=0.17) "Furniture to star";
     RoomRadiation radiationPartition(A=APartition, share=0.33) "Partitions to star";
-    RoomRadiation radiationCorridor(A=ACorridor, share=0.10) "Masonry to star";
+    RoomRadiation radiationCorridor(A=ACorridor, share=0.10) "Corridor wall to star";
     RoomRadiation radiationWall(A=AWall, share=0.06) "Facade panel to star";
     RoomRadiation radiationPane(A=AWindow, epsilon=0.84, share=0.03) "Glass to star";
     RoomRadiation radiationCeiling(A=AFloor, share=0.155) "Ceiling to star";
