@@ -8,13 +8,14 @@ import sys
 import time
 import urllib.request
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 from simulation.errors import InputError
 from studies.console import Console
 from studies.paths import ProjectPaths
 
 HOST = "127.0.0.1"
+LOG_FILE = "ui.log"
 FIRST_PORT, N_PORTS = 5000, 100
 START_LIMIT_S, STOP_LIMIT_S = 120.0, 10.0
 ENVIRONMENT = {
@@ -70,21 +71,30 @@ def open_ui(paths: ProjectPaths, console: Console, *, port: int | None, dry_run:
     if not paths.tracking_database.is_file():
         raise InputError(f"there is no {paths.show(paths.tracking_database)} yet; type: studies run")
     console.say("ui: starting MLflow")
-    # A session of its own: Ctrl-C comes to this process alone, which then stops all that MLflow has started.
-    server = subprocess.Popen(
-        plan.argv, env=os.environ | plan.environment, stdout=subprocess.DEVNULL, start_new_session=True
-    )
-    try:
-        _wait_until_up(server, plan.url)
-        console.result(f"MLflow shows this project's runs at {plan.url}")
-        console.result("Ctrl-C stops it.")
-        console.document(document)
-        return 1 if server.wait() else 0
-    except KeyboardInterrupt:
-        console.say("ui: stopped")
-        return 0
-    finally:
-        _stop(server)
+    signal.signal(signal.SIGTERM, _interrupt)
+    log = paths.mlruns / LOG_FILE
+    with log.open("w", encoding="utf-8") as messages:
+        # A session of its own: Ctrl-C comes to this process alone, which stops all that MLflow has started.
+        server = subprocess.Popen(
+            plan.argv,
+            env=os.environ | plan.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=messages,
+            start_new_session=True,
+        )
+        try:
+            if _is_up(server, plan.url):
+                console.result(f"MLflow shows this project's runs at {plan.url}")
+                console.result("Ctrl-C stops it.")
+                console.document(document)
+                server.wait()
+            console.warn(f"error: MLflow ended by itself; {paths.show(log)} says why")
+            return 1
+        except KeyboardInterrupt:
+            console.say("ui: stopped")
+            return 0
+        finally:
+            _stop(server)
 
 
 def plan_ui(paths: ProjectPaths, port: int | None) -> UiPlan:
@@ -114,15 +124,22 @@ def _is_free(port: int) -> bool:
     return True
 
 
-def _wait_until_up(server: "subprocess.Popen[bytes]", url: str) -> None:
+def _interrupt(number: int, frame: object) -> NoReturn:
+    """Turn a polite request to end into Ctrl-C, so that the server is stopped on either."""
+    raise KeyboardInterrupt
+
+
+def _is_up(server: "subprocess.Popen[bytes]", url: str) -> bool:
+    """Wait until the server answers; return whether it does."""
     deadline = time.monotonic() + START_LIMIT_S
     health = url.split("?")[0] + "health"
     while time.monotonic() < deadline and server.poll() is None:
         try:
             with urllib.request.urlopen(health, timeout=2.0):
-                return
+                return True
         except OSError:
             time.sleep(0.2)
+    return False
 
 
 def _stop(server: "subprocess.Popen[bytes]") -> None:

@@ -4,6 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.console import Column
 from studies.pipeline import Outcome, Study, Summary, run_stage
@@ -19,6 +20,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         "simulate": simulated.digest,
         "sizes": list(sizes),
         "tuning": asdict(budget),
+        "variant": VARIANTS[budget.variant].to_dict(),
         "seed": study.profile.seed,
     }
 
