@@ -48,7 +48,7 @@ class Operation:
 
 def weekday(day: int) -> int:
     """Return the weekday (Monday is 0) of a day counted from the first row."""
-    return int(FIRST_DAY.dayofweek + day) % 7
+    return int(FIRST_DAY.day_of_week + day) % 7
 
 
 def _people(rng: np.random.Generator, t: Array) -> Array:

@@ -66,10 +66,11 @@ def _on_facade(t: Array, cloud: Array) -> tuple[Array, Array, Array, Array]:
     sun = pvlib.solarposition.spa_python(when, LATITUDE, LONGITUDE, altitude=ALTITUDE_M)
     zenith, azimuth = sun["apparent_zenith"], sun["azimuth"]
     airmass = pvlib.atmosphere.get_absolute_airmass(pvlib.atmosphere.get_relative_airmass(zenith))
-    extra = pvlib.irradiance.get_extra_radiation(when)
+    day_of_year = when.tz_convert("UTC").day_of_year.to_numpy()
+    extra = pvlib.irradiance.get_extra_radiation(day_of_year)
     clear = pvlib.clearsky.ineichen(zenith, airmass, LINKE_TURBIDITY, altitude=ALTITUDE_M, dni_extra=extra)
     total = clear["ghi"] * (1.0 - 0.75 * cloud**3.4)
-    parts = pvlib.irradiance.erbs(total, zenith, when)
+    parts = pvlib.irradiance.erbs(total, zenith, day_of_year)
     plane = pvlib.irradiance.get_total_irradiance(
         90.0, FACADE_AZIMUTH, zenith, azimuth, parts["dni"], total, parts["dhi"], model="isotropic"
     )
