@@ -35,7 +35,9 @@ def write_code(ode: Ode, settings: BuildSettings) -> ModelCode:
     generator = ca.CodeGenerator("model.c", {"with_header": False, "with_export": False, "casadi_int": "int"})
     for function in functions:
         generator.add(function)
-    return ModelCode(functions=str(generator.dump()), header=_header(ode, settings, functions))
+    # With the header's declarations, which hide the functions, whatever the compiler's flags.
+    source = f'#include "model.h"\n\n{generator.dump()}'
+    return ModelCode(functions=source, header=_header(ode, settings, functions))
 
 
 def _functions(ode: Ode, *, exact: bool) -> list[Any]:
@@ -85,14 +87,27 @@ def _header(ode: Ode, settings: BuildSettings, functions: list[Any]) -> str:
             "#ifndef MODEL_H",
             "#define MODEL_H",
             "",
+            "/* Another library's function of the same name must not take the place of one of ours. */",
+            "#if defined(__GNUC__)",
+            '#define HIDDEN_BEGIN _Pragma("GCC visibility push(hidden)")',
+            '#define HIDDEN_END _Pragma("GCC visibility pop")',
+            "#else",
+            "#define HIDDEN_BEGIN",
+            "#define HIDDEN_END",
+            "#endif",
+            "",
             *(f"#define {name} {value}" for name, value in sizes.items()),
             f"#define MODEL_MAX_SUBSTEP {_number(settings.max_substep_s)}",
             f"#define MODEL_TOLERANCE {_number(settings.tolerance)}",
+            "",
+            "HIDDEN_BEGIN",
             "",
             *(
                 f"int {function.name()}(const double **arguments, double **results, int *, double *, int);"
                 for function in functions
             ),
+            "",
+            "HIDDEN_END",
             "",
             "#endif",
             "",

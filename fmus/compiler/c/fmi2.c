@@ -464,7 +464,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (t + h > now->stop + 1e-3 * h) {
         return FAIL(instance, "fmi2DoStep: a step to %.10g passes the stop time %.10g", t + h, now->stop);
     }
-    if (advance(t, h, now->x, now->u, now->p, &instance->propagators) != 0) {
+    if (model_advance(t, h, now->x, now->u, now->p, &instance->propagators) != 0) {
         const int i = first_not_finite(now->u, MODEL_N_INPUTS);
         if (i >= 0) {
             return FAIL(instance, "input %s = %g at %.10g s is not finite", MODEL_INPUT_NAMES[i], now->u[i], t);

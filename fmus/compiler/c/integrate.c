@@ -98,7 +98,7 @@ static const Propagator *find_propagator(Propagators *cache, const double *matri
     return entry->valid ? entry : NULL;
 }
 
-int advance(double t, double h, double *x, const double *u, const double *p, Propagators *propagators)
+int model_advance(double t, double h, double *x, const double *u, const double *p, Propagators *propagators)
 {
     (void)t;
     double matrix[N * N], rest[N], next[N], w[MODEL_WORK];
@@ -173,7 +173,7 @@ static double error_of(const double *whole, const double *halves)
 /* Every substep is also done as two halves, whose result is kept; a substep that is too inaccurate (or unstable, which
  * shows as inaccuracy long before it hurts) is halved. The control starts anew at each communication point, so that
  * a step depends on nothing but its own start. */
-int advance(double t, double h, double *x, const double *u, const double *p, Propagators *propagators)
+int model_advance(double t, double h, double *x, const double *u, const double *p, Propagators *propagators)
 {
     (void)propagators;
     const double longest = h / fmax(1.0, ceil(h / MODEL_MAX_SUBSTEP));

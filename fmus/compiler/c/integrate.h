@@ -23,7 +23,11 @@ typedef struct {
     int latest;
 } Propagators;
 
+HIDDEN_BEGIN
+
 /* Advance x from t to t + h. Returns 0, or 1 when the solution is lost (x is then undefined). */
-int advance(double t, double h, double *x, const double *u, const double *p, Propagators *propagators);
+int model_advance(double t, double h, double *x, const double *u, const double *p, Propagators *propagators);
+
+HIDDEN_END
 
 #endif

@@ -1,0 +1,113 @@
+"""Building: the same sources give the same file, which compiles anywhere."""
+
+import shutil
+import subprocess
+import sys
+import zipfile
+
+import pytest
+from conftest import OFFICE, REPOSITORY
+from fmpy import extract, simulate_fmu
+from fmpy.build import build_platform_binary
+
+FOLDER = REPOSITORY / "fmus" / "office"
+
+
+def contents(fmu):
+    with zipfile.ZipFile(fmu) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def test_two_builds_are_identical_bytes(compiler, tmp_path):
+    first = compiler.build_fmu(FOLDER, tmp_path / "first.fmu")
+    copy = shutil.copytree(FOLDER, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("*.fmu"))
+    assert compiler.build_fmu(copy, tmp_path / "second.fmu").read_bytes() == first.read_bytes()
+
+
+@pytest.mark.parametrize("folder", ["office", "office-whitebox"])
+def test_the_shipped_fmu_belongs_to_its_sources(compiler, tmp_path, folder):
+    model = REPOSITORY / "fmus" / folder
+    (shipped,) = model.glob("*.fmu")
+    built, kept = contents(compiler.build_fmu(model, tmp_path / "built.fmu")), contents(shipped)
+    assert built.keys() == kept.keys()
+    # Another version of gcc may well write another binary.
+    different = [name for name in built if built[name] != kept[name] and not name.startswith("binaries/")]
+    assert different == [], f"run: python -m fmus.compiler fmus/{folder}"
+
+
+def test_the_command_builds_and_prints_the_checksum(compiler, tmp_path):
+    result = subprocess.run(
+        [sys.executable, "-m", "fmus.compiler", "fmus/office", "--output", str(tmp_path / "O.fmu")],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "sha256" in result.stdout
+
+
+def test_the_command_says_in_one_line_what_is_wrong(compiler, tmp_path):
+    result = subprocess.run(
+        [sys.executable, "-m", "fmus.compiler", str(tmp_path)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+
+
+def test_the_wrapper_compiles_without_a_warning(compiler, tmp_path):
+    extract(str(OFFICE), unzipdir=str(tmp_path))
+    strict = [
+        "gcc",
+        "-std=c99",
+        "-O2",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Wshadow",
+        "-Wconversion",
+        "-Werror",
+        "-c",
+    ]
+    for name in ("fmi2.c", "integrate.c"):
+        command = [*strict, name, "-o", f"{name}.o"]
+        result = subprocess.run(
+            command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False
+        )
+        assert result.stderr == ""
+
+
+def test_fmpy_compiles_the_sources(compiler, tmp_path):
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake is not installed")
+    extract(str(OFFICE), unzipdir=str(tmp_path / "fmu"))
+    (binary,) = (tmp_path / "fmu" / "binaries" / "linux64").iterdir()
+    original = binary.read_bytes()
+    binary.unlink()
+    (tmp_path / "cmake").mkdir()
+    build_platform_binary(tmp_path / "fmu", build_dir=tmp_path / "cmake")
+    assert binary.read_bytes() != original
+    settings = {"stop_time": 86400.0, "output_interval": 600.0, "output": ["TAir"]}
+    recompiled = simulate_fmu(str(tmp_path / "fmu"), fmi_type="CoSimulation", **settings)
+    shipped = simulate_fmu(str(OFFICE), fmi_type="CoSimulation", **settings)
+    assert abs(recompiled["TAir"] - shipped["TAir"]).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_fmpy_simulates_both_interfaces(kind):
+    result = simulate_fmu(
+        str(OFFICE),
+        fmi_type=kind,
+        stop_time=86400.0,
+        output_interval=600.0,
+        relative_tolerance=1e-8,
+        output=["TAir"],
+    )
+    expected = simulate_fmu(str(OFFICE), stop_time=86400.0, output_interval=600.0, output=["TAir"])
+    assert len(result) == 145
+    assert abs(result["TAir"] - expected["TAir"]).max() < 1e-4

@@ -1,0 +1,135 @@
+"""Model exchange, directional derivatives and saved states of the office FMU."""
+
+import numpy as np
+import office_equations as reference
+import pytest
+from fmpy.fmi1 import FMICallException
+
+STATES = ("air.T", "masses.T", "wall.T", "ceiling.T")
+DERIVATIVES = tuple(f"der({name})" for name in STATES)
+
+
+def enter_continuous_time(driver, **values):
+    driver.initialize(**values)
+    driver.fmu.newDiscreteStates()
+    driver.fmu.enterContinuousTimeMode()
+
+
+def set_states(driver, temperatures):
+    array = np.ascontiguousarray(temperatures, dtype=np.float64)
+    driver.fmu.setContinuousStates(array.ctypes.data_as(_pointer()), array.size)
+
+
+def derivatives_of(driver):
+    array = np.empty(4)
+    driver.fmu.getDerivatives(array.ctypes.data_as(_pointer()), array.size)
+    return array
+
+
+def _pointer():
+    from ctypes import POINTER, c_double
+
+    return POINTER(c_double)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_are_those_of_the_paper(office_exchange, seed):
+    theta = reference.random_theta(1, seed)[0]
+    row = reference.varied_inputs(50, seed)[40]
+    enter_continuous_time(office_exchange, **dict(zip(reference.NAMES, theta, strict=True)))
+    office_exchange.set(**dict(zip(reference.INPUTS, row, strict=True)))
+    temperatures = np.array([295.0, 296.5, 279.0, 300.0]) + seed
+    set_states(office_exchange, temperatures)
+    # Relative to the flows, of which a derivative is a difference.
+    expected = reference.right_side(temperatures, theta, row)
+    np.testing.assert_allclose(derivatives_of(office_exchange), expected, rtol=1e-10, atol=1e-15)
+    assert office_exchange.get("TAir") == [295.0 + seed]
+
+
+def test_both_interfaces_give_the_same_derivatives(office, office_exchange):
+    enter_continuous_time(office_exchange, TAirInit=295.0, HGlo=100.0)
+    office.initialize(TAirInit=295.0, HGlo=100.0)
+    assert office.get(*DERIVATIVES) == list(derivatives_of(office_exchange))
+
+
+def test_a_short_explicit_step_agrees_with_the_exact_one(office, office_exchange):
+    values = {"HGlo": 300.0, "ySupTAC": 1.0, "ySupMV": 1.0, "occ": 1.0, "TAmb": 270.0}
+    office.initialize(**values)
+    office.fmu.doStep(0.0, 0.1)
+    enter_continuous_time(office_exchange, **values)
+    slope = derivatives_of(office_exchange)
+    before = np.array(office_exchange.get(*STATES))
+    # The wall bends most: 0.014 K/s with a time constant of 400 s, so 2e-7 K in a tenth of a second.
+    np.testing.assert_allclose(office.get(*STATES), before + 0.1 * slope, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("known", [*STATES, *reference.INPUTS, *reference.NAMES])
+def test_directional_derivatives_match_finite_differences(office_exchange, known):
+    values = dict(zip(reference.NAMES, reference.random_theta(1, 8)[0], strict=True))
+    values |= dict(zip(reference.INPUTS, [268.0, 271.0, 302.0, 1.0, 291.0, 1.0, 250.0, 0.6], strict=True))
+    unknowns = [*DERIVATIVES, "TAir"]
+    temperatures = np.array([295.0, 296.5, 279.0, 300.0])
+
+    def evaluate(shift):
+        changed = values | ({known: values[known] + shift} if known in values else {})
+        enter_continuous_time(office_exchange, **changed)
+        set_states(office_exchange, temperatures + shift * np.array([known == name for name in STATES]))
+        return np.array(office_exchange.get(*unknowns))
+
+    size = 1e-5 * (values[known] if known in reference.NAMES else 300.0 if known.endswith(".T") else 1.0)
+    expected = (evaluate(size) - evaluate(-size)) / (2 * size)
+    evaluate(0.0)
+    given = office_exchange.fmu.getDirectionalDerivative(
+        office_exchange.refer(unknowns), office_exchange.refer([known]), [1.0]
+    )
+    # Central differences of derivatives near 1e-3 K/s: rounding 1e-19 over the step, and its square.
+    scale = max(np.max(np.abs(expected)), 1e-13)
+    np.testing.assert_allclose(given, expected, rtol=1e-6, atol=1e-5 * scale)
+    if known not in {"ySupTAC", "ySupMV", "TTABSInit"}:
+        assert np.any(np.array(given) != 0.0)
+
+
+def test_during_the_initialization_states_follow_their_start_parameters(office):
+    office.fmu.setupExperiment(startTime=0.0)
+    office.fmu.enterInitializationMode()
+    unknowns = office.refer(["air.T", "masses.T", "ceiling.T", "TAir"])
+    given = office.fmu.getDirectionalDerivative(unknowns, office.refer(["TAirInit"]), [1.0])
+    assert given == [1.0, 1.0, 0.0, 1.0]
+    before = office.get("der(wall.T)")[0]
+    office.set(TAirInit=297.15)
+    (slope,) = office.fmu.getDirectionalDerivative(
+        office.refer(["der(wall.T)"]), office.refer(["TAirInit"]), [1.0]
+    )
+    assert office.get("der(wall.T)")[0] - before == pytest.approx(slope, rel=1e-9)
+
+
+def test_an_unknown_cannot_be_a_seed(office):
+    office.initialize()
+    with pytest.raises(FMICallException):
+        office.fmu.getDirectionalDerivative(office.refer(["TAir"]), office.refer(["der(air.T)"]), [1.0])
+
+
+def test_a_saved_state_goes_back_and_through_bytes(office):
+    inputs = reference.varied_inputs(6, 2)
+    office.initialize()
+    office.run(reference.INPUTS, inputs[:3], 600.0, "TAir")
+    saved = office.fmu.getFMUstate()
+
+    def go_on():
+        result = []
+        for k, row in enumerate(inputs[3:], start=3):
+            office.fmu.setReal(office.refer(reference.INPUTS), list(row))
+            office.fmu.doStep(600.0 * k, 600.0)
+            result += office.get("TAir")
+        return result
+
+    expected = go_on()
+    office.fmu.setFMUstate(saved)
+    assert go_on() == expected
+    stored = office.fmu.serializeFMUstate(saved)
+    office.fmu.freeFMUstate(saved)
+    office.initialize(b=20.0)
+    again = office.fmu.deSerializeFMUstate(stored)
+    office.fmu.setFMUstate(again)
+    office.fmu.freeFMUstate(again)
+    assert go_on() == expected

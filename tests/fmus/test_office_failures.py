@@ -1,0 +1,92 @@
+"""What cannot be simulated fails where it is set, with a message, and harms no later run."""
+
+import math
+
+import pytest
+from fmpy.fmi1 import FMICallException
+
+WRONG = [
+    *((name, math.nan) for name in ("b", "UWin", "TTABSInit", "TAirInit")),
+    *((name, math.inf) for name in ("cInt", "TWallInit")),
+    *((name, 0.0) for name in ("b", "cInt", "cExt1", "cTABS", "rInt", "rExt1", "rExt2", "rZone", "rPipe")),
+    *((name, -1.0) for name in ("b", "cInt", "cExt1", "cTABS", "rInt", "rExt1", "rExt2", "rZone", "rPipe")),
+    *((name, -1.0) for name in ("UWin", "VSUP", "TTABSInit", "TAirInit")),
+    ("TAmb", math.nan),
+    ("occ", math.inf),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG)
+def test_a_wrong_value_ends_the_initialization(office, name, value):
+    with pytest.raises(FMICallException, match="fmi2ExitInitializationMode"):
+        office.initialize(**{name: value})
+    assert len(office.messages) == 1
+    assert "check the parameters" in office.messages[0] or f"{name} = " in office.messages[0]
+
+
+def test_after_a_failure_a_reset_instance_is_as_new(office):
+    office.initialize()
+    office.fmu.doStep(0.0, 600.0)
+    expected = office.get("TAir")
+    with pytest.raises(FMICallException):
+        office.initialize(cInt=0.0)
+    with pytest.raises(FMICallException, match="fmi2DoStep"):
+        office.fmu.doStep(0.0, 600.0)
+    office.initialize()
+    office.fmu.doStep(0.0, 600.0)
+    assert office.get("TAir") == expected
+
+
+def test_an_input_that_is_not_finite_ends_the_run_by_name(office):
+    office.initialize()
+    office.set(TSupMV=math.nan)
+    with pytest.raises(FMICallException, match="fmi2DoStep"):
+        office.fmu.doStep(0.0, 600.0)
+    assert "TSupMV" in office.messages[-1]
+
+
+@pytest.mark.parametrize(
+    ("t", "h", "message"),
+    [(600.0, 600.0, "but the time is"), (0.0, -1.0, "not a duration"), (0.0, math.nan, "not a duration")],
+)
+def test_a_wrong_step_is_refused(office, t, h, message):
+    office.initialize()
+    with pytest.raises(FMICallException):
+        office.fmu.doStep(t, h)
+    assert message in office.messages[-1]
+
+
+def test_a_step_past_the_stop_time_is_refused(office):
+    office.fmu.setupExperiment(startTime=0.0, stopTime=900.0)
+    office.fmu.enterInitializationMode()
+    office.fmu.exitInitializationMode()
+    office.fmu.doStep(0.0, 600.0)
+    with pytest.raises(FMICallException):
+        office.fmu.doStep(600.0, 600.0)
+    assert "stop time" in office.messages[-1]
+
+
+def test_a_parameter_is_fixed_after_the_initialization(office):
+    office.initialize()
+    with pytest.raises(FMICallException):
+        office.set(b=4.0)
+    assert "parameter b is fixed" in office.messages[-1]
+
+
+def test_neither_states_nor_unknown_references_can_be_set(office):
+    with pytest.raises(FMICallException):
+        office.fmu.setReal([office.references["air.T"]], [300.0])
+    with pytest.raises(FMICallException):
+        office.fmu.setReal([999], [1.0])
+    with pytest.raises(FMICallException):
+        office.fmu.getReal([999])
+
+
+def test_calls_out_of_order_are_refused(office):
+    with pytest.raises(FMICallException):
+        office.fmu.doStep(0.0, 600.0)
+    with pytest.raises(FMICallException):
+        office.fmu.exitInitializationMode()
+    office.initialize()
+    with pytest.raises(FMICallException):
+        office.fmu.enterInitializationMode()
