@@ -126,6 +126,8 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
 
 
 def _named_cases(paths: ProjectPaths) -> dict[str, Path]:
-    named = {file.stem: file for file in sorted(paths.fmus.glob("*/*.toml")) if file.name != "case.toml"}
+    # build.toml says how an FMU is compiled.
+    others = {"case.toml", "build.toml"}
+    named = {file.stem: file for file in sorted(paths.fmus.glob("*/*.toml")) if file.name not in others}
     named |= {file.parent.name: file for file in sorted(paths.fmus.glob("*/case.toml"))}
     return dict(sorted(named.items()))
