@@ -4,6 +4,7 @@ import argparse
 import re
 import shlex
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
@@ -81,6 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # whoever read our output has left; there is nobody to tell
         sys.stdout = None
         return FAILED
+    except Exception as error:
+        return _failed(console, error)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -244,3 +247,15 @@ def _bad_input(console: Console, line: str) -> int:
     console.warn(f"error: {line}")
     console.document({"error": line})
     return BAD_INPUT
+
+
+def _failed(console: Console, error: Exception) -> int:
+    """Say that a stage failed in one line; anything unforeseen keeps its traceback, for a report to us."""
+    from studies.pipeline import StageError
+
+    if not isinstance(error, StageError):
+        traceback.print_exception(error)
+    line = " ".join(f"{error}".split()) or type(error).__name__
+    console.warn(f"error: {line}")
+    console.document({"error": line})
+    return FAILED

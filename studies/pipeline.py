@@ -28,6 +28,10 @@ PACKAGES = ("pelsvae-studies", "numpy", "scipy", "torch", "optuna", "mlflow", "f
 Summary = dict[str, Any]
 
 
+class StageError(RuntimeError):
+    """A stage failed for a reason that is not the user's input."""
+
+
 @dataclass(frozen=True)
 class Study:
     """A case x a profile, with all that a stage needs to know.

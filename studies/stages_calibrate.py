@@ -15,7 +15,7 @@ from studies.champion import CHAMPION_FILE, load_champion, read_champion, restor
 from studies.console import Column
 from studies.paths import size_name
 from studies.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
-from studies.report.wording import difference_unit
+from studies.report.wording import difference_unit, squared
 from studies.stages_results import StoredCalibration, calibration_files
 from studies.stages_tracking import log_calibration, tracker_of
 
@@ -170,20 +170,9 @@ def _is_of_this_case(study: Study, n_train: int) -> bool:
 
 def show_calibrations(study: Study, outcomes: list[Outcome], target: float | None) -> None:
     """Print one row per training-set size, as the paper's Table 4, and what it cost."""
-    unit = difference_unit(study.case.outputs[0].unit)
-    squared = f"[{unit}²]"
-    columns = [
-        Column("n_train", True),
-        Column(f"MAE val [{unit}]", True),
-        Column(f"MAE test [{unit}]", True),
-        Column(f"MSE surrogate {squared}", True),
-        Column(f"MSE FMU, screened {squared}", True),
-        Column("gap", True),
-        Column("polish calls", True),
-        Column(f"final MSE {squared}", True),
-        Column("calls (paper)", True),
-        Column("calls (all)", True),
-    ]
+    titles = ["n_train", "MAE val", "MAE test", "MSE surrogate", "MSE screened", "gap"]
+    titles += ["polish calls", "final MSE", "calls (paper)", "calls (all)"]
+    columns = [Column(title, True) for title in titles]
     if target is not None:
         columns.append(Column(f"calls to {target:g}", True))
     rows = []
@@ -205,7 +194,9 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
         if target is not None:
             row.append(calls_to(study, found["n_train"], target) or "not reached")
         rows.append(row)
-    study.console.table(f"{study.label}: calibration", columns, rows)
+    unit = difference_unit(study.case.outputs[0].unit)
+    title = f"{study.label}: calibration (MAE of the surrogate in {unit}; MSE in {squared(unit)},"
+    study.console.table(f"{title} screened and final by the FMU)", columns, rows)
     if study.case.note:
         study.console.result(f"Note: {study.case.note}")
 

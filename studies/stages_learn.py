@@ -1,5 +1,7 @@
 """The stage that learns: one tuned surrogate per training-set size."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -7,7 +9,7 @@ from typing import Any
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.console import Column
-from studies.pipeline import Outcome, Study, Summary, run_stage
+from studies.pipeline import Outcome, StageError, Study, Summary, run_stage
 from studies.report.wording import difference_unit
 from studies.stages_simulate import set_files
 from studies.stages_tracking import tracker_of
@@ -25,6 +27,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     }
 
     def work() -> tuple[Summary, list[Path]]:
+        from studies.crew import TuningError
         from studies.study_spec import StudySpec
         from studies.tuning import tune
 
@@ -51,7 +54,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
             for n_train in sizes
         ]
         tracker = tracker_of(study.paths)
-        with study.console.bars() as bars:
+        with study.console.bars() as bars, _stage_error(TuningError):
             summaries = tune(
                 specs,
                 paths=study.paths,
@@ -104,6 +107,14 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
         cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
         rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
     study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
+
+
+@contextmanager
+def _stage_error(kind: type[Exception]) -> Iterator[None]:
+    try:
+        yield
+    except kind as error:
+        raise StageError(f"tune: {error}") from error
 
 
 def _study_summary(study: Study, summary: dict[str, Any]) -> dict[str, Any]:

@@ -85,6 +85,8 @@ def log_calibration(
 
 def log_sensitivity(study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float) -> None:
     """Tell of finished Sobol indices."""
+    if not study.paths.tracking_database.is_file():
+        study.console.say("sensitivity: making MLflow's store, once")
     shares = {f"first_order/{name}": value for name, value in summary["mean_first_order"].items()}
     shares |= {f"total_order/{name}": value for name, value in summary["mean_total_order"].items()}
     tracker_of(study.paths).log_stage(

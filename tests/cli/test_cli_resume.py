@@ -139,7 +139,8 @@ def test_a_run_interrupted_in_every_stage_ends_the_same(
         before = finished_work(project)
         code, log = interrupt(project, how, is_moment)
         if how is signal.SIGINT:
-            assert code == 130, f"{moment}: {log}"
+            # Both are 130 to a shell: CPython ends as killed by SIGINT where Ctrl-C came inside an exec().
+            assert code in (130, -signal.SIGINT), f"{moment}: {log}"
             assert log.splitlines()[-1].startswith("studies: interrupted"), log
             assert "studies run --profile smoke --jobs 2" in log.splitlines()[-1]
             assert "Traceback" not in log
