@@ -61,7 +61,7 @@ class DifferentialEvolution:
     """
 
     popsize: int = 8
-    maxiter: int = 600
+    maxiter: int = 200
     tol: float = 1e-3
     strategy: Literal["best1bin", "rand1bin", "currenttobest1bin", "randtobest1bin"] = "best1bin"
     mutation: tuple[float, float] = (0.5, 1.0)
