@@ -58,10 +58,10 @@ class Case:
         fmu: What the FMU says about itself.
         interface: How the FMU is run.
         parameter_space: Parameters to calibrate.
-        scenario: Inputs over the window.
+        scenario: Inputs from the start of the simulation to the end of the window.
         measurement: Measured outputs over the window.
         outputs: The outputs.
-        window_d: Simulated and compared part, since the recording's first row. [d]
+        window_d: Compared part, since the recording's first row. [d]
         communication_step_s: Step over which inputs are constant. [s]
         output_step_s: Step of outputs and measurement. [s]
         settings: How the model is opened; plain data for worker processes.
@@ -164,21 +164,23 @@ def load_case(
     check_inputs(path, file, fmu)
     recordings = read_recordings(path, file)
     window = window_d if window_d is not None else file.time.window_d
-    edges, output_every = time_grid(path, file, recordings, window)
+    edges, output_every, n_warmup = time_grid(path, file, recordings, window)
     scenario = Scenario(
         time_communication=edges,
         inputs=input_values(path, file, fmu, recordings, edges),
         input_names=tuple(table.name for table in file.inputs),
         output_every=output_every,
+        n_warmup=n_warmup,
     )
     measurement = measured(path, file, recordings, scenario.time)
+    at_start = measured(path, file, recordings, scenario.time_simulated[:1])
     settings = FmuSettings(
         path=fmu.path,
         parameter_space=space,
         scenario=scenario,
         output_names=measurement.output_names,
         output_offsets=-np.array([output_offset(path, table, fmu) for table in file.outputs]),
-        fixed=fixed_values(path, file, fmu, measurement),
+        fixed=fixed_values(path, file, fmu, at_start),
     )
     return Case(
         name=file.name,

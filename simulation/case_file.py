@@ -19,10 +19,11 @@ class _Table(BaseModel):
 
 
 class TimeTable(_Table):
-    """Key [time]: the window in days since the recording's first row, and the two steps in seconds."""
+    """Key [time]: window and start of the simulation in days since the first row, steps in seconds."""
 
     # TOML arrays arrive as lists; strict mode would take no list for a tuple.
     window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
+    start_d: Finite | None = None
     communication_step_s: Positive
     output_step_s: Positive
 
@@ -72,7 +73,7 @@ class ParameterTable(_Table):
 
 
 class FirstMeasured(_Table):
-    """Value of [fixed]: the first measured value of an output in the window."""
+    """Value of [fixed]: the measured value of an output at the start of the simulation."""
 
     first_measured: Name
 

@@ -64,12 +64,22 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
 
 def time_grid(
     path: Path, file: CaseFile, recordings: dict[str, Recording], window_d: tuple[float, float]
-) -> tuple[FloatArray, int]:
-    """Return the edges of the communication steps [s] and the number of steps between two outputs."""
-    start_d, end_d = window_d
-    where = f"{path}: window_d = [{start_d:g}, {end_d:g}]"
-    if not (math.isfinite(start_d) and math.isfinite(end_d) and 0.0 <= start_d < end_d):
+) -> tuple[FloatArray, int, int]:
+    """Lay out the communication steps from the start of the simulation to the end of the window.
+
+    Returns:
+        Edges of the steps [s], number of steps between two outputs, number of outputs before the window.
+    """
+    begin_d, end_d = window_d
+    where = f"{path}: window_d = [{begin_d:g}, {end_d:g}]"
+    if not (math.isfinite(begin_d) and math.isfinite(end_d) and 0.0 <= begin_d < end_d):
         raise InputError(f"{where}: the end must lie after the start and neither before day 0; correct it")
+    start_d = begin_d if file.time.start_d is None else file.time.start_d
+    if not 0.0 <= start_d <= begin_d:
+        raise InputError(
+            f"{path}: time.start_d = {start_d:g} does not lie between day 0 and the window's start, "
+            f"{begin_d:g}; correct it"
+        )
     step, output_step = file.time.communication_step_s, file.time.output_step_s
     if not step > 0:
         raise InputError(f"{path}: communication_step_s = {step:g} is not above 0; correct it")
@@ -79,11 +89,8 @@ def time_grid(
             f"{path}: time.output_step_s = {output_step:g} is no multiple of "
             f"communication_step_s = {step:g}; choose steps that fit"
         )
-    n_outputs = round((end_d - start_d) * DAY_S / output_step)
-    if n_outputs < 1 or not math.isclose(n_outputs * output_step, (end_d - start_d) * DAY_S, rel_tol=1e-9):
-        raise InputError(
-            f"{where}: not a whole number of output steps of {output_step:g} s; choose days that fit"
-        )
+    n_window = _whole_steps(end_d - begin_d, output_step, where)
+    n_warmup = _whole_steps(begin_d - start_d, output_step, f"{path}: time.start_d = {start_d:g}")
     recording = recordings[file.outputs[0].file]
     start = float(recording.time[0]) + start_d * DAY_S
     length_d = (recording.time[-1] - recording.time[0]) / DAY_S
@@ -91,7 +98,18 @@ def time_grid(
         raise InputError(
             f"{where}: the recording {recording.path} ends after {length_d:.6g} days; shorten the window"
         )
-    return start + step * np.arange(n_outputs * output_every + 1, dtype=np.float64), output_every
+    n_steps = (n_warmup + n_window) * output_every
+    return start + step * np.arange(n_steps + 1, dtype=np.float64), output_every, n_warmup
+
+
+def _whole_steps(span_d: float, output_step: float, where: str) -> int:
+    """Return how many output steps [s] a span [d] holds."""
+    n_steps = round(span_d * DAY_S / output_step)
+    if not math.isclose(n_steps * output_step, span_d * DAY_S, rel_tol=1e-9):
+        raise InputError(
+            f"{where}: not a whole number of output steps of {output_step:g} s; choose days that fit"
+        )
+    return n_steps
 
 
 def input_values(
@@ -143,9 +161,7 @@ def output_offset(path: Path, table: OutputTable, fmu: FmuDescription) -> float:
     return offset_between(table.unit, fmu.require(table.name, "output", where).unit, where)
 
 
-def fixed_values(
-    path: Path, file: CaseFile, fmu: FmuDescription, measurement: Measurement
-) -> dict[str, float]:
+def fixed_values(path: Path, file: CaseFile, fmu: FmuDescription, at_start: Measurement) -> dict[str, float]:
     """Return the parameters held at a value. [FMU's units]."""
     values = {}
     for name, value in file.fixed.items():
@@ -154,14 +170,14 @@ def fixed_values(
         if any(table.name == name for table in file.parameters):
             raise InputError(f"{where}: {name} is also under [[parameters]]; drop one of the two")
         if isinstance(value, FirstMeasured):
-            if value.first_measured not in measurement.output_names:
+            if value.first_measured not in at_start.output_names:
                 raise InputError(
                     f'{where}: first_measured = "{value.first_measured}" is no output of the case; '
-                    f"choose one of: {', '.join(measurement.output_names)}"
+                    f"choose one of: {', '.join(at_start.output_names)}"
                 )
-            index = measurement.output_names.index(value.first_measured)
+            index = at_start.output_names.index(value.first_measured)
             offset = offset_between(file.outputs[index].unit, variable.unit, where)
-            values[name] = float(measurement.y[0, index]) + offset
+            values[name] = float(at_start.y[0, index]) + offset
         else:
             values[name] = float(value)
     return values

@@ -122,7 +122,8 @@ class FmuModel:
             raise ValueError(
                 f"theta has shape {theta.shape}; expected (n, {self.parameter_space.n_parameters})"
             )
-        y = np.full((len(theta), len(self.time), len(self.output_names)), np.nan)
+        scenario = self._settings.scenario
+        y = np.full((len(theta), len(scenario.time_simulated), len(self.output_names)), np.nan)
         # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
         failures = [
             self._simulate_row(row, y[i]) if np.isfinite(row).all() else "" for i, row in enumerate(theta)
@@ -130,7 +131,7 @@ class FmuModel:
         y += self._settings.output_offsets
         return Trajectories.checked(
             theta,
-            y,
+            y[:, scenario.n_warmup :],
             time=self.time,
             parameter_names=self.parameter_space.names,
             output_names=self.output_names,

@@ -21,12 +21,14 @@ class Scenario:
         inputs: Input values, each constant over its step. Shape (m, n_inputs). [model's units]
         input_names: Names of the inputs.
         output_every: Communication steps between two outputs; divides m.
+        n_warmup: First outputs that are simulated and not reported.
     """
 
     time_communication: FloatArray
     inputs: FloatArray
     input_names: tuple[str, ...]
     output_every: int
+    n_warmup: int = 0
 
     def __post_init__(self) -> None:
         n_steps = len(self.time_communication) - 1
@@ -36,11 +38,18 @@ class Scenario:
             )
         if n_steps < 1 or self.output_every < 1 or n_steps % self.output_every:
             raise ValueError(f"{n_steps} steps cannot be looked at every {self.output_every}")
+        if not 0 <= self.n_warmup <= n_steps // self.output_every:
+            raise ValueError(f"{self.n_warmup} of the outputs cannot be left out")
 
     @cached_property
     def time(self) -> FloatArray:
-        """Output times, the first edge included. Shape (t,). [s]."""
-        return self.time_communication[:: self.output_every].copy()
+        """Times of the reported outputs; without a warm-up the first edge is one. Shape (t,). [s]."""
+        return self.time_simulated[self.n_warmup :].copy()
+
+    @property
+    def time_simulated(self) -> FloatArray:
+        """Times of all outputs, the warm-up's included. Shape (n_warmup + t,). [s]."""
+        return self.time_communication[:: self.output_every]
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:

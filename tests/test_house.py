@@ -40,7 +40,11 @@ def test_every_package_is_installed_with_the_project() -> None:
 
 def test_nothing_of_the_recording_is_tracked() -> None:
     git = subprocess.run(
-        ["git", "ls-files", "data/office-recorded", "mlruns"], cwd=ROOT, capture_output=True, text=True, check=False
+        ["git", "ls-files", "data/office-recorded", "mlruns"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if git.returncode != 0:
         pytest.skip("not a git checkout")

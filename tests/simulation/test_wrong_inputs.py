@@ -143,6 +143,10 @@ WRONG: dict[str, tuple[Change, str]] = {
         toml("[0.25, 0.75]", "[0.25, 3.0]"),
         r"window_d = \[0\.25, 3\]: the recording .*recording\.csv ends after 1 days; shorten the window",
     ),
+    "start after the window's start": (
+        toml("[time]", "[time]\nstart_d = 0.5"),
+        r"time\.start_d = 0\.5 does not lie between day 0 and the window's start, 0\.25",
+    ),
     "window reversed": (
         toml("[0.25, 0.75]", "[0.75, 0.25]"),
         r"window_d = \[0\.75, 0\.25\]: the end must lie after",
