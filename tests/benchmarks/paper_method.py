@@ -1,8 +1,8 @@
 """What the paper's method costs: whole studies over several seeds, model calls to a target, medians.
 
-Run `python tests/benchmarks/paper_method.py [CASE] [--target 0.0121] [--calls 200] [--seeds 0 1 2 3 4] [--n-train 32 64]`.
-Every seed is a study of its own (designs, trainings, screening); finished ones are read, not repeated. Calls are
-counted at the FMU as the paper counts them: training, screening check and polish. Prints; gates nothing.
+Run `python tests/benchmarks/paper_method.py [CASE] [--target 0.0121] [--calls 200] [--seeds 0 1 2 3 4]`.
+Every seed is a study of its own (designs, trainings, screening); finished ones are read, not repeated. Calls
+are counted at the FMU as the paper counts them: training, screening check, polish. Prints; gates nothing.
 """
 
 import argparse
