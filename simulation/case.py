@@ -46,6 +46,21 @@ class Output:
     column: str
 
 
+@dataclass(frozen=True)
+class KnownError:
+    """A mean squared error that is known for the case's window.
+
+    Attributes:
+        label: What reached it.
+        mse: The error. [first output's unit squared]
+        is_target: Whether results should say how many calls they needed to reach it.
+    """
+
+    label: str
+    mse: float
+    is_target: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Case:
     """The physics of a study: which model, which parameters, driven by what, compared with what.
@@ -65,6 +80,7 @@ class Case:
         communication_step_s: Step over which inputs are constant. [s]
         output_step_s: Step of outputs and measurement. [s]
         settings: How the model is opened; plain data for worker processes.
+        references: Errors known for this window; they decide nothing.
     """
 
     name: str
@@ -81,6 +97,7 @@ class Case:
     communication_step_s: float
     output_step_s: float
     settings: FmuSettings
+    references: tuple[KnownError, ...] = ()
 
     @property
     def fmu_path(self) -> Path:
@@ -200,4 +217,9 @@ def load_case(
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,
         settings=settings,
+        references=tuple(
+            KnownError(table.label, table.mse, table.target)
+            for table in file.references
+            if table.window_d == tuple(window)
+        ),
     )

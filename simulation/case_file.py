@@ -78,6 +78,15 @@ class FirstMeasured(_Table):
     first_measured: Name
 
 
+class ReferenceTable(_Table):
+    """Key [[references]]: a mean squared error that is known for a window, to judge results by."""
+
+    label: Name
+    window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
+    mse: Positive
+    target: bool = False
+
+
 class CaseFile(_Table):
     """A whole case.toml."""
 
@@ -94,6 +103,7 @@ class CaseFile(_Table):
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
     fixed: dict[str, Finite | FirstMeasured] = {}
+    references: list[ReferenceTable] = []
 
 
 def read_case_file(path: Path) -> CaseFile:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from studies.pipeline import Outcome, Study, Summary, run_stage, versions
-from studies.report import Provenance, ReportData, build
+from studies.report import Provenance, Reference, ReportData, build
 from studies.stages_results import (
     calibration_record,
     coverage_set,
@@ -33,6 +33,7 @@ def report_stage(study: Study) -> Outcome:
         "case": study.case.digest,
         "title": study.case.title,
         "note": study.case.note,
+        "references": [vars(known) for known in study.case.references],
         "parameters": [vars(parameter) for parameter in study.case.parameter_space.parameters],
         "results": {file.name: _sha256(file) for file in _source_files(study)},
         "versions": versions(),
@@ -76,6 +77,7 @@ def _report_data(study: Study) -> ReportData:
         sensitivity=sensitivity_record(study),
         trials=trials_record(trials),
         learning_curves=learning_curves(trials),
+        references=tuple(Reference(**vars(known)) for known in case.references),
         provenance=_provenance(study),
     )
 

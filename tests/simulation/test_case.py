@@ -91,6 +91,18 @@ def test_a_simulation_that_starts_before_its_window_is_the_end_of_a_longer_one(d
     assert load_case(decay_case, window_d=(0.25, 0.75)).scenario.time_communication[0] == 21600.0
 
 
+def test_a_known_error_counts_for_its_window_and_not_in_the_digest(decay_case: Path):
+    file, before = decay_case / "case.toml", load_case(decay_case).digest
+    file.write_text(
+        file.read_text()
+        + '[[references]]\nlabel = "best"\nwindow_d = [0.25, 0.75]\nmse = 0.5\ntarget = true\n'
+    )
+    case = load_case(decay_case)
+    assert [(known.label, known.mse, known.is_target) for known in case.references] == [("best", 0.5, True)]
+    assert case.digest == before
+    assert load_case(decay_case, window_d=(0, 0.5)).references == ()
+
+
 def test_the_digest_does_not_see_the_place(decay_case: Path, tmp_path: Path):
     moved = shutil.copytree(decay_case, tmp_path / "elsewhere")
     assert load_case(moved).digest == load_case(decay_case).digest
