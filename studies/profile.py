@@ -104,10 +104,12 @@ class ScreeningBudget:
     Args:
         popsize: population per parameter.
         maxiter: generations.
+        margin: part of each parameter's range left out at both ends, in the calibration's coordinates.
     """
 
-    popsize: Count = 20
-    maxiter: Count = 300
+    popsize: Count = 8
+    maxiter: Count = 200
+    margin: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.0
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -116,9 +116,7 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
             SurrogateModel(surrogate, study.case.parameter_space, measurement.output_names, measurement.time),
             physical,
             measurement,
-            screening=DifferentialEvolution(
-                popsize=profile.screening.popsize, maxiter=profile.screening.maxiter
-            ),
+            screening=DifferentialEvolution(**asdict(profile.screening)),
             polishing=LeastSquaresTRF(max_calls=profile.polish.max_calls, ftol=profile.polish.ftol),
             seed=profile.seed,
             n_train=n_train,

@@ -1,6 +1,7 @@
 """The last stage: everything that lies on disk on one page."""
 
 import hashlib
+from dataclasses import asdict
 from pathlib import Path
 
 from simulation.errors import InputError
@@ -95,7 +96,7 @@ def _provenance(study: Study) -> Provenance:
             ("training-set sizes", ", ".join(map(str, profile.data.n_train))),
             ("validation and test", f"{profile.data.n_validation} and {profile.data.n_test} simulations"),
             ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
-            ("screening", f"popsize {profile.screening.popsize}, {profile.screening.maxiter} generations"),
+            ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
             ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
         ),
         digests=(

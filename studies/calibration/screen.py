@@ -56,6 +56,9 @@ class DifferentialEvolution:
         strategy: SciPy's name of the mutation; "best1bin" is greedy, "rand1bin" slower and more thorough.
         mutation: Range from which each generation draws its differential weight. [1]
         recombination: Probability that a coordinate comes from the mutant. [1]
+        margin: Part of each coordinate's range that is left out at both ends. A surrogate has hardly any
+            samples beyond its outer ones, in logarithmic coordinates least of all near the lower bounds, and
+            a search would settle where its errors are largest (Aka et al. 2023, sec. 3.2). [1]
         max_calls: Most rows that may be asked of the model, or None: for use on a physical model.
         max_wall_s: Stop after the generation in which this time is over, or None. Not repeatable. [s]
     """
@@ -66,6 +69,7 @@ class DifferentialEvolution:
     strategy: Literal["best1bin", "rand1bin", "currenttobest1bin", "randtobest1bin"] = "best1bin"
     mutation: tuple[float, float] = (0.5, 1.0)
     recombination: float = 0.7
+    margin: float = 0.0
     max_calls: int | None = None
     max_wall_s: float | None = None
 
@@ -75,6 +79,9 @@ class DifferentialEvolution:
             raise InputError(
                 f"screening: popsize is {self.popsize} and maxiter {self.maxiter}; give at least 1 and 0"
             )
+
+        if not 0.0 <= self.margin < 0.5:
+            raise InputError(f"screening: margin is {self.margin}; give a value in [0, 0.5)")
 
     def minimize(
         self, problem: CalibrationProblem, *, seed: int, on_progress: OnProgress | None = None
@@ -113,7 +120,7 @@ class DifferentialEvolution:
         try:
             found = differential_evolution(
                 mse,
-                bounds=Bounds(np.zeros(p), np.ones(p)),
+                bounds=Bounds(np.full(p, self.margin), np.full(p, 1.0 - self.margin)),
                 strategy=self.strategy,
                 maxiter=self.maxiter,
                 popsize=self.popsize,

@@ -8,6 +8,7 @@ import pytest
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_problem, rc_problem
 
 from simulation.arrays import FloatArray
+from simulation.errors import InputError
 from simulation.toy import ToyRC
 from studies.calibration import CalibrationProblem, DifferentialEvolution, History, LeastSquaresTRF, Progress
 
@@ -198,3 +199,11 @@ def test_an_interruption_from_outside_passes_through(optimize: Optimizer) -> Non
 
     with pytest.raises(KeyboardInterrupt):
         optimize(rc_problem(), on_progress=interrupt)
+
+
+def test_screening_leaves_the_margin_out_and_refuses_one_that_leaves_nothing() -> None:
+    result = DifferentialEvolution(popsize=5, maxiter=5, margin=0.3).minimize(rc_problem(), seed=0)
+    assert (result.population_u >= 0.3).all()
+    assert (result.population_u <= 0.7).all()
+    with pytest.raises(InputError, match=r"margin is 0\.5; give a value in \[0, 0\.5\)"):
+        DifferentialEvolution(margin=0.5)
