@@ -116,7 +116,7 @@ class Case:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that decides what the model answers: not of titles, estimates or places."""
+        """SHA-256 of all that decides what the model answers: not of titles, estimates, scales or places."""
         space = self.parameter_space
         content = hashlib.sha256(
             json.dumps(

@@ -66,6 +66,7 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
     inputs = {
         "case": study.case.digest,
         "measurement": study.case.measurement.digest,
+        "is_log": study.case.parameter_space.is_log.tolist(),
         "champion": champion.files_sha256,
         "screening": asdict(profile.screening),
         "polish": asdict(profile.polish),

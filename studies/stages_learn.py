@@ -20,6 +20,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     budget, sizes = study.profile.tuning, study.profile.data.n_train
     inputs = {
         "simulate": simulated.digest,
+        "is_log": study.case.parameter_space.is_log.tolist(),
         "sizes": list(sizes),
         "tuning": asdict(budget),
         "variant": VARIANTS[budget.variant].to_dict(),
@@ -96,9 +97,7 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
         Column("pruned", True),
         Column("failed", True),
     ]
-    columns += [
-        Column(f"{name} [{difference_unit(unit)}]", True) for name in ("MAE val", "MAE test", "P90 test")
-    ]
+    columns += [Column(f"{name} [{unit}]", True) for name in ("MAE val", "MAE test", "P90 test")]
     columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
     rows = []
     for found in outcome.summary["studies"]:

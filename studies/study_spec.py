@@ -138,13 +138,18 @@ class StudySpec:
 
     @cached_property
     def digest(self) -> str:
-        """Sha256 over all that decides the trials; the number of trials, names of files and notes do not."""
+        """Sha256 over all that decides the trials and their errors.
+
+        The number of trials, the device, names of files and notes do not.
+        """
         settings = {k: v for k, v in self.base_config.to_dict().items() if k not in ("device", "n_threads")}
         decisive = {
             "case": self.case_digest,
+            "is_log": self.parameter_space.is_log.tolist(),
             "n_train": self.n_train,
             "train": self.train_digest,
             "validation": self.validation_digest,
+            "test": self.test_digest,
             "settings": settings,
             "search": asdict(self.search),
             "seed": self.seed,

@@ -156,6 +156,18 @@ def test_a_run_interrupted_in_every_stage_ends_the_same(
     assert results(project) == results(uninterrupted)
 
 
+def test_another_scale_is_another_search_on_the_same_simulations(uninterrupted: Path, tmp_path: Path) -> None:
+    project = shutil.copytree(uninterrupted, tmp_path / "project")
+    case = project / "fmus" / "office" / "case.toml"
+    text = case.read_text()
+    assert 'scale = "log"' in text
+    case.write_text(text.replace('scale = "log"', 'scale = "linear"', 1))
+    log = finish(project)
+    assert "simulate: finished before" in log
+    for stage in ("tune", "calibrate-n0016", "calibrate-n0032"):
+        assert f"{stage}: finished before" not in log
+
+
 def test_a_copy_at_another_place_calibrates_to_the_same_numbers(
     template: Path, tmp_path: Path, uninterrupted: Path
 ) -> None:

@@ -1,5 +1,6 @@
 """The search space and the choice of the next trial."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from optuna.distributions import FloatDistribution, IntDistribution
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
+from simulation.parameters import ParameterSpace
 from studies.profile import SearchRanges
 from studies.search_space import PastTrial, derived_seed, distributions, nearest_params, suggest, to_settings
 from studies.study_spec import StudySpec
@@ -85,6 +87,10 @@ def test_derived_seeds_are_32_bit_and_differ_by_use(seed: int, index: int) -> No
     assert derived_seed(seed, index, 0) != derived_seed(seed, index, 1)
 
 
+def _all_linear(space: ParameterSpace) -> ParameterSpace:
+    return ParameterSpace(tuple(replace(parameter, scale="linear") for parameter in space.parameters))
+
+
 def test_study_digest_covers_what_decides_and_nothing_else(make_spec: Any) -> None:
     spec: StudySpec = make_spec()
     assert (
@@ -95,6 +101,8 @@ def test_study_digest_covers_what_decides_and_nothing_else(make_spec: Any) -> No
         {"case_digest": "d" * 64},
         {"train_digest": "d" * 64},
         {"validation_digest": "d" * 64},
+        {"test_digest": "d" * 64},
+        {"parameter_space": _all_linear(spec.parameter_space)},
         {"variant": "paper"},
         {"overrides": {**spec.overrides, "max_epochs": 21}},
         {"search": SearchRanges()},
