@@ -194,7 +194,8 @@ def _train(
         history.append(row)
         if mae < best_mae:
             best_mae, best_epoch = mae, epoch
-            torch._foreach_copy_(best, weights)
+            with torch.no_grad():
+                torch._foreach_copy_(best, weights)
         if on_epoch is not None:
             on_epoch(EpochReport(epoch, config.max_epochs, row[1], mae))
         if epoch - best_epoch >= config.patience:
