@@ -20,6 +20,7 @@ from studies.file_lock import FileLock
 from studies.study_spec import StudySpec, TuneEvent
 
 GRACE_S = 3.0  # a worker looks at the stop sign at every validated epoch
+MAX_IDLE_DEATHS = 3  # workers in a row that die before they begin a trial; another would hardly do better
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -40,6 +41,7 @@ class _Worker:
     process: SpawnProcess
     connection: Connection
     spec: StudySpec
+    has_begun: bool = False
 
 
 class Crew:
@@ -59,6 +61,7 @@ class Crew:
         self._stop: Event = self._context.Event()
         self._workers: list[_Worker] = []
         self._waiting: deque[StudySpec] = deque()
+        self._n_idle_deaths = 0
 
     @property
     def pids(self) -> list[int]:
@@ -89,6 +92,7 @@ class Crew:
                 if isinstance(message, _Failure):
                     raise InputError(message.line) if message.is_input_error else TuningError(message.line)
                 spec = worker.spec
+                worker.has_begun |= message.kind == "trial-started"
                 if message.kind == "study-finished":
                     self._assign(worker)
                 yield spec, message
@@ -129,7 +133,14 @@ class Crew:
     def _replace(self, dead: _Worker) -> None:
         dead.process.join(GRACE_S)
         self._workers.remove(dead)
-        self._reap(dead.spec, crash=f"exit code {dead.process.exitcode}")
+        crash = f"exit code {dead.process.exitcode}"
+        self._reap(dead.spec, crash=crash)
+        self._n_idle_deaths = 0 if dead.has_begun else self._n_idle_deaths + 1
+        if self._n_idle_deaths == MAX_IDLE_DEATHS:
+            raise TuningError(
+                f"study {dead.spec.name}: its process ended {MAX_IDLE_DEATHS} times in a row before a trial "
+                f'began ({crash}); out of memory, or a script without `if __name__ == "__main__"`?'
+            )
         self._hire(dead.spec)
 
     def _reap(self, spec: StudySpec, crash: str = "") -> None:

@@ -1,14 +1,15 @@
 """Tune the surrogates of several training-set sizes at once: one Optuna study each, in worker processes."""
 
-import os
 from collections.abc import Callable, Sequence
 
+from simulation.parallel import available_cores
 from studies.champion import write_champion
 from studies.crew import Crew
 from studies.paths import ProjectPaths
 from studies.study_spec import StudySpec, StudySummary, TuneEvent
 from studies.tracking import NullTracker, RunStatus, Tracker
 from studies.trial_record import (
+    TrialRecord,
     best_record,
     read_history,
     read_progress,
@@ -37,7 +38,7 @@ def tune(
         studies: the studies.
         paths: the project.
         n_trials: finished trials per study in total, those of earlier calls included.
-        n_jobs: worker processes; None means one per core.
+        n_jobs: worker processes; None means one per core that this process may use.
         tracker: is told of studies, trials and champions, always from this process.
         on_event: told of trials and epochs, a few times a second at most.
 
@@ -53,7 +54,7 @@ def tune(
     unfinished = sorted(
         (spec for spec in studies if not desk.is_finished(spec)), key=lambda spec: -spec.n_train
     )
-    crew = Crew(mlruns=paths.mlruns, n_trials=n_trials, n_workers=n_jobs or os.cpu_count() or 1)
+    crew = Crew(mlruns=paths.mlruns, n_trials=n_trials, n_workers=n_jobs or available_cores())
     try:
         for spec in studies:
             desk.open(spec)
@@ -82,7 +83,7 @@ class _Desk:
     def open(self, spec: StudySpec) -> None:
         self._tracker.start_study(spec, n_trials=self._n_trials)
         for record in read_records(spec.folder(self._paths.mlruns)):
-            self._track_trial(spec, record.index)
+            self._track_trial(spec, record)
 
     def is_finished(self, spec: StudySpec) -> bool:
         folder = spec.folder(self._paths.mlruns)
@@ -90,7 +91,9 @@ class _Desk:
 
     def hear(self, spec: StudySpec, event: TuneEvent) -> None:
         if event.kind == "trial-finished":
-            self._track_trial(spec, event.index)
+            record = read_record(spec.folder(self._paths.mlruns), event.index)
+            if record is not None:
+                self._track_trial(spec, record)
         elif event.kind == "study-finished":
             self.close(spec, "FINISHED")
         self._on_event(event)
@@ -101,6 +104,8 @@ class _Desk:
             return self._summaries[spec.name]
         folder = spec.folder(self._paths.mlruns)
         records = read_records(folder)
+        for record in records if status == "FINISHED" else []:
+            self._track_trial(spec, record)  # nobody has told of one that failed with its process
         best = best_record(records)
         champion = None
         if best is not None and status == "FINISHED":
@@ -118,8 +123,6 @@ class _Desk:
         self._summaries[spec.name] = summary
         return summary
 
-    def _track_trial(self, spec: StudySpec, index: int) -> None:
+    def _track_trial(self, spec: StudySpec, record: TrialRecord) -> None:
         folder = spec.folder(self._paths.mlruns)
-        record = read_record(folder, index)
-        if record is not None:
-            self._tracker.log_trial(spec, record, lambda: read_history(folder, index))
+        self._tracker.log_trial(spec, record, lambda: read_history(folder, record.index))

@@ -13,12 +13,22 @@ import pytest
 from tuning_checks import essence, in_journal
 
 from simulation.errors import InputError
-from studies.crew import Crew
+from studies.crew import Crew, TuningError
 from studies.file_lock import FileLock
 from studies.paths import ProjectPaths
+from studies.profile import SearchRanges
 from studies.study_spec import StudySpec, TuneEvent
+from studies.tracking import NullTracker
 from studies.trial_record import TrialRecord, read_records
 from studies.tuning import tune
+
+
+class Deadly(SearchRanges):
+    """Search ranges that end the process that reads them."""
+
+    def __reduce__(self) -> tuple[Callable[[int], None], tuple[int]]:
+        return os._exit, (9,)
+
 
 MakeSpec = Callable[..., StudySpec]
 N = 7
@@ -154,6 +164,39 @@ def test_worker_killed_once_is_replaced_and_killed_twice_is_a_failed_trial(
     assert [record.state for record in records] == ["complete", "failed", "complete", "complete"]
     assert "ended twice (exit code -9)" in records[1].reason
     assert not [t for t in in_journal(spec, project.mlruns) if not t.state.is_finished()]
+
+
+def test_a_worker_that_never_comes_to_a_trial_ends_the_command(
+    make_spec: MakeSpec, project: ProjectPaths
+) -> None:
+    """Its search ranges cannot be unpickled without ending the process, as a missing library might."""
+    spec = make_spec(16, search=Deadly())
+    with pytest.raises(TuningError, match=r"3 times in a row before a trial began \(exit code 9\)"):
+        tune([spec], paths=project, n_trials=1, n_jobs=1)
+
+
+def test_a_trial_that_failed_with_its_process_is_tracked(
+    make_spec: MakeSpec, project: ProjectPaths, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker = NullTracker()
+    told: set[int] = set()
+    monkeypatch.setattr(tracker, "log_trial", lambda spec, record, history: told.add(record.index))
+    n_kills = 0
+
+    def kill(event: TuneEvent) -> None:
+        nonlocal n_kills
+        if event.kind == "trial-started" and event.index == 0 and n_kills < 2:
+            n_kills += 1
+            (worker,) = (
+                child
+                for child in psutil.Process().children()
+                if child.name() != "resource_tracker" and "spawn_main" in " ".join(child.cmdline())
+            )
+            worker.kill()
+
+    (summary,) = tune([make_spec(16)], paths=project, n_trials=2, n_jobs=1, tracker=tracker, on_event=kill)
+    assert (summary.n_failed, summary.n_complete) == (1, 1)
+    assert told == {0, 1}
 
 
 def test_input_error_of_a_worker_is_one_line_here(make_spec: MakeSpec, project: ProjectPaths) -> None:
