@@ -70,10 +70,22 @@ class ProjectPaths:
         """Folder of tables and figures."""
         return self.mlruns / "reports" / label
 
+    def relative(self, file: Path) -> str:
+        """Return the place of a file below the root, which holds wherever the project is moved.
+
+        Links are not followed: a folder of the project may lie on another disk.
+
+        Raises:
+            ValueError: the file is not below the root.
+        """
+        return file.relative_to(self.root).as_posix()
+
     def show(self, path: Path) -> str:
         """Return a path as a reader in the project's root would type it."""
-        resolved = path.resolve()
-        return str(resolved.relative_to(self.root)) if resolved.is_relative_to(self.root) else str(resolved)
+        for place in (path, path.resolve()):
+            if place.is_relative_to(self.root):
+                return str(place.relative_to(self.root))
+        return str(path.resolve())
 
 
 def size_name(n_train: int) -> str:

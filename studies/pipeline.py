@@ -135,7 +135,7 @@ def run_stage(
             "digest": digest,
             "inputs": inputs,
             "summary": summary,
-            "files": {_relative(study.paths, made): made.stat().st_size for made in files},
+            "files": {study.paths.relative(made): made.stat().st_size for made in files},
             "versions": versions(),
             "host": socket.gethostname(),
             "platform": platform.platform(),
@@ -193,7 +193,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _relative(paths: ProjectPaths, file: Path) -> str:
-    return file.resolve().relative_to(paths.root).as_posix()

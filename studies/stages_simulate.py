@@ -83,12 +83,22 @@ class StoredModel:
         ).trajectories
 
 
+def train_seed(seed: int) -> int:
+    """Return the seed of the training design, never that of a set that judges.
+
+    Args:
+        seed: the study's seed.
+    """
+    own = TRAIN_SEED_BASE + seed
+    return own if own < VALIDATION_SEED else own + 2
+
+
 def simulate_stage(study: Study) -> Outcome:
     """Simulate the nested training design, the validation and the test set."""
     data, space = study.profile.data, study.case.parameter_space
     sizes = {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
     seeds = {
-        "train": TRAIN_SEED_BASE + study.profile.seed,
+        "train": train_seed(study.profile.seed),
         "validation": VALIDATION_SEED,
         "test": TEST_SEED,
     }
@@ -227,9 +237,7 @@ def _summary(study: Study, sets: list[SetFile]) -> Summary:
             str(n): int(train.failed[:n].sum()) for n in study.profile.data.n_train
         },
         "first_failures": sorted({reason for reason in train.failures if reason})[:3],
-        "files": {
-            found.name: found.file.resolve().relative_to(study.paths.root).as_posix() for found in sets
-        },
+        "files": {found.name: study.paths.relative(found.file) for found in sets},
     }
 
 

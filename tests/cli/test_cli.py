@@ -98,6 +98,18 @@ def test_simulate_as_json_is_one_document_and_the_rest_on_stderr(project: Path, 
     assert reused["files"] == stage["files"]
 
 
+def test_folders_may_be_links_to_another_disk(project: Path, studies: Run, tmp_path: Path) -> None:
+    for place in (project / "mlruns", project / "data" / "office" / "generated"):
+        disk = tmp_path / f"disk-{place.name}"
+        disk.mkdir()
+        place.symlink_to(disk)
+    arguments = ("simulate", "--profile", "smoke", "--json")
+    answer = studies(*arguments)
+    assert answer.code == 0, answer.err
+    assert all((project / file).is_file() for file in answer.document["stages"][0]["files"].values())
+    assert studies(*arguments).document["stages"][0]["finished_before"]
+
+
 def test_a_larger_training_set_goes_on_from_the_smaller_one(project: Path, studies: Run) -> None:
     studies("simulate", "--profile", "smoke", "--json")
     profile = (REPOSITORY / "studies" / "profiles" / "smoke.toml").read_text()

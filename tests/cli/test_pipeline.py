@@ -13,6 +13,7 @@ from studies.console import Console
 from studies.paths import ProjectPaths, find_case, size_name
 from studies.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
 from studies.profile import load_profile
+from studies.stages_simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
 
 
 @pytest.fixture
@@ -109,6 +110,14 @@ def test_a_manifest_says_what_made_it(study: Study) -> None:
     assert manifest["seed"] == 0
     assert {"python", "numpy", "torch"} <= set(manifest["versions"])
     assert {"host", "wall_s", "finished", "platform"} <= set(manifest)
+
+
+def test_no_seed_trains_on_the_rows_that_judge() -> None:
+    near = range(VALIDATION_SEED - TRAIN_SEED_BASE - 3, VALIDATION_SEED - TRAIN_SEED_BASE + 5)
+    seeds = [train_seed(seed) for seed in (0, 1, *near)]
+    assert not {VALIDATION_SEED, TEST_SEED} & set(seeds)
+    assert len(set(seeds)) == len(seeds)
+    assert train_seed(0) == TRAIN_SEED_BASE
 
 
 @given(st.dictionaries(st.text(max_size=5), st.integers() | st.text(max_size=5), min_size=1, max_size=5))
