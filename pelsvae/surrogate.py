@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,10 +95,6 @@ class Surrogate:
         shape = (self.shape.n_times, self.shape.n_outputs, self.shape.n_parameters)
         standardized: Array = transposed.T.cpu().numpy().astype(np.float64).reshape(shape)
         return standardized * self.output_standardizer.deviation[:, None]
-
-    def in_double(self) -> Surrogate:
-        """Return a copy whose network computes in float64, for whoever takes finite differences."""
-        return dataclasses.replace(self, network=copy.deepcopy(self.network).double(), eps=self.eps.double())
 
     def save(self, folder: str | Path) -> None:
         """Write weights.npz and surrogate.json into a folder, without pickle.

@@ -45,11 +45,6 @@ class ProjectPaths:
         """Root of MLflow's artifacts."""
         return self.mlruns / "artifacts"
 
-    @property
-    def optuna_journal(self) -> Path:
-        """Optuna's journal file."""
-        return self.mlruns / "optuna.journal"
-
     def generated(self, case_name: str) -> Path:
         """Folder of the simulated trajectories of a case."""
         return self.data / case_name / "generated"

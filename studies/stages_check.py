@@ -44,12 +44,3 @@ def _diagnosis(summary: Summary) -> Diagnosis:
         float(summary["simulation_s"]),
         dict(summary["planned_simulations"]),
     )
-
-
-def warnings_of(diagnosis: Diagnosis) -> list[str]:
-    """Return one line for each finding that is worth a look."""
-    return [
-        f"{found.what}: {found.found}; {found.remedy}"
-        for found in diagnosis.findings
-        if found.level == "warn"
-    ]

@@ -58,12 +58,6 @@ def difference_unit(unit: str) -> str:
     return "K" if unit in ("degC", "°C", "K") else shown_unit(unit)
 
 
-def common_difference_unit(units: Iterable[str]) -> str:
-    """Return the unit of an error over several outputs; empty when they do not share one."""
-    distinct = {difference_unit(unit) for unit in units}
-    return distinct.pop() if len(distinct) == 1 else ""
-
-
 def squared(unit: str) -> str:
     """Write the square of a unit."""
     if not unit:
