@@ -3,8 +3,7 @@
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.forward_model import ForwardModel
-from simulation.parameters import ParameterSpace
+from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
 
 
@@ -12,7 +11,7 @@ class BudgetExceeded(RuntimeError):  # noqa: N818 - the end of a budget is an ev
     """A batch was refused because it would exceed the budget; none of its rows was simulated."""
 
 
-class CountingModel:
+class CountingModel(WrappedModel):
     """A model that counts the rows it is asked for and refuses to exceed a budget.
 
     Optimizers are never trusted to count: SciPy leaves finite differences out of `nfev`, for one.
@@ -27,7 +26,7 @@ class CountingModel:
         """
         if budget is not None and budget < 0:
             raise ValueError(f"budget is {budget}; give a number of rows, at least 0")
-        self._model = model
+        super().__init__(model)
         self._budget = budget
         self._n_calls = 0
 
@@ -40,21 +39,6 @@ class CountingModel:
     def budget(self) -> int | None:
         """Most rows that may ever be asked for; None for no limit."""
         return self._budget
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The wrapped model's parameters."""
-        return self._model.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The wrapped model's outputs."""
-        return self._model.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """The wrapped model's output times. Shape (t,). [s]."""
-        return self._model.time
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Count the rows and simulate them.

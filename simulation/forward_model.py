@@ -41,3 +41,30 @@ class ForwardModel(Protocol):
             The trajectories, one per row, in the order of the rows.
         """
         ...
+
+
+class WrappedModel:
+    """What a model around another model passes on; a subclass says what simulating means."""
+
+    def __init__(self, model: ForwardModel) -> None:
+        """Wrap a model.
+
+        Args:
+            model: The model to ask.
+        """
+        self._model = model
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The wrapped model's parameters."""
+        return self._model.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The wrapped model's outputs."""
+        return self._model.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """The wrapped model's output times. Shape (t,). [s]."""
+        return self._model.time

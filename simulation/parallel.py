@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.forward_model import ForwardModel
-from simulation.parameters import ParameterSpace
+from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
 
 # Starting workers costs a second or two of imports: only batches with more work than this earn it back.
@@ -30,7 +29,7 @@ _TRANSPORT_BYTES_PER_S: Final = 1e8
 _PIECE_BYTES: Final = 8e6
 
 
-class ParallelModel:
+class ParallelModel(WrappedModel):
     """A model that answers large batches with all cores and small ones in this process.
 
     The first rows are simulated here and timed. Workers start when the serial work seen so far in batches
@@ -54,10 +53,10 @@ class ParallelModel:
         """
         if n_workers is not None and n_workers < 1:
             raise ValueError(f"n_workers is {n_workers}; at least one process has to work")
+        super().__init__(make_model())
         self._make_model = make_model
         self._n_workers = n_workers or available_cores()
         self._pool_pays_s = pool_pays_s
-        self._model = make_model()
         self._row_s: float | None = None
         self._spent_s = 0.0
         self._pool: ProcessPoolExecutor | None = None
@@ -72,21 +71,6 @@ class ParallelModel:
     def pool_started(self) -> bool:
         """Whether workers stand ready."""
         return self._pool is not None
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The model's parameters."""
-        return self._model.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The model's outputs."""
-        return self._model.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """The model's output times. Shape (t,). [s]."""
-        return self._model.time
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row, on all cores where that pays.

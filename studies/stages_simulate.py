@@ -8,10 +8,9 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
-from simulation.forward_model import ForwardModel
+from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.generate import generate
 from simulation.parallel import ParallelModel
-from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.console import Column, OnProgress
 from studies.pipeline import Outcome, Study, Summary, digest_of, run_stage
@@ -41,8 +40,7 @@ class SetFile:
     n_reused: int
 
 
-@dataclass(frozen=True)
-class StoredModel:
+class StoredModel(WrappedModel):
     """A model whose answers are kept in a folder: a batch asked again is read, an interrupted one completed.
 
     Args:
@@ -51,24 +49,10 @@ class StoredModel:
         model_digest: digest of the model.
     """
 
-    model: ForwardModel
-    folder: Path
-    model_digest: str
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The model's parameters."""
-        return self.model.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The model's outputs."""
-        return self.model.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """The model's output times. Shape (t,). [s]."""
-        return self.model.time
+    def __init__(self, model: ForwardModel, folder: Path, *, model_digest: str) -> None:
+        super().__init__(model)
+        self._folder = folder
+        self._model_digest = model_digest
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Read the rows that are known and simulate the others.
@@ -77,9 +61,9 @@ class StoredModel:
             theta: parameters. Shape (n, p). [per parameter]
         """
         rows = np.ascontiguousarray(theta, dtype="<f8")
-        folder = self.folder / digest_of({"rows": rows.tobytes().hex()})[:12]
+        folder = self._folder / digest_of({"rows": rows.tobytes().hex()})[:12]
         return generate(
-            self.model, theta, folder, chunk_size=CHUNK_SIZE, model_digest=self.model_digest
+            self._model, theta, folder, chunk_size=CHUNK_SIZE, model_digest=self._model_digest
         ).trajectories
 
 
@@ -170,7 +154,7 @@ def sensitivity_stage(study: Study) -> Outcome:
             study.console.progress("simulations", n_rows) as advance,
         ):
             indices = sobol_indices(
-                StoredModel(model, folder, study.case.digest),
+                StoredModel(model, folder, model_digest=study.case.digest),
                 n_base=budget.n_base,
                 seed=study.profile.seed,
                 n_resamples=budget.n_resamples,

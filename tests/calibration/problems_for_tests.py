@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.forward_model import ForwardModel
+from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.toy import ProductToy, ToyRC
@@ -15,24 +15,12 @@ from studies.calibration import CalibrationProblem
 TRUE_RC = np.array([1.7, 2.3e4])
 
 
-@dataclass
-class Diary:
+class Diary(WrappedModel):
     """A model that notes every row it is asked."""
 
-    model: ForwardModel
-    batches: list[FloatArray] = field(default_factory=list)
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        return self.model.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return self.model.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        return self.model.time
+    def __init__(self, model: ForwardModel) -> None:
+        super().__init__(model)
+        self.batches: list[FloatArray] = []
 
     @property
     def rows(self) -> FloatArray:
@@ -40,32 +28,19 @@ class Diary:
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         self.batches.append(np.array(theta))
-        return self.model.simulate(theta)
+        return self._model.simulate(theta)
 
 
-@dataclass(frozen=True)
-class FailsInBand:
+class FailsInBand(WrappedModel):
     """A model whose first parameter must not lie in a band."""
 
-    model: ForwardModel
-    lower: float
-    upper: float
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        return self.model.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return self.model.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        return self.model.time
+    def __init__(self, model: ForwardModel, lower: float, upper: float) -> None:
+        super().__init__(model)
+        self._lower, self._upper = lower, upper
 
     def simulate(self, theta: FloatArray) -> Trajectories:
-        answer = self.model.simulate(theta)
-        bad = (theta[:, 0] >= self.lower) & (theta[:, 0] <= self.upper)
+        answer = self._model.simulate(theta)
+        bad = (theta[:, 0] >= self._lower) & (theta[:, 0] <= self._upper)
         y = np.where(bad[:, None, None], np.nan, answer.y)
         return replace(answer, y=y, failures=tuple("in the band" if b else "" for b in bad))
 

@@ -118,7 +118,7 @@ def test_returns_the_best_row_it_has_seen(
     problem = pose()
     diary = Diary(problem.model)
     found = optimize(problem.on(diary))
-    all_mse = ((diary.model.simulate(diary.rows).y - problem.measurement.y) ** 2).mean(axis=(1, 2))
+    all_mse = ((problem.model.simulate(diary.rows).y - problem.measurement.y) ** 2).mean(axis=(1, 2))
     assert found.mse == pytest.approx(all_mse.min(), rel=1e-12, abs=1e-25)
     np.testing.assert_array_equal(found.theta, diary.rows[np.argmin(all_mse)])
     np.testing.assert_allclose(found.y, problem.model.simulate(found.theta[None]).y[0])
