@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
+from simulation.whole_file import whole_file
 
 MANIFEST = "manifest.json"
 
@@ -125,7 +124,6 @@ def _describe(model: ForwardModel, *, chunk_size: int, model_digest: str) -> dic
 
 def _pin(folder: Path, description: dict[str, object]) -> None:
     """Write the folder's manifest, or check that it is this model's."""
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / MANIFEST
     if path.exists():
         try:
@@ -143,7 +141,5 @@ def _pin(folder: Path, description: dict[str, object]) -> None:
                     "delete the folder or choose another one"
                 )
         return
-    handle, temporary = tempfile.mkstemp(dir=folder, prefix=f".{MANIFEST}.", suffix=".tmp")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(description, file, indent=1)
-    Path(temporary).replace(path)
+    with whole_file(path) as file:
+        file.write(json.dumps(description, indent=1).encode())

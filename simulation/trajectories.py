@@ -1,8 +1,6 @@
 """Simulated series with the parameters that made them, on disk and in memory."""
 
 import hashlib
-import os
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ import numpy.typing as npt
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
+from simulation.whole_file import whole_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,24 +172,16 @@ class Trajectories:
         Args:
             path: File to write; its folder is created when missing.
         """
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(
-                    file,
-                    theta=self.theta,
-                    y=self.y,
-                    time=self.time,
-                    parameter_names=np.array(self.parameter_names, dtype=np.str_),
-                    output_names=np.array(self.output_names, dtype=np.str_),
-                    failures=np.array(self.failures, dtype=np.str_),
-                )
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with whole_file(Path(path)) as file:
+            np.savez(
+                file,
+                theta=self.theta,
+                y=self.y,
+                time=self.time,
+                parameter_names=np.array(self.parameter_names, dtype=np.str_),
+                output_names=np.array(self.output_names, dtype=np.str_),
+                failures=np.array(self.failures, dtype=np.str_),
+            )
 
     @classmethod
     def load(cls, path: Path) -> "Trajectories":

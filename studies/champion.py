@@ -2,16 +2,15 @@
 
 import hashlib
 import json
-import platform
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from simulation.errors import InputError
+from studies.origin import versions
 from studies.study_spec import StudySpec
 from studies.trial_record import SURROGATE_FOLDER, TrialRecord, replace_folder, trial_name, write_json
 
@@ -131,7 +130,7 @@ def write_champion(
         scales=tuple(parameter.scale for parameter in spec.parameter_space.parameters),
         digests=record.digests,
         files_sha256=digests,
-        versions=_versions(),
+        versions=versions(),
         note=spec.note,
     )
     scratch = folder.with_name(f".{folder.name}-new")
@@ -236,13 +235,3 @@ def _as_declared(value: Any) -> Any:
 
 def _sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in ("pelsvae-studies", "torch", "numpy", "optuna"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "unknown"
-    return found

@@ -1,8 +1,12 @@
-"""Who runs a study, and from which state of the code."""
+"""Who runs a study, and from which state of the code and of the packages below it."""
 
 import getpass
+import platform
 import subprocess
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+PACKAGES = ("pelsvae-studies", "numpy", "scipy", "torch", "optuna", "mlflow", "fmpy", "numba", "SALib")
 
 
 def origin_tags(root: Path) -> dict[str, str]:
@@ -21,6 +25,17 @@ def origin_tags(root: Path) -> dict[str, str]:
         tags["mlflow.source.git.commit"] = commit
         tags["git_dirty"] = str(bool(_git(root, "status", "--porcelain", "--untracked-files=no"))).lower()
     return tags
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that decide numbers."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
 
 
 def _git(root: Path, *arguments: str) -> str:

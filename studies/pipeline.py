@@ -6,25 +6,24 @@ is written last and in one step, so that an interruption at any moment leaves a 
 
 import hashlib
 import json
-import os
 import platform
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.whole_file import whole_file
 from studies.console import Console
+from studies.origin import versions
 from studies.paths import ProjectPaths
 from studies.profile import Profile
 
 if TYPE_CHECKING:
     from simulation.case import Case
 
-PACKAGES = ("pelsvae-studies", "numpy", "scipy", "torch", "optuna", "mlflow", "fmpy", "numba", "SALib")
 Summary = dict[str, Any]
 
 
@@ -175,21 +174,5 @@ def write_json(file: Path, content: Mapping[str, Any]) -> None:
 
 def write_text(file: Path, text: str) -> None:
     """Write a text file in one step, safe against a crash of the machine."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_name(f".{file.name}.{os.getpid()}")
-    with partial.open("w", encoding="utf-8") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())
-    partial.replace(file)
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that decide numbers."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    with whole_file(file, synced=True) as stream:
+        stream.write(text.encode())

@@ -1,7 +1,5 @@
 """Sobol indices of every output at every time step; the only module that knows SALib."""
 
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,6 +13,7 @@ from scipy.stats import norm
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
+from simulation.whole_file import whole_file
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
 CONSTANT = 1e-6
@@ -76,17 +75,9 @@ class SobolIndices:
 
     def save(self, path: Path) -> None:
         """Write to an .npz file, old or new but never half of one."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
         content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, allow_pickle=False, **content)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with whole_file(Path(path)) as file:
+            np.savez(file, allow_pickle=False, **content)
 
     @classmethod
     def load(cls, path: Path) -> "SobolIndices":

@@ -5,7 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from simulation.errors import InputError
-from studies.pipeline import Outcome, Study, Summary, run_stage, versions
+from studies.origin import versions
+from studies.pipeline import Outcome, Study, Summary, run_stage
 from studies.report import Provenance, Reference, ReportData, build
 from studies.stages_results import (
     calibration_record,

@@ -15,6 +15,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from simulation.whole_file import whole_file
 from studies.study_spec import StudySpec, StudySummary, TrialState
 
 RECORD_FILE = "trial.json"
@@ -188,9 +189,8 @@ def read_progress(study_folder: Path) -> int:
 
 def write_json(file: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file in one step."""
-    scratch = file.with_name(f".{file.name}-{os.getpid()}")
-    scratch.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    scratch.replace(file)
+    with whole_file(file) as stream:
+        stream.write((json.dumps(content, indent=1, sort_keys=True) + "\n").encode())
 
 
 def replace_folder(new: Path, final: Path) -> None:
