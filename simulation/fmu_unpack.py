@@ -6,6 +6,7 @@ import shutil
 import tempfile
 import time
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 import fmpy
@@ -16,6 +17,8 @@ _PREFIX = "simulation-fmu-"
 _LOCK = ".in-use"
 # A folder this young may be another process's that has not locked it yet.
 _YOUNG_S = 60.0
+# What zipfile raises on a member that is damaged, cut off, encrypted or of an unknown compression.
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
 
 
 class UnpackedFmu:
@@ -32,15 +35,17 @@ class UnpackedFmu:
             path: The FMU.
 
         Raises:
-            InputError: If a member of the archive would land outside the folder.
+            InputError: If a member of the archive is damaged or would land outside the folder.
         """
         _sweep()
         self.folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
         try:
             self._lock = _lock(self.folder / _LOCK)
             _unpack(path, self.folder)
-        except BaseException:
+        except BaseException as error:
             shutil.rmtree(self.folder, ignore_errors=True)
+            if isinstance(error, _DAMAGED):
+                raise InputError(f"{path}: cannot be unpacked ({error}); export it again") from None
             raise
 
     def remove(self) -> None:

@@ -158,7 +158,7 @@ def _add_case_options(command: argparse.ArgumentParser) -> None:
         help="days of the recording, e.g. 8-16; default: the case's own",
     )
     command.add_argument(
-        "--seed", type=_whole(0), metavar="N", help="seed of every draw; default: the profile's"
+        "--seed", type=_whole(0, 2**32 - 1), metavar="N", help="seed of every draw; default: the profile's"
     )
     command.add_argument(
         "--jobs", type=_whole(1), metavar="N", help="processes; default: as many as there are cores"
@@ -218,10 +218,12 @@ def _window(text: str) -> tuple[float, float]:
     return float(found[1]), float(found[2])
 
 
-def _whole(least: int) -> Callable[[str], int]:
+def _whole(least: int, most: int = 1_000_000) -> Callable[[str], int]:
     def read(text: str) -> int:
         if not re.fullmatch(r"\d+", text) or int(text) < least:
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+        if int(text) > most:
+            raise argparse.ArgumentTypeError(f"{text!r} is too large; give {most} at most")
         return int(text)
 
     return read
@@ -251,11 +253,13 @@ def _bad_input(console: Console, line: str) -> int:
 
 def _failed(console: Console, error: Exception) -> int:
     """Say that a stage failed in one line; anything unforeseen keeps its traceback, for a report to us."""
+    from studies.environment import explain
     from studies.pipeline import StageError
 
-    if not isinstance(error, StageError):
+    explained = explain(error)
+    if explained is None and not isinstance(error, StageError):
         traceback.print_exception(error)
-    line = " ".join(f"{error}".split()) or type(error).__name__
+    line = explained or " ".join(f"{error}".split()) or type(error).__name__
     console.warn(f"error: {line}")
     console.document({"error": line})
     return FAILED

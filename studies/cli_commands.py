@@ -1,6 +1,7 @@
 """What each command does: put a study together, run its stages, show or hand over the results."""
 
 import argparse
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -202,7 +203,7 @@ def _command(options: argparse.Namespace) -> str:
         words += ["--window", f"{options.window[0]:g}-{options.window[1]:g}"]
     if options.seed is not None:
         words += ["--seed", str(options.seed)]
-    return " ".join(words)
+    return shlex.join(words)
 
 
 def _hand_over(study: Study, command: str, outcomes: list[Outcome], **extra: Any) -> int:

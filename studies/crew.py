@@ -7,7 +7,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -16,6 +16,7 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from simulation.parallel import exit_with_parent
+from studies.environment import explain
 from studies.file_lock import FileLock
 from studies.study_spec import StudySpec, TuneEvent
 
@@ -103,12 +104,16 @@ class Crew:
         deadline = time.monotonic() + GRACE_S
         for worker in self._workers:
             worker.connection.close()
+        for worker in self._workers:
             worker.process.join(max(0.0, deadline - time.monotonic()))
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
-            self._reap(worker.spec)
-        self._workers.clear()
+        # Only now: a store that cannot be read must leave no worker behind, and is not why we are here.
+        gone, self._workers = self._workers, []
+        for worker in gone:
+            with suppress(InputError, OSError):
+                self._reap(worker.spec)
 
     def _hire(self, spec: StudySpec) -> None:
         ours, theirs = self._context.Pipe()
@@ -175,7 +180,7 @@ def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> N
         except InputError as error:
             connection.send(_Failure(str(error), is_input_error=True))
         except Exception as error:
-            where = "".join(traceback.format_exception(error))
+            where = explain(error) or "".join(traceback.format_exception(error))
             connection.send(_Failure(f"study {spec.name}: {where}", is_input_error=False))
 
 

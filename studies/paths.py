@@ -122,7 +122,7 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
     if given.is_dir():
         if (given / "case.toml").is_file():
             return given / "case.toml"
-        raise InputError(f"the folder {case} has no case.toml; give a case's name, its file or its folder")
+        raise InputError(f"the folder {case!r} has no case.toml; give a case's name, its file or its folder")
     if given.is_file():
         return given
     if given.suffix or len(given.parts) > 1:

@@ -13,7 +13,7 @@ from simulation.errors import InputError
 
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Positive = Annotated[float, Field(gt=0.0)]
 _STRICT = ConfigDict(extra="forbid", strict=False)
 
@@ -28,7 +28,7 @@ class DataBudget:
         n_test: simulations that only judge.
     """
 
-    n_train: tuple[Annotated[int, Field(ge=4)], ...]
+    n_train: tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...]
     n_validation: Count = 320
     n_test: Count = 320
 
@@ -147,7 +147,7 @@ class Profile:
     screening: ScreeningBudget = Field(default_factory=ScreeningBudget)
     polish: PolishBudget = Field(default_factory=PolishBudget)
     note: str = ""
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     schema: Literal[1] = 1
 
     def to_dict(self) -> dict[str, Any]:

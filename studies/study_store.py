@@ -12,6 +12,7 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import FrozenTrial, Trial, create_trial
 from optuna.trial import TrialState as OptunaState
 
+from simulation.errors import InputError
 from studies.file_lock import FileLock
 from studies.search_space import distributions
 from studies.study_spec import StudySpec
@@ -38,7 +39,13 @@ class StudyStore:
         journal = mlruns / JOURNAL
         self._spec = spec
         self._folder = spec.folder(mlruns)
-        self._storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_JournalLock(journal)))
+        try:
+            self._storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_JournalLock(journal)))
+        except (ValueError, KeyError, TypeError) as error:  # whatever Optuna stumbles over when it reads
+            raise InputError(
+                f"{journal} is damaged ({type(error).__name__}: {error}); move it away, the finished trials "
+                "in mlruns/trials are written to a new one"
+            ) from None
         self._study = self._open()
 
     def start(self, index: int, *, params: dict[str, float | int], attributes: dict[str, Any]) -> Trial:

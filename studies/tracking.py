@@ -160,6 +160,15 @@ class PatientTracker:
             return otherwise
 
 
+_REWRITE = "move it away, tuning writes it again"
+_SQLITE_CURES = {
+    "locked": "wait for the program that holds it, or stop it",
+    "disk is full": "free some space",
+    "readonly": "allow writing there",
+    "unable to open": "allow reading and writing there",
+}
+
+
 def open_tracker(paths: ProjectPaths) -> Tracker:
     """Open MLflow's store under `mlruns/`, creating it where absent; costs MLflow's import, some 3 s.
 
@@ -170,8 +179,9 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
 
     try:
         return PatientTracker(MlflowTracker(paths.tracking_database, paths.artifacts, root=paths.root))
+    except OSError:
+        raise
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            f"MLflow cannot open {paths.tracking_database} ({line}); move it away, tuning writes it again"
-        ) from error
+        remedy = next((cure for sign, cure in _SQLITE_CURES.items() if sign in line), _REWRITE)
+        raise InputError(f"MLflow cannot open {paths.tracking_database} ({line}); {remedy}") from error
