@@ -16,7 +16,7 @@ from studies.console import Column
 from studies.paths import size_name
 from studies.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.report.wording import difference_unit, squared
-from studies.stages_results import StoredCalibration, calibration_files
+from studies.stages_results import StoredCalibration, calibration_files, read_arrays
 from studies.stages_tracking import log_calibration, tracker_of
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
@@ -47,7 +47,7 @@ def sizes_with_champion(study: Study, asked: Sequence[int] | None) -> tuple[int,
                 f"type: studies tune {study.command} --n-train {missing[0]}"
             )
         return tuple(sorted(set(asked)))
-    usable = [n_train for n_train in there if _is_of_this_case(study, n_train)]
+    usable = [n_train for n_train in there if _is_usable(study, n_train)]
     if not usable:
         raise InputError(f"{study.label} has no surrogate yet; type: studies tune {study.command}")
     return tuple(usable)
@@ -159,10 +159,11 @@ def _restore(study: Study, n_train: int) -> None:
     )
 
 
-def _is_of_this_case(study: Study, n_train: int) -> bool:
+def _is_usable(study: Study, n_train: int) -> bool:
     try:
         read_champion(study.paths.champion(study.label, n_train), case_digest=study.case.digest)
-    except InputError:
+    except InputError as error:
+        study.console.warn(f"n_train = {n_train} is left out: {error}")
         return False
     return True
 
@@ -202,9 +203,9 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
 
 def calls_to(study: Study, n_train: int, target: float) -> int | None:
     """Return the calls (training, screening check, polish) after which the error was at most the target."""
-    with np.load(calibration_files(study, n_train).arrays, allow_pickle=False) as arrays:
-        reached = np.flatnonzero(arrays["history_mse"] <= target)
-        return int(arrays["history_calls"][reached[0]]) if reached.size else None
+    arrays = read_arrays(calibration_files(study, n_train).arrays)
+    reached = np.flatnonzero(arrays["history_mse"] <= target)
+    return int(arrays["history_calls"][reached[0]]) if reached.size else None
 
 
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:

@@ -29,7 +29,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
 
     def work() -> tuple[Summary, list[Path]]:
         from studies.crew import TuningError
-        from studies.study_spec import StudySpec
+        from studies.study_spec import StudySpec, TuneEvent
         from studies.tuning import tune
 
         files = set_files(study, simulated.summary)
@@ -55,18 +55,23 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
             for n_train in sizes
         ]
         tracker = tracker_of(study.paths)
+        n_done = dict.fromkeys(sizes, 0.0)
         with study.console.bars() as bars, _stage_error(TuningError):
+
+            def show(event: TuneEvent) -> None:
+                part = event.epoch / event.max_epochs if event.kind == "epoch" else 0.0
+                n_done[event.n_train] = event.n_finished + part
+                if len(sizes) > 1:
+                    bars("all sizes", sum(n_done.values()), budget.n_trials * len(sizes))
+                bars(f"n_train {event.n_train}", n_done[event.n_train], event.n_trials)
+
             summaries = tune(
                 specs,
                 paths=study.paths,
                 n_trials=budget.n_trials,
                 n_jobs=study.n_jobs,
                 tracker=tracker,
-                on_event=lambda event: bars(
-                    f"n_train {event.n_train}",
-                    event.n_finished + (event.epoch / event.max_epochs if event.kind == "epoch" else 0.0),
-                    event.n_trials,
-                ),
+                on_event=show,
             )
         without = [summary.n_train for summary in summaries if summary.champion is None]
         if without:

@@ -1,5 +1,7 @@
 """What the stages left on disk, read back as the records that figures and tables are made of."""
 
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.case import Case
+from simulation.errors import InputError
 from simulation.trajectories import Trajectories
 from studies.paths import size_name
 from studies.pipeline import Study, read_json
@@ -73,9 +76,21 @@ def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
         told = (numbers.get("case_sha256"), numbers.get("measurement_sha256"))
         files = calibration_files(study, int(numbers["n_train"]))
         if told == (study.case.digest, study.case.measurement.digest) and files.arrays.is_file():
-            with np.load(files.arrays, allow_pickle=False) as arrays:
-                stored = dict(arrays)
-            yield StoredCalibration(files, numbers, stored, float(manifest["wall_s"]))
+            arrays = read_arrays(files.arrays)
+            yield StoredCalibration(files, numbers, arrays, float(manifest["wall_s"]))
+
+
+def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+    """Read a calibration's array file.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise InputError(f"{file} is damaged; remove it and type `studies calibrate` again") from None
 
 
 def measured_series(case: Case) -> MeasuredSeries:

@@ -149,8 +149,8 @@ def _run_trial(
             progress=progress,
             should_stop=should_stop,
         )
-    except StudyInterruptedError:
-        raise
+    except (StudyInterruptedError, OSError):
+        raise  # a full disk is no fault of a configuration
     except Exception as error:
         # Whatever a configuration provokes (divergence, memory) is a result of the trial; the study goes on.
         outcome.state, outcome.reason = "failed", f"{type(error).__name__}: {error}"

@@ -12,6 +12,9 @@ from pathlib import Path
 import pytest
 from conftest import REPOSITORY, Answer, Run
 
+from simulation.errors import InputError
+from studies.stages_results import read_arrays
+
 CASE = "fmus/office/case.toml"
 RECORDING = "data/office/recording_1800s.csv"
 SMALL_PROFILE = """\
@@ -123,6 +126,17 @@ def test_an_fmu_without_a_binary_for_this_machine_is_refused(project: Path, stud
     assert_refused(studies("check"), "Office.fmu")
 
 
+def test_an_fmu_with_a_damaged_binary_is_refused(project: Path, studies: Run) -> None:
+    fmu = project / "fmus" / "office" / "Office.fmu"
+    content = bytearray(fmu.read_bytes())
+    with zipfile.ZipFile(fmu) as archive:
+        binary = next(member for member in archive.infolist() if member.filename.startswith("binaries/linux"))
+    middle = binary.header_offset + binary.compress_size // 2
+    content[middle : middle + 200] = bytes(byte ^ 0x55 for byte in content[middle : middle + 200])
+    fmu.write_bytes(content)
+    assert_refused(studies("check"), "Office.fmu", "unpacked", "export it again")
+
+
 def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> None:
     with zipfile.ZipFile(project / "fmus" / "office" / "Office.fmu", "w") as archive:
         archive.writestr("readme.txt", "no model here")
@@ -140,6 +154,11 @@ def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> No
         pytest.param(["simulate", "--window", "0-99"], ["99"], id="window-beyond-the-data"),
         pytest.param(["run", "--profile", "quickly"], ["quickly", "quick"], id="profile"),
         pytest.param(["run", "--seed", "-1"], ["--seed", "-1"], id="seed"),
+        pytest.param(["run", "--seed", "4294967296"], ["--seed", "4294967295 at most"], id="seed-too-large"),
+        pytest.param(
+            ["tune", "--n-train", "99999999999"], ["--n-train", "1000000 at most"], id="n-train-huge"
+        ),
+        pytest.param(["check", ""], ["the folder ''"], id="empty-case"),
         pytest.param(["run", "--jobs", "0"], ["--jobs", "0"], id="jobs"),
         pytest.param(["tune", "--n-train", "many"], ["--n-train", "many"], id="n-train"),
         pytest.param(["tune", "--trials", "0"], ["--trials", "0"], id="trials"),
@@ -231,4 +250,14 @@ def test_a_damaged_champion_is_refused(project: Path, studies: Run) -> None:
     folder.mkdir(parents=True)
     (folder / "champion.json").write_text("{", encoding="utf-8")
     assert_refused(studies("calibrate", "--n-train", "64"), "champion.json", "damaged")
+    answer = studies("calibrate")
+    assert answer.code == 2
+    assert "n_train = 64 is left out" in answer.err.splitlines()[0]
     shutil.rmtree(folder)
+
+
+def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "calibration-n0064.npz"
+    file.write_bytes(b"no archive" * 100)
+    with pytest.raises(InputError, match=r"calibration-n0064\.npz is damaged; .* `studies calibrate`"):
+        read_arrays(file)

@@ -1,5 +1,6 @@
 """Studies in worker processes: the same trials however many workers, however often killed."""
 
+import multiprocessing
 import os
 import pickle
 import signal
@@ -207,3 +208,21 @@ def test_input_error_of_a_worker_is_one_line_here(make_spec: MakeSpec, project: 
     ):
         tune([spec], paths=project, n_trials=1, n_jobs=1)
     assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_journal_is_one_line_leaves_no_worker_and_can_be_moved_away(
+    specs: list[StudySpec], project: ProjectPaths
+) -> None:
+    tune(specs, paths=project, n_trials=1, n_jobs=2)
+    before = [read_records(spec.folder(project.mlruns)) for spec in specs]
+    journal = project.mlruns / "optuna.journal"
+    lines = journal.read_text().splitlines()
+    journal.write_text("\n".join([lines[0], "garbage", *lines[1:]]) + "\n")
+    with pytest.raises(InputError, match=r"optuna\.journal is damaged .* move it away"):
+        tune(specs, paths=project, n_trials=2, n_jobs=2)
+    assert not [child for child in multiprocessing.active_children() if child.name.startswith("tune-")]
+    journal.unlink()
+    tune(specs, paths=project, n_trials=2, n_jobs=2)
+    for spec, kept in zip(specs, before, strict=True):
+        assert read_records(spec.folder(project.mlruns))[:1] == kept
+        assert len(in_journal(spec, project.mlruns)) == 2
