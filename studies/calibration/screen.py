@@ -1,6 +1,5 @@
 """Screening: SciPy's differential evolution over the whole box, a generation per batch."""
 
-import time
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -60,7 +59,6 @@ class DifferentialEvolution:
             samples beyond its outer ones, in logarithmic coordinates least of all near the lower bounds, and
             a search would settle where its errors are largest (Aka et al. 2023, sec. 3.2). [1]
         max_calls: Most rows that may be asked of the model, or None: for use on a physical model.
-        max_wall_s: Stop after the generation in which this time is over, or None. Not repeatable. [s]
     """
 
     popsize: int = 8
@@ -71,7 +69,6 @@ class DifferentialEvolution:
     recombination: float = 0.7
     margin: float = 0.0
     max_calls: int | None = None
-    max_wall_s: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse settings that no search can run with."""
@@ -79,7 +76,6 @@ class DifferentialEvolution:
             raise InputError(
                 f"screening: popsize is {self.popsize} and maxiter {self.maxiter}; give at least 1 and 0"
             )
-
         if not 0.0 <= self.margin < 0.5:
             raise InputError(f"screening: margin is {self.margin}; give a value in [0, 0.5)")
 
@@ -113,7 +109,7 @@ class DifferentialEvolution:
             n_total=n_population * (self.maxiter + 1),
             on_progress=on_progress,
         )
-        search = _Search(recorder, self.max_wall_s)
+        search = _Search(recorder)
         # SciPy's stubs describe the function of one point only, not the vectorized one.
         mse: Any = search.mse
         converged = False
@@ -128,19 +124,17 @@ class DifferentialEvolution:
                 mutation=self.mutation,
                 recombination=self.recombination,
                 rng=np.random.default_rng(seed),
-                callback=search.after_generation,
+                callback=search.keep_population,
                 polish=False,
                 init="sobol",
                 updating="deferred",
                 vectorized=True,
             )
-            converged = bool(found.success) and not search.time_is_over
+            converged = bool(found.success)
             search.keep_population(found)
             reason = "the population has converged" if converged else "the limit of generations is reached"
         except BudgetExceeded:
             reason = f"the budget of {self.max_calls} calls is spent"
-        if search.time_is_over:
-            reason = f"the time limit of {self.max_wall_s:g} s is over"
         best = recorder.best
         assert best is not None, "the budget holds the first population"
         order = np.argsort(search.population_mse, kind="stable")
@@ -162,10 +156,8 @@ class DifferentialEvolution:
 class _Search:
     """The two callbacks of one differential evolution, and the population they have seen last."""
 
-    def __init__(self, recorder: Recorder, max_wall_s: float | None) -> None:
+    def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
-        self._deadline = None if max_wall_s is None else time.monotonic() + max_wall_s
-        self.time_is_over = False
         self.population_u: FloatArray = np.empty((0, 0))
         self.population_mse: FloatArray = np.empty(0)
 
@@ -176,14 +168,7 @@ class _Search:
             self.population_u, self.population_mse = evaluation.u.copy(), evaluation.mse.copy()
         return evaluation.mse
 
-    def after_generation(self, intermediate_result: OptimizeResult) -> None:
-        """Keep the population; end the search when the time is over."""
-        self.keep_population(intermediate_result)
-        if self._deadline is not None and time.monotonic() >= self._deadline:
-            self.time_is_over = True
-            raise StopIteration
-
-    def keep_population(self, result: OptimizeResult) -> None:
+    def keep_population(self, intermediate_result: OptimizeResult) -> None:
         """Remember the points that a generation has ended with, and their errors."""
-        self.population_u = np.array(result.population)
-        self.population_mse = np.array(result.population_energies)
+        self.population_u = np.array(intermediate_result.population)
+        self.population_mse = np.array(intermediate_result.population_energies)

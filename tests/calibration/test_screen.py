@@ -48,14 +48,6 @@ def test_the_first_population_counts_when_no_generation_follows() -> None:
     assert not result.converged
 
 
-def test_a_time_limit_ends_the_search_after_a_generation() -> None:
-    hurried = DifferentialEvolution(maxiter=10_000, tol=0.0, max_wall_s=0.0)
-    result = hurried.minimize(rc_problem(noise=0.1), seed=0)
-    assert result.stop_reason == "the time limit of 0 s is over"
-    assert not result.converged
-    assert result.n_generations == 1
-
-
 def test_a_half_failing_box_is_searched_without_a_warning() -> None:
     result = DifferentialEvolution(maxiter=100).minimize(rc_problem().on(ToyRC(fails_above_r=2.0)), seed=0)
     assert result.mse < 1e-3
