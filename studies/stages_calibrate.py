@@ -1,6 +1,5 @@
 """The stage that calibrates: it needs a champion's folder alone, or its copy in the registry."""
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -11,6 +10,7 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.parallel import ParallelModel
+from simulation.whole_file import whole_file
 from studies.champion import CHAMPION_FILE, load_champion, read_champion, restore_champion
 from studies.console import Column
 from studies.paths import size_name
@@ -210,11 +210,8 @@ def calls_to(study: Study, n_train: int, target: float) -> int | None:
 
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
     """Write an .npz file in one step."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_name(f".{file.name}.{os.getpid()}")
-    with partial.open("wb") as stream:
+    with whole_file(file) as stream:
         np.savez_compressed(stream, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
-    partial.replace(file)
 
 
 def _mse(value: float | None) -> str:

@@ -148,7 +148,7 @@ def sensitivity_stage(study: Study) -> Outcome:
         from studies.stages_tracking import log_sensitivity
 
         started = time.perf_counter()
-        folder = study.paths.generated(study.case.name) / f"sobol-{digest_of(inputs)[:12]}"
+        folder = study.paths.generated(study.case.name) / f"sobol-{study.case.digest[:12]}"
         with (
             ParallelModel(study.case.make_model, study.n_jobs) as model,
             study.console.progress("simulations", n_rows) as advance,
