@@ -28,7 +28,7 @@ class Ledger:
 
     @property
     def total_honest(self) -> int:
-        """Everything that surrogate and calibration asked of the physical model (not the doctor, not Sobol)."""
+        """All that surrogate and calibration asked of the physical model; the doctor and Sobol ask apart."""
         return self.total_paper + self.n_validation + self.n_test
 
     def to_dict(self) -> dict[str, int]:
