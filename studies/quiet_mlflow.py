@@ -13,6 +13,8 @@ with warnings.catch_warnings():
 
 for _name in ("alembic", "mlflow"):  # after the import, which sets levels of its own
     logging.getLogger(_name).setLevel(logging.WARNING)
+# It prints tracebacks of errors that it raises as well; who catches them says one line.
+logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 
 __all__ = [
     "Dataset",
