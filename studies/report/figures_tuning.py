@@ -44,7 +44,7 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
         everything = np.concatenate([trials.test_mae, trials.test_p90, trials.validation_mae[pruned]])
         low, high = log_limits(everything)
         # Room for the numbers below the stars and for the explanation above the points.
-        limits = (low / (high / low) ** 0.04, high * (high / low) ** 0.2)
+        limits = (low / (high / low) ** 0.14, high * (high / low) ** 0.2)
         for axes, values, what in zip(
             panels, (trials.test_mae, trials.test_p90), ("MAE", "90th percentile"), strict=True
         ):
@@ -65,7 +65,7 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
                     significant(float(values[i]), 2), (float(trials.n_train[i]), float(values[i])), (0, -9),
                     textcoords="offset points", ha="center", va="top", fontsize=8.5,
                     color=BEST_SURROGATE, zorder=6,
-                )  # fmt: skip
+                ).set_in_layout(False)  # fmt: skip
             axes.set_title("Mean absolute error" if what == "MAE" else "90th percentile over parameter sets")
             axes.set_xlabel("training simulations")
         panels[0].set_ylabel(axis_label("error on the test set", unit))
@@ -100,12 +100,14 @@ def _draw_trials(axes: Axes, trials: TrialsRecord, values: Floats, *, is_mae: bo
         color=SURROGATE, alpha=0.6, markeredgewidth=0, zorder=3,
     )  # fmt: skip
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
-    if is_mae:
+    if is_mae and pruned.any():
         axes.plot(
             x[pruned], trials.validation_mae[pruned], linestyle="none", marker="o", markersize=4,
             color="none", markeredgecolor=MUTED, alpha=0.7, zorder=2,
         )  # fmt: skip
-        failed = x[state == "failed"]
+    failed = x[state == "failed"]
+    # The layout would keep room for a line without points at the picture's corner.
+    if is_mae and failed.size:
         axes.plot(
             failed, np.full(len(failed), axes.get_ylim()[1]), linestyle="none", marker="x", markersize=5,
             color=MUTED, alpha=0.6, clip_on=False, zorder=2,
@@ -136,7 +138,7 @@ def _explain_marks(axes: Axes, trials: TrialsRecord) -> None:
         axes.annotate(
             line, (0.985, 0.985), (0, -12.5 * number), xycoords="axes fraction", textcoords="offset points",
             ha="right", va="top", fontsize=8.5, color=color, zorder=7,
-        )  # fmt: skip
+        ).set_in_layout(False)  # fmt: skip
 
 
 def learning_curves_figure(curves: LearningCurves, path: Path, *, unit: str, footnote: str = "") -> Path:
