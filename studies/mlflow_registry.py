@@ -90,17 +90,20 @@ def _create_version(
     )
 
 
-def fetch_champion(client: "MlflowClient", *, label: str, n_train: int, folder: Path) -> bool:
+def fetch_champion(
+    client: "MlflowClient", *, label: str, n_train: int, artifacts: Path, folder: Path
+) -> bool:
     """Copy the registered champion's files into an empty folder.
 
     Args:
         client: MLflow's client.
         label: label of the study.
         n_train: training-set size.
+        artifacts: this project's root of all artifacts; MLflow itself only remembers where it once was.
         folder: where to put the files.
 
     Returns:
-        Whether there is a registered champion whose files are still where the registry says.
+        Whether there is a registered champion whose files are still there.
     """
     from mlflow.artifacts import download_artifacts
     from mlflow.exceptions import MlflowException
@@ -108,9 +111,12 @@ def fetch_champion(client: "MlflowClient", *, label: str, n_train: int, folder: 
     present = _version_by_alias(client, model_name(label, n_train))
     if present is None:
         return False
+    registered = present.source or ""
+    moved = artifacts / label / registered.rpartition(f"/{label}/")[2]
+    source = str(moved) if moved.is_dir() else registered
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            copied = Path(download_artifacts(artifact_uri=present.source, dst_path=scratch))
+            copied = Path(download_artifacts(artifact_uri=source, dst_path=scratch))
             for record in copied.rglob(CHAMPION_FILE):
                 shutil.copytree(record.parent, folder, dirs_exist_ok=True)
                 return True

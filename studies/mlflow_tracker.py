@@ -153,7 +153,9 @@ class MlflowTracker:
 
     def fetch_champion(self, label: str, n_train: int, folder: Path) -> bool:
         """Copy the files of the registered champion into an empty folder; return whether there is one."""
-        return fetch_champion(self.client, label=label, n_train=n_train, folder=folder)
+        return fetch_champion(
+            self.client, label=label, n_train=n_train, artifacts=self._artifacts, folder=folder
+        )
 
     def log_stage(self, stage: StageRun) -> None:
         """Write a stage as a run of its own, or complete the run an interruption left."""

@@ -163,6 +163,21 @@ def test_champion_comes_back_from_the_registry(
     assert [file.name for file in (tmp_path / "restored").iterdir()] == ["n0016"]
 
 
+def test_champion_comes_back_from_the_registry_of_a_moved_project(
+    tracker: MlflowTracker, original: tuple[StudySpec, Path, Path], project: ProjectPaths, tmp_path: Path
+) -> None:
+    spec, _, folder = original
+    tracker.start_study(spec, n_trials=3)
+    tracker.register_champion(spec, folder)
+    moved = ProjectPaths(tmp_path / "moved")
+    shutil.copytree(project.mlruns, moved.mlruns)
+    project.artifacts.rename(tmp_path / "out-of-reach")
+    there = MlflowTracker(moved.tracking_database, moved.artifacts)
+    restored = tmp_path / "restored" / "n0016"
+    assert restore_champion(restored, lambda scratch: there.fetch_champion("toy-small", 16, scratch))
+    assert load_champion(restored, case_digest=CASE)[1] == read_champion(folder)
+
+
 def test_registered_champion_loads_where_this_project_is_not(
     tracker: MlflowTracker, original: tuple[StudySpec, Path, Path], project: ProjectPaths, tmp_path: Path
 ) -> None:
