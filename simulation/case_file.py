@@ -98,6 +98,7 @@ class CaseFile(_Table):
     fmu: Name
     interface: Literal["co-simulation"] = "co-simulation"
     data: str = "."
+    data_origin: str = ""
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]

@@ -87,6 +87,7 @@ class TuningBudget:
         variant: named form of the surrogate that the trials start from.
         max_epochs: limit of one training; None holds the variant's.
         patience: epochs without a better validation error; None holds the variant's.
+        device: where the trials are trained; "auto" takes CUDA where there is some.
         search: ranges of the hyperparameters.
     """
 
@@ -94,6 +95,7 @@ class TuningBudget:
     variant: Literal["paper", "refined"] = "refined"
     max_epochs: Count | None = None
     patience: Count | None = None
+    device: Literal["auto", "cpu", "cuda"] = "auto"
     search: SearchRanges = Field(default_factory=SearchRanges)
 
 

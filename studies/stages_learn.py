@@ -33,6 +33,10 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         from studies.tuning import tune
 
         files = set_files(study, simulated.summary)
+        _require_device(study)
+        # One thread in training and prediction: the same numbers whatever --jobs says.
+        overrides = {name: getattr(budget, name) for name in ("max_epochs", "patience", "device")}
+        overrides["n_threads"] = 1
         specs = [
             StudySpec.from_files(
                 train_file=files["train"],
@@ -46,8 +50,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 fmu_sha256=study.case.fmu_sha256,
                 output_unit=study.case.outputs[0].unit,
                 variant=budget.variant,
-                # One thread in training and prediction: the same numbers whatever --jobs says.
-                overrides={"max_epochs": budget.max_epochs, "patience": budget.patience, "n_threads": 1},
+                overrides=overrides,
                 search=budget.search,
                 seed=study.profile.seed,
                 note=study.case.note,
@@ -111,6 +114,17 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
         cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
         rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
     study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
+
+
+def _require_device(study: Study) -> None:
+    """Refuse a device that is not there before a worker is started for it."""
+    if study.profile.tuning.device == "cuda":
+        from pelsvae.device import resolve_device
+
+        try:
+            resolve_device("cuda")
+        except ValueError as error:
+            raise InputError(f"profile {study.profile.name}: tuning.device: {error}") from None
 
 
 @contextmanager

@@ -205,6 +205,16 @@ def test_a_wrong_profile_is_refused(
     assert_refused(studies("run", "--profile", str(file)), "small.toml", *fragments)
 
 
+def test_a_gpu_that_is_not_there_is_refused(project: Path, studies: Run) -> None:
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device here")
+    file = project / "small.toml"
+    file.write_text(SMALL_PROFILE.replace("n_trials = 2", 'n_trials = 2\ndevice = "cuda"'), encoding="utf-8")
+    assert_refused(studies("tune", "--quiet", "--profile", str(file)), "tuning.device", "'auto' or 'cpu'")
+
+
 def test_a_wrong_root_is_refused(project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STUDIES_ROOT", str(project / "gone"))
     assert_refused(studies("check"), "STUDIES_ROOT", "gone")

@@ -90,7 +90,7 @@ def test_parameters_are_those_of_the_paper(name):
 def test_the_recorded_case_differs_from_the_default_in_its_data_alone():
     office, recorded = (read_case_file(FMUS / name / "case.toml") for name in ("office", "office-recorded"))
     assert recorded.data == "../../data/office-recorded"
-    own = {"name", "title", "note", "fmu", "data", "references"}
+    own = {"name", "title", "note", "fmu", "data", "data_origin", "references"}
     assert office.model_dump(exclude=own) == recorded.model_dump(exclude=own)
 
 

@@ -167,6 +167,13 @@ WRONG: dict[str, tuple[Change, str]] = {
         lambda folder: (folder / "data" / "recording.csv").unlink(),
         r"data/recording\.csv: no such file; put the recording there",
     ),
+    "no recording, and the case knows its origin": (
+        lambda folder: (
+            (folder / "data" / "recording.csv").unlink(),
+            toml('data = "data"', 'data = "data"\ndata_origin = "ask the author"')(folder),
+        ),
+        r"data/recording\.csv: no such file; ask the author$",
+    ),
     "empty recording": (
         lambda folder: (folder / "data" / "recording.csv").write_text(""),  # type: ignore[dict-item]
         r"recording\.csv: the file is empty",
