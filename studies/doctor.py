@@ -14,6 +14,7 @@ from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 from studies.console import Column, Console, format_seconds
 from studies.profile import Profile
+from studies.report.wording import count
 
 Level = Literal["ok", "warn", "fail"]
 N_CORNERS, N_COVERAGE = 32, 64
@@ -136,7 +137,7 @@ def _declaration(case: Case) -> Finding:
         "names, units, bounds",
         "ok",
         f"{case.parameter_space.n_parameters} parameters, {n_inputs} inputs and "
-        f"{len(case.outputs)} outputs are in {case.fmu_path.name}, units agree",
+        f"{count(len(case.outputs), 'output')} are in {case.fmu_path.name}, units agree",
     )
 
 

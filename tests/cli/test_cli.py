@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import REPOSITORY, Run
+from project_for_tests import REPOSITORY, Run
 
 from studies.cli import main
 from studies.console import Console, format_seconds

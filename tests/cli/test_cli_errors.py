@@ -10,7 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from conftest import REPOSITORY, Answer, Run
+from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.errors import InputError
 from studies.stages_results import read_arrays

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import REPOSITORY, make_project
+from project_for_tests import REPOSITORY, make_project
 
 LABEL = "office-smoke"
 LIMIT_S = 300.0

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from conftest import Run
+from project_for_tests import Run
 
 EXAMINED = {
     "names, units, bounds",

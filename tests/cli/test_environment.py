@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from conftest import Run
+from project_for_tests import Run
 
 from studies.environment import explain
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Run
 from made_up_recording import Array, made_up_recording, write_csv_files
+from project_for_tests import Run
 from scipy.io import savemat
 
 BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data" / "office_recording"

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from conftest import make_project
+from project_for_tests import make_project
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, find_case, find_project

@@ -1,17 +1,12 @@
 import importlib.util
 import shutil
 import sys
-from pathlib import Path
 
 import pytest
-
-REPOSITORY = Path(__file__).parents[2]
-OFFICE = REPOSITORY / "fmus" / "office" / "Office.fmu"
+from fmu_for_tests import OFFICE, REPOSITORY, Driver
 
 # The compiler is a tool of the repository, not of the installed packages.
 sys.path.insert(0, str(REPOSITORY))
-
-from fmu_for_tests import Driver  # noqa: E402
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,7 @@
 """The plainest way through an FMU's functions: one call after the other, by FMPy."""
 
+from pathlib import Path
+
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import (
     FMU2Model,
@@ -10,6 +12,8 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 
+REPOSITORY = Path(__file__).parents[2]
+OFFICE = REPOSITORY / "fmus" / "office" / "Office.fmu"
 STOP_S = 1e9
 
 

@@ -6,9 +6,9 @@ import sys
 import zipfile
 
 import pytest
-from conftest import OFFICE, REPOSITORY
 from fmpy import extract, simulate_fmu
 from fmpy.build import build_platform_binary
+from fmu_for_tests import OFFICE, REPOSITORY
 
 FOLDER = REPOSITORY / "fmus" / "office"
 

@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 import office_equations as reference
 import pytest
-from conftest import OFFICE, REPOSITORY
+from fmu_for_tests import OFFICE, REPOSITORY
 
 from simulation.case import load_case
 from simulation.case_file import read_case_file

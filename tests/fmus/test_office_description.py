@@ -5,9 +5,9 @@ import zipfile
 
 import office_equations as reference
 import pytest
-from conftest import OFFICE
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
+from fmu_for_tests import OFFICE
 
 
 @pytest.fixture(scope="module")
