@@ -1,6 +1,7 @@
 """What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
 
 import tempfile
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 
@@ -60,10 +61,8 @@ def log_calibration(
                 params={
                     "n_train": n_train,
                     "seed": profile.seed,
-                    "screening.popsize": profile.screening.popsize,
-                    "screening.maxiter": profile.screening.maxiter,
-                    "polish.max_calls": profile.polish.max_calls,
-                    "polish.ftol": profile.polish.ftol,
+                    **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
+                    **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
                 },
                 metrics={name: value for name, value in metrics.items() if value is not None},
                 curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
