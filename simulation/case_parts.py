@@ -56,11 +56,10 @@ def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
     for source in file.inputs:
         columns.setdefault(source.file, []).extend(source.weights)
     folder = path.parent / file.data
-    for name in columns:
-        if file.data_origin and not (folder / name).exists():
-            raise InputError(f"{(folder / name).resolve()}: no such file; {file.data_origin}")
     return {
-        name: read_recording(Path((folder / name).resolve()), list(dict.fromkeys(wanted)))
+        name: read_recording(
+            Path((folder / name).resolve()), list(dict.fromkeys(wanted)), if_missing=file.data_origin
+        )
         for name, wanted in columns.items()
     }
 

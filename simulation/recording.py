@@ -33,12 +33,13 @@ class Recording:
         return float(self.time[1] - self.time[0])
 
 
-def read_recording(path: Path, column_names: list[str]) -> Recording:
+def read_recording(path: Path, column_names: list[str], *, if_missing: str = "") -> Recording:
     """Read columns of a CSV file with a header line and the times in `time_s`.
 
     Args:
         path: The file.
         column_names: Columns to read beside the time.
+        if_missing: What to do where there is no such file; "" for the general advice.
 
     Returns:
         The series.
@@ -50,9 +51,8 @@ def read_recording(path: Path, column_names: list[str]) -> Recording:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
     except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; put the recording there or correct `data` and `file`"
-        ) from None
+        remedy = if_missing or "put the recording there or correct `data` and `file`"
+        raise InputError(f"{path}: no such file; {remedy}") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             f"{path}: not a readable CSV file ({error}); give a comma-separated text file"

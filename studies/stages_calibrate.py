@@ -203,9 +203,10 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
 
 def calls_to(study: Study, n_train: int, target: float) -> int | None:
     """Return the calls (training, screening check, polish) after which the error was at most the target."""
+    from studies.calibration import History
+
     arrays = read_arrays(calibration_files(study, n_train).arrays)
-    reached = np.flatnonzero(arrays["history_mse"] <= target)
-    return int(arrays["history_calls"][reached[0]]) if reached.size else None
+    return History(arrays["history_calls"], arrays["history_mse"]).calls_to(target)
 
 
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
