@@ -55,9 +55,8 @@ class DifferentialEvolution:
         strategy: SciPy's name of the mutation; "best1bin" is greedy, "rand1bin" slower and more thorough.
         mutation: Range from which each generation draws its differential weight. [1]
         recombination: Probability that a coordinate comes from the mutant. [1]
-        margin: Part of each coordinate's range that is left out at both ends. A surrogate has hardly any
-            samples beyond its outer ones, in logarithmic coordinates least of all near the lower bounds, and
-            a search would settle where its errors are largest (Aka et al. 2023, sec. 3.2). [1]
+        margin: Part of each coordinate's range that is left out at both ends, for a surrogate that predicts
+            worse toward the bounds (Aka et al. 2023, sec. 3.2). [1]
         max_calls: Most rows that may be asked of the model, or None: for use on a physical model.
     """
 
