@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from simulation.case_parts import (
     read_recordings,
     time_grid,
 )
+from simulation.execution import ExecutionPolicy
 from simulation.fmu import FmuModel, FmuSettings
 from simulation.fmu_description import FmuDescription, read_description
 from simulation.measurement import Measurement
@@ -80,6 +82,8 @@ class Case:
         communication_step_s: Step over which inputs are constant. [s]
         output_step_s: Step of outputs and measurement. [s]
         settings: How the model is opened; plain data for worker processes.
+        relative_tolerance: Tolerance of the solver, None for the FMU's own. [1]
+        policy: How patiently simulations are run.
         references: Errors known for this window; they decide nothing.
     """
 
@@ -97,6 +101,8 @@ class Case:
     communication_step_s: float
     output_step_s: float
     settings: FmuSettings
+    relative_tolerance: float | None = None
+    policy: ExecutionPolicy = ExecutionPolicy()
     references: tuple[KnownError, ...] = ()
 
     @property
@@ -115,11 +121,37 @@ class Case:
         return self.settings.fixed
 
     @cached_property
+    def model_digest(self) -> str:
+        """SHA-256 of all that decides what the model answers to a row: not of bounds, measurement or titles.
+
+        What was simulated under one model digest holds for every case that has the same.
+        """
+        settings = self.settings
+        content = hashlib.sha256(
+            _json(
+                {
+                    "fmu": self.fmu_sha256,
+                    "interface": self.interface,
+                    "parameters": list(self.parameter_space.names),
+                    "fixed": sorted(self.fixed.items()),
+                    "inputs": list(self.scenario.input_names),
+                    "outputs": [(output.name, output.unit) for output in self.outputs],
+                    "output_every": self.scenario.output_every,
+                    "n_warmup": self.scenario.n_warmup,
+                }
+                | self._choices
+            )
+        )
+        for array in (self.scenario.time_communication, self.scenario.inputs, settings.output_offsets):
+            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return content.hexdigest()
+
+    @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that decides what the model answers: not of titles, estimates, scales or places."""
+        """SHA-256 of all that decides what the model answers in its box: not of titles, estimates or scales."""
         space = self.parameter_space
         content = hashlib.sha256(
-            json.dumps(
+            _json(
                 {
                     "fmu": self.fmu_sha256,
                     "interface": self.interface,
@@ -129,13 +161,19 @@ class Case:
                     "outputs": [(output.name, output.unit) for output in self.outputs],
                     "window_d": self.window_d,
                     "steps_s": (self.communication_step_s, self.output_step_s),
-                },
-                sort_keys=True,
-            ).encode()
+                }
+                | self._choices
+            )
         )
         for array in (space.lower, space.upper, self.scenario.time_communication, self.scenario.inputs):
             content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return content.hexdigest()
+
+    @property
+    def _choices(self) -> dict[str, Any]:
+        """What a case may choose beyond the usual and what then decides answers; empty for the usual."""
+        chosen = {"relative_tolerance": self.relative_tolerance}
+        return {name: value for name, value in chosen.items() if value is not None}
 
     @property
     def make_model(self) -> Callable[[], FmuModel]:
@@ -217,9 +255,15 @@ def load_case(
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,
         settings=settings,
+        relative_tolerance=file.relative_tolerance,
+        policy=ExecutionPolicy(**file.simulation.model_dump()),
         references=tuple(
             KnownError(table.label, table.mse, table.target)
             for table in file.references
             if table.window_d == tuple(window)
         ),
     )
+
+
+def _json(content: dict[str, Any]) -> bytes:
+    return json.dumps(content, sort_keys=True).encode()

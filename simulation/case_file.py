@@ -24,6 +24,8 @@ class TimeTable(_Table):
     # TOML arrays arrive as lists; strict mode would take no list for a tuple.
     window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
     start_d: Finite | None = None
+    shared_warmup: bool = False
+    validation_d: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
     communication_step_s: Positive
     output_step_s: Positive
 
@@ -58,6 +60,8 @@ class OutputTable(_Table):
     file: Name
     column: Name
     uncertainty: Positive
+    weight: Positive = 1.0
+    accepted: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
 
 
 class ParameterTable(_Table):
@@ -78,6 +82,22 @@ class FirstMeasured(_Table):
     first_measured: Name
 
 
+class ValueWithUnit(_Table):
+    """Value of [fixed]: a number with its unit, converted to the FMU's."""
+
+    value: Finite
+    unit: Name
+
+
+class SimulationTable(_Table):
+    """Key [simulation]: how patiently simulations are run; changes no answer."""
+
+    timeout_s: Positive | None = None
+    retries: Annotated[int, Field(ge=0)] = 1
+    max_failed_share: Annotated[float, Field(gt=0, le=1)] = 0.5
+    max_workers: Annotated[int, Field(ge=1)] | None = None
+
+
 class ReferenceTable(_Table):
     """Key [[references]]: a mean squared error that is known for a window, to judge results by."""
 
@@ -96,14 +116,16 @@ class CaseFile(_Table):
     title: str = ""
     note: str = ""
     fmu: Name
-    interface: Literal["co-simulation"] = "co-simulation"
+    interface: Literal["co-simulation", "model-exchange"] = "co-simulation"
+    relative_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
     data: str = "."
     data_origin: str = ""
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
-    fixed: dict[str, Finite | FirstMeasured] = {}
+    fixed: dict[str, bool | int | Finite | str | FirstMeasured | ValueWithUnit] = {}
+    simulation: SimulationTable = SimulationTable()
     references: list[ReferenceTable] = []
 
 
@@ -146,9 +168,14 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     if fault["type"] == "missing":
         return f"key {key} is missing; add it"
     if location[:1] == ("fixed",):
-        return f'{key} = {fault["input"]!r}: give a number or {{ first_measured = "<output>" }}'
+        return f"{key} = {fault['input']!r}: {_FIXED_REMEDY}"
     value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
     return f"{key}{value}: {fault['msg'].removeprefix('Value error, ')}; correct it"
+
+
+_FIXED_REMEDY = (
+    'give a number, true or false, a text, { value = 20.0, unit = "degC" } or { first_measured = "<output>" }'
+)
 
 
 def _key(location: tuple[int | str, ...], content: Any) -> str:
@@ -175,6 +202,8 @@ def _suggestion(location: tuple[int | str, ...]) -> str:
         "inputs": InputTable,
         "outputs": OutputTable,
         "parameters": ParameterTable,
+        "simulation": SimulationTable,
+        "references": ReferenceTable,
     }
     table = tables.get(str(location[0]), CaseFile) if len(location) > 1 else CaseFile
     known = [field.alias or name for name, field in table.model_fields.items()]

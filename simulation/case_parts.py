@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.case_file import CaseFile, FirstMeasured, OutputTable
+from simulation.case_file import CaseFile, FirstMeasured, OutputTable, ValueWithUnit
 from simulation.errors import InputError
 from simulation.fmu_description import FmuDescription
 from simulation.measurement import Measurement
@@ -180,6 +180,10 @@ def fixed_values(path: Path, file: CaseFile, fmu: FmuDescription, at_start: Meas
             index = at_start.output_names.index(value.first_measured)
             offset = offset_between(file.outputs[index].unit, variable.unit, where)
             values[name] = float(at_start.y[0, index]) + offset
+        elif isinstance(value, ValueWithUnit):
+            values[name] = value.value + offset_between(value.unit, variable.unit, where)
+        elif isinstance(value, str):
+            raise InputError(f"{where} = {value!r}: {name} is a number; give one")
         else:
             values[name] = float(value)
     return values

@@ -81,7 +81,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "fixed is text": (
         toml('{ first_measured = "y" }', '"y"'),
-        r"fixed\.x0 = 'y': give a number or \{ first_measured",
+        r"fixed\.x0 = 'y': x0 is a number; give one",
     ),
     "first measured of nothing": (
         toml('first_measured = "y"', 'first_measured = "T"'),
