@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ class Case:
     output_step_s: float
     settings: FmuSettings
     relative_tolerance: float | None = None
-    policy: ExecutionPolicy = ExecutionPolicy()
+    policy: ExecutionPolicy = field(default_factory=ExecutionPolicy)
     references: tuple[KnownError, ...] = ()
 
     @property
@@ -148,7 +148,7 @@ class Case:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that decides what the model answers in its box: not of titles, estimates or scales."""
+        """SHA-256 of all that decides what the model answers in its box: not of titles or estimates."""
         space = self.parameter_space
         content = hashlib.sha256(
             _json(

@@ -33,10 +33,13 @@ class FmuSettings:
 
     Attributes:
         path: The FMU.
-        parameter_space: The parameters, by the FMU's names and in its units.
+        parameter_space: The parameters, by the FMU's names and in the declared units.
         scenario: Inputs and times.
         output_names: The FMU's output variables.
         output_offsets: Added to the FMU's outputs, for instance -273.15 from K to degC. Shape (k,).
+        output_factors: The FMU's outputs are multiplied by it before; None for 1 throughout. Shape (k,).
+        parameter_factors: From a parameter's declared unit to the FMU's; None for 1 throughout. Shape (p,).
+        parameter_offsets: Added after that; None for 0 throughout. Shape (p,). [FMU's units]
         fixed: FMU parameters held at a value, in the FMU's units.
     """
 
@@ -46,11 +49,26 @@ class FmuSettings:
     output_names: tuple[str, ...]
     output_offsets: FloatArray
     fixed: Mapping[str, float] = field(default_factory=dict)
+    output_factors: FloatArray | None = None
+    parameter_factors: FloatArray | None = None
+    parameter_offsets: FloatArray | None = None
 
     def __post_init__(self) -> None:
         both = [name for name in self.fixed if name in self.parameter_space.names]
         if both:
             raise InputError(f"{self.path}: {both[0]} is both fixed and calibrated; drop one of the two")
+
+    def parameters_for_fmu(self, theta: FloatArray) -> FloatArray:
+        """Convert parameters to the FMU's units. Shape (n, p) or (p,)."""
+        if self.parameter_factors is not None:
+            theta = theta * self.parameter_factors
+        return theta if self.parameter_offsets is None else theta + self.parameter_offsets
+
+    def outputs_from_fmu(self, y: FloatArray) -> None:
+        """Convert outputs to the declared units, in place. Shape (..., k)."""
+        if self.output_factors is not None:
+            y *= self.output_factors
+        y += self.output_offsets
 
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the picklable recipe that worker processes are given."""
@@ -128,7 +146,7 @@ class FmuModel:
         failures = [
             self._simulate_row(row, y[i]) if np.isfinite(row).all() else "" for i, row in enumerate(theta)
         ]
-        y += self._settings.output_offsets
+        self._settings.outputs_from_fmu(y)
         return Trajectories.checked(
             theta,
             y[:, scenario.n_warmup :],
@@ -145,7 +163,7 @@ class FmuModel:
             self._instance.functions,
             self._instance.component,
             self._parameter_references,
-            np.concatenate([self._fixed, row]),
+            np.concatenate([self._fixed, self._settings.parameters_for_fmu(row)]),
             self._input_references,
             self._inputs,
             self._output_references,
