@@ -15,9 +15,9 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from simulation.errors import InputError
+from simulation.file_lock import FileLock
 from simulation.parallel import exit_with_parent
 from studies.environment import explain
-from studies.file_lock import FileLock
 from studies.study_spec import StudySpec, TuneEvent
 
 GRACE_S = 3.0  # a worker looks at the stop sign at every validated epoch

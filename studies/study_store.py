@@ -13,7 +13,7 @@ from optuna.trial import FrozenTrial, Trial, create_trial
 from optuna.trial import TrialState as OptunaState
 
 from simulation.errors import InputError
-from studies.file_lock import FileLock
+from simulation.file_lock import FileLock
 from studies.search_space import distributions
 from studies.study_spec import StudySpec
 from studies.trial_record import TrialRecord, read_record, write_record

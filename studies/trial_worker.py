@@ -16,7 +16,7 @@ from pelsvae.config import SurrogateConfig
 from pelsvae.metrics import errors
 from pelsvae.training import EpochReport, FitResult, TrainingDiverged, fit
 from simulation.errors import InputError
-from studies.file_lock import FileLock
+from simulation.file_lock import FileLock
 from studies.search_space import PastTrial, derived_seed, suggest, to_settings
 from studies.study_data import StudyData, load_data
 from studies.study_spec import EventKind, StudySpec, TrialState, TuneEvent

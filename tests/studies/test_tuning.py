@@ -9,7 +9,7 @@ from tuning_checks import essence, ignore, in_journal
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
-from studies.file_lock import FileLock
+from simulation.file_lock import FileLock
 from studies.profile import SearchRanges
 from studies.study_spec import StudySpec, TuneEvent
 from studies.study_store import StudyStore

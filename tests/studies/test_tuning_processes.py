@@ -14,8 +14,8 @@ import pytest
 from tuning_checks import essence, in_journal
 
 from simulation.errors import InputError
+from simulation.file_lock import FileLock
 from studies.crew import Crew, TuningError
-from studies.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.profile import SearchRanges
 from studies.study_spec import StudySpec, TuneEvent

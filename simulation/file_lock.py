@@ -8,25 +8,27 @@ from types import TracebackType
 
 
 class FileLock:
-    """An exclusive lock between processes, held through an open file.
+    """A lock between processes, held through an open file.
 
     A lock that is a mere file outlives a killed owner; this one does not, so that whoever gets it knows that
     no living process holds it.
 
     Args:
         file: the file to lock; created empty where absent, never removed.
+        shared: whether others may hold it too, as long as they share it as well.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, *, shared: bool = False) -> None:
         self._file = file
+        self._shared = shared
         self._descriptor: int | None = None
 
     def try_acquire(self) -> bool:
-        """Take the lock if no other process has it; return whether it is held now."""
+        """Take the lock if no other process is in the way; return whether it is held now."""
         self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            _lock_now(descriptor)
+            _lock_now(descriptor, shared=self._shared)
         except OSError:
             os.close(descriptor)
             return False
@@ -59,11 +61,12 @@ class FileLock:
 if sys.platform == "win32":
     import msvcrt
 
-    def _lock_now(descriptor: int) -> None:
+    def _lock_now(descriptor: int, *, shared: bool) -> None:
+        # Windows shares no lock here: whoever would share waits a moment instead.
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
 
 else:
     import fcntl
 
-    def _lock_now(descriptor: int) -> None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    def _lock_now(descriptor: int, *, shared: bool) -> None:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
