@@ -29,6 +29,7 @@ measurement, window), the profile how much may be spent on it. `studies run` doe
 """
 EPILOG = """\
 examples:
+  studies new Room.fmu                     a case file for an FMU of your own; then check, then run
   studies run                              the office, quick profile: minutes on two cores
   studies run office-recorded --window 8-16
   studies check fmus/office/case.toml      what is wrong with a case, and what to do
@@ -112,7 +113,13 @@ def build_parser() -> argparse.ArgumentParser:
         _add_output_options(command)
         return command
 
-    add("check", "examine a case and say what is wrong and what to do", cli_help.CHECK)
+    _add_new_options(
+        add("new", "write a case file from what an FMU says about itself", cli_help.NEW, with_case=False)
+    )
+    check = add("check", "examine a case and say what is wrong and what to do", cli_help.CHECK)
+    check.add_argument(
+        "--thorough", action="store_true", help="do every examination, however long the simulations take"
+    )
     add("simulate", "simulate the training, validation and test sets", cli_help.SIMULATE)
     add("sensitivity", "estimate first- and total-order Sobol indices per time step", cli_help.SENSITIVITY)
     _add_tuning_options(add("tune", "tune one surrogate per training-set size", cli_help.TUNE))
@@ -163,6 +170,28 @@ def _add_case_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--jobs", type=_whole(1), metavar="N", help="processes; default: as many as there are cores"
     )
+
+
+def _add_new_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("fmu", metavar="FMU", help="an .fmu file, FMI 2.0 or 3.0")
+    command.add_argument("--to", metavar="FOLDER", help="the case's folder; default: fmus/<name of the FMU>")
+    command.add_argument(
+        "--output", nargs="+", action="extend", metavar="NAME", help="measured outputs; default: the first"
+    )
+    command.add_argument(
+        "--parameter",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="parameters to calibrate, names or patterns like 'wall.*'; default: those at the top level",
+    )
+    command.add_argument(
+        "--interface",
+        choices=("co-simulation", "model-exchange"),
+        help="how the FMU is run; default: co-simulation where the FMU offers it",
+    )
+    command.add_argument("--all", action="store_true", help="write every variable, however many there are")
+    command.add_argument("--list", action="store_true", help="show the FMU's variables and write nothing")
 
 
 def _add_output_options(command: argparse.ArgumentParser) -> None:

@@ -14,6 +14,12 @@ from studies.profile import load_profile
 OK, FAILED = 0, 1
 
 
+def _new(options: argparse.Namespace, console: Console) -> int:
+    from studies.cli_new import list_variables, new_case
+
+    return (list_variables if options.list else new_case)(options, find_project(), console)
+
+
 def _check(options: argparse.Namespace, console: Console) -> int:
     from studies.doctor import show_diagnosis
     from studies.stages_check import diagnose
@@ -144,6 +150,7 @@ def _import_recording(options: argparse.Namespace, console: Console) -> int:
 
 
 COMMANDS: dict[str, Callable[[argparse.Namespace, Console], int]] = {
+    "new": _new,
     "check": _check,
     "simulate": _simulate,
     "sensitivity": _sensitivity,

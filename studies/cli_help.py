@@ -1,5 +1,17 @@
 """What `--help` of each command teaches: what happens, examples, where results land."""
 
+NEW = """\
+what happens: writes fmus/<name>/case.toml with the FMU's own names, units, start values and bounds, every
+line that needs you marked EDIT; copies the FMU beside it; writes README and example CSV files with the
+right columns into data/<name>/. Nothing is overwritten. Save two CSV files there (measured.csv, and
+inputs.csv where the FMU has inputs), go through the lines marked EDIT, then check, then run.
+
+examples:
+  studies new Room.fmu
+  studies new Room.fmu --list              its variables; nothing is written
+  studies new Room.fmu --output TAir --parameter UWin 'wall.*'
+  studies new Room.fmu --to ~/office/room  a folder of its own, CSV files beside the case file
+"""
 CHECK = """\
 what happens: reads the case, checks names, units, bounds and data against the FMU, simulates the
 estimates and the corners of the box, a reused against a fresh instance, half the communication step,

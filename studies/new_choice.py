@@ -1,0 +1,249 @@
+"""What a new case takes from an FMU's description: variables, bounds, interface, steps, and why."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Literal
+
+from simulation.errors import InputError
+from simulation.fmu_description import FmuDescription
+from simulation.fmu_variable import REAL_KINDS, FmuVariable
+from simulation.parameters import Scale
+
+MOST_ACTIVE = 20
+"""Parameters that a new case calibrates unless the user names them."""
+FACTOR = 5.0
+"""Bounds around a start value: a fifth and five times, as in the paper's study."""
+TEMPERATURE_SPAN_K = 10.0
+WIDEST_RATIO, WIDEST_SHIFT = 1e3, 1e2
+"""The FMU's own bounds are taken when they are this near to each other, as a ratio or in start values."""
+DAY_S = 86400.0
+N_STEPS = 500
+"""Communication steps of a new case whose FMU names no step."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """A box for one parameter, and where it comes from.
+
+    Attributes:
+        lower: Lower bound. [parameter's unit]
+        upper: Upper bound. [parameter's unit]
+        scale: Coordinates.
+        why: Where the bounds come from.
+        is_guess: Whether nothing in the FMU supports them.
+    """
+
+    lower: float
+    upper: float
+    scale: Scale
+    why: str
+    is_guess: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Variables of one kind, split into those that the case uses and those it only shows.
+
+    Attributes:
+        used: In the case.
+        others: Written as comments.
+    """
+
+    used: tuple[FmuVariable, ...]
+    others: tuple[FmuVariable, ...]
+
+
+@dataclass(frozen=True)
+class Times:
+    """A first time axis.
+
+    Attributes:
+        stop_s: End of the window. [s]
+        communication_step_s: Step over which inputs are constant. [s]
+        output_step_s: Step of the outputs. [s]
+        why: Where they come from.
+    """
+
+    stop_s: float
+    communication_step_s: float
+    output_step_s: float
+    why: str
+
+
+def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
+    """Choose what to calibrate.
+
+    Args:
+        fmu: The FMU.
+        patterns: Names, or globs like "wall.*"; empty for the first parameters at the top level whose start
+            values tell their order of magnitude.
+    """
+    parameters = [v for v in _of(fmu, "parameter") if _is_number(v)]
+    starts = [v for v in fmu.variables.values() if v.is_start_value and _is_number(v)]
+    candidates = [*parameters, *starts]
+    if not candidates:
+        raise InputError(
+            f"{fmu.path}: has no real parameter that can be set; export it with parameters that are neither "
+            "constant nor evaluated"
+        )
+    if patterns:
+        return _matching(fmu, candidates, patterns, "parameter")
+    plain = [v for v in parameters if not is_internal(v) and not bounds_for(v).is_guess]
+    top = [v for v in plain if "." not in v.name] or plain or candidates
+    shown = [v for v in candidates if not is_internal(v)] or candidates
+    return _split(shown, top[:MOST_ACTIVE])
+
+
+def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
+    """Choose what is compared with a measurement: the named outputs, or the first one.
+
+    Args:
+        fmu: The FMU.
+        patterns: Names or globs.
+    """
+    candidates = [v for v in _of(fmu, "output") if _is_number(v)]
+    if not candidates:
+        raise InputError(f"{fmu.path}: has no real output; export it with the measured variables as outputs")
+    if patterns:
+        return _matching(fmu, candidates, patterns, "output")
+    return _split(candidates, candidates[:1])
+
+
+def inputs_of(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
+    """Return the inputs, all of which a case must drive."""
+    return tuple(_of(fmu, "input"))
+
+
+def other_parameters(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
+    """Return the parameters that are no numbers with a fraction: they can be fixed, not calibrated."""
+    found = [*_of(fmu, "parameter"), *_of(fmu, "structuralParameter")]
+    return tuple(v for v in found if v.kind not in REAL_KINDS and not v.shape and not is_internal(v))
+
+
+def is_internal(variable: FmuVariable) -> bool:
+    """Tell whether a variable belongs to the exporting tool, as JModelica's `_cs_rel_tol` does."""
+    return variable.name.startswith(("_", "$")) or "._" in variable.name
+
+
+def bounds_for(variable: FmuVariable) -> Bounds:
+    """Propose bounds: the FMU's own where they narrow something down, else a range around the start value."""
+    start, low, high = variable.start, variable.minimum, variable.maximum
+    if start is None:
+        return Bounds(0.0, 1.0, "linear", "the FMU gives no start value: write what is plausible", True)
+    if low is not None and high is not None and low <= start <= high and _is_near(start, low, high):
+        is_wide = low > 0.0 and high / low >= 10.0
+        return Bounds(low, high, "log" if is_wide else "linear", "the FMU's min and max")
+    if start == 0.0:
+        return Bounds(-1.0, 1.0, "linear", "the start value is 0: write what is plausible", True)
+    if _is_temperature(variable):
+        bounds = Bounds(
+            start - TEMPERATURE_SPAN_K, start + TEMPERATURE_SPAN_K, "linear", "start value +- 10 K"
+        )
+    elif start > 0.0:
+        bounds = Bounds(start / FACTOR, start * FACTOR, "log", "1/5 to 5 times the start value")
+    else:
+        bounds = Bounds(start * FACTOR, start / FACTOR, "linear", "5 to 1/5 times the start value")
+    return _clipped(bounds, start, low, high)
+
+
+def choose_interface(fmu: FmuDescription, wanted: str | None) -> str:
+    """Choose how the FMU is run: as wanted, else by co-simulation where there is some."""
+    offered = tuple(fmu.interfaces)
+    if wanted is not None and wanted not in offered:
+        raise InputError(
+            f"{fmu.path}: offers {' and '.join(offered)}, not {wanted}; leave --interface out or export again"
+        )
+    return wanted or ("co-simulation" if "co-simulation" in offered else offered[0])
+
+
+def choose_times(fmu: FmuDescription) -> Times:
+    """Take the default experiment for a first time axis."""
+    experiment, span = fmu.default_experiment, DAY_S
+    is_given = experiment.stop_s is not None and experiment.stop_s > (experiment.start_s or 0.0)
+    if experiment.stop_s is not None and is_given:
+        span = experiment.stop_s - (experiment.start_s or 0.0)
+    step = experiment.step_s
+    if step is None or not 0.0 < step <= span:
+        step = _round_step(span / N_STEPS)
+    n_steps = max(1, math.floor(span / step * (1.0 + 1e-9)))
+    return Times(
+        stop_s=n_steps * step,
+        communication_step_s=step,
+        output_step_s=step,
+        why="the FMU's default experiment" if is_given else "one day: the FMU names no default experiment",
+    )
+
+
+def _is_number(variable: FmuVariable) -> bool:
+    return variable.kind in REAL_KINDS and not variable.shape
+
+
+def _of(fmu: FmuDescription, causality: str) -> list[FmuVariable]:
+    return [fmu.variables[name] for name in fmu.names(causality)]
+
+
+def _matching(
+    fmu: FmuDescription,
+    candidates: list[FmuVariable],
+    patterns: Sequence[str],
+    what: Literal["parameter", "output"],
+) -> Choice:
+    used: dict[str, FmuVariable] = {}
+    for pattern in patterns:
+        # A name may hold brackets (wall[2].k), which a glob would read as a set of characters.
+        found = [v for v in candidates if v.name == pattern]
+        found = found or [v for v in candidates if fnmatchcase(v.name, pattern.replace("[", "[[]"))]
+        if not found:
+            # A plain name that is missing or of another kind: the description knows what to say.
+            if not set(pattern) & set("*?"):
+                fmu.require(pattern, what, f"--{what} {pattern}")
+            raise InputError(
+                f"--{what} {pattern}: matches no {what} of {fmu.path.name}; "
+                f"see them with: studies new {fmu.path} --list"
+            )
+        used |= {v.name: v for v in found}
+    return _split(candidates, list(used.values()))
+
+
+def _split(candidates: list[FmuVariable], used: list[FmuVariable]) -> Choice:
+    names = {v.name for v in used}
+    return Choice(tuple(used), tuple(v for v in candidates if v.name not in names))
+
+
+def _is_near(start: float, low: float, high: float) -> bool:
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        return False
+    if low > 0.0:
+        return high / low <= WIDEST_RATIO
+    return high - low <= max(1.0, WIDEST_SHIFT * abs(start))
+
+
+def _is_temperature(variable: FmuVariable) -> bool:
+    assert variable.start is not None
+    unit = variable.unit.strip()
+    return (unit == "K" and variable.start > 200.0) or unit in ("degC", "°C")
+
+
+def _clipped(bounds: Bounds, start: float, low: float | None, high: float | None) -> Bounds:
+    """Keep proposed bounds inside the FMU's, as long as the start value is inside as well."""
+    lower, upper, why = _short(bounds.lower), _short(bounds.upper), bounds.why
+    if low is not None and lower < low <= start < upper:
+        lower, why = low, f"{why}, not below the FMU's min"
+    if high is not None and lower < start <= high < upper:
+        upper, why = high, f"{why}, not above the FMU's max"
+    scale = "linear" if lower <= 0.0 else bounds.scale
+    return Bounds(lower, upper, scale, why)
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _round_step(seconds: float) -> float:
+    """Return the largest step of 1, 2 or 5 times a power of ten, or of whole minutes, that is not above."""
+    if seconds >= 60.0:
+        return max(step for step in (60.0, 300.0, 600.0, 900.0, 1800.0, 3600.0) if step <= seconds)
+    power = 10.0 ** math.floor(math.log10(seconds))
+    return max(m * power for m in (1.0, 2.0, 5.0) if m * power <= seconds * (1.0 + 1e-9))
