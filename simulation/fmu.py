@@ -1,30 +1,27 @@
-"""FmuModel: an FMI 2.0 co-simulation FMU as a forward model; the only module that runs an FMU."""
+"""FmuModel: an FMU as a forward model, run in this process."""
 
-import contextlib
-import ctypes
-import os
 import weakref
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
 
 import numpy as np
-from fmpy import fmi2
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.fmu_cosimulation import CoSimulation
 from simulation.fmu_description import FmuDescription, read_description
-from simulation.fmu_loop import FUNCTIONS, WARNING, simulate_row
+from simulation.fmu_instance import FmuInstance
+from simulation.fmu_plan import RunPlan, run_plan
+from simulation.fmu_restart import RestartingRunner
+from simulation.fmu_runner import Runner, Solver
+from simulation.fmu_start import Start
 from simulation.fmu_unpack import UnpackedFmu
+from simulation.fmu_variable import Interface
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.trajectories import Trajectories
-
-_STATUS: Final = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
-_FATAL: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +30,18 @@ class FmuSettings:
 
     Attributes:
         path: The FMU.
-        parameter_space: The parameters, by the FMU's names and in the declared units.
+        parameter_space: The parameters, by the FMU's names and in its units.
         scenario: Inputs and times.
         output_names: The FMU's output variables.
         output_offsets: Added to the FMU's outputs, for instance -273.15 from K to degC. Shape (k,).
-        output_factors: The FMU's outputs are multiplied by it before; None for 1 throughout. Shape (k,).
-        parameter_factors: From a parameter's declared unit to the FMU's; None for 1 throughout. Shape (p,).
-        parameter_offsets: Added after that; None for 0 throughout. Shape (p,). [FMU's units]
-        fixed: FMU parameters held at a value, in the FMU's units.
+        fixed: FMU parameters of any type held at a value, in the FMU's units.
+        interface: How the FMU is driven.
+        relative_tolerance: Of the solver; None for the FMU's own.
+        accepted: Band outside of which an output makes its row a failed one, None for no band. Shape (k, 2).
+            [declared output units]
+        shared_warmup: Whether the warm-up is simulated once, with warmup_theta, and every row starts from the
+            state at its end.
+        warmup_theta: Parameters of that warm-up. Shape (p,). [model's units]
     """
 
     path: Path
@@ -48,27 +49,22 @@ class FmuSettings:
     scenario: Scenario
     output_names: tuple[str, ...]
     output_offsets: FloatArray
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    output_factors: FloatArray | None = None
-    parameter_factors: FloatArray | None = None
-    parameter_offsets: FloatArray | None = None
+    fixed: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    interface: Interface = "co-simulation"
+    relative_tolerance: float | None = None
+    accepted: FloatArray | None = None
+    shared_warmup: bool = False
+    warmup_theta: FloatArray | None = None
 
     def __post_init__(self) -> None:
         both = [name for name in self.fixed if name in self.parameter_space.names]
         if both:
             raise InputError(f"{self.path}: {both[0]} is both fixed and calibrated; drop one of the two")
-
-    def parameters_for_fmu(self, theta: FloatArray) -> FloatArray:
-        """Convert parameters to the FMU's units. Shape (n, p) or (p,)."""
-        if self.parameter_factors is not None:
-            theta = theta * self.parameter_factors
-        return theta if self.parameter_offsets is None else theta + self.parameter_offsets
-
-    def outputs_from_fmu(self, y: FloatArray) -> None:
-        """Convert outputs to the declared units, in place. Shape (..., k)."""
-        if self.output_factors is not None:
-            y *= self.output_factors
-        y += self.output_offsets
+        k, p = len(self.output_names), self.parameter_space.n_parameters
+        if self.accepted is not None and self.accepted.shape != (k, 2):
+            raise ValueError(f"accepted has shape {self.accepted.shape}; expected {(k, 2)}")
+        if self.shared_warmup and (self.warmup_theta is None or self.warmup_theta.shape != (p,)):
+            raise ValueError(f"a shared warm-up needs warmup_theta of shape {(p,)}")
 
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the picklable recipe that worker processes are given."""
@@ -76,10 +72,11 @@ class FmuSettings:
 
 
 class FmuModel:
-    """A co-simulation FMU that answers parameter rows.
+    """An FMU that answers parameter rows.
 
-    One instance lives as long as the model and is reset between rows (a fresh one costs tens of times as
-    much, and processes die after about a thousand). Not for use from several threads at once.
+    One instance lives as long as the model and is started over between rows (a fresh one costs tens of times
+    as much, and processes die after about a thousand). Not for use from several threads at once. The FMU's
+    code runs in this process, and takes it along when it crashes: ParallelModel keeps it in others.
     """
 
     def __init__(self, settings: FmuSettings) -> None:
@@ -92,22 +89,27 @@ class FmuModel:
             InputError: If the FMU cannot be opened or does not have the variables.
         """
         self._settings = settings
+        scenario = settings.scenario
         description = read_description(settings.path)
-        space, scenario = settings.parameter_space, settings.scenario
-        self._parameter_references = _references(description, [*settings.fixed, *space.names], "parameter")
-        self._input_references = _references(description, scenario.input_names, "input")
-        self._output_references = _references(description, settings.output_names, "output")
-        self._fixed = np.array(list(settings.fixed.values()), dtype=np.float64)
-        self._inputs = np.ascontiguousarray(scenario.inputs, dtype=np.float64)
-        self._edges = np.ascontiguousarray(scenario.time_communication, dtype=np.float64)
+        description.interface(settings.interface, str(settings.path))
+        plan = run_plan(
+            description,
+            scenario,
+            calibrated=settings.parameter_space.names,
+            fixed=settings.fixed,
+            outputs=settings.output_names,
+            tolerance=settings.relative_tolerance,
+        )
+        # The warm-up is simulated into rows that are not handed out.
+        self._y_simulated = np.empty((plan.n_simulated, len(settings.output_names)))
         unpacked = UnpackedFmu(settings.path)
         try:
-            self._instance = _Instance(description, unpacked.folder)
+            self._runner = _runner(settings, description, plan, unpacked.folder)
         except BaseException:
             unpacked.remove()
             raise
         # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
-        self._finalizer = weakref.finalize(self, _close, self._instance, unpacked)
+        self._finalizer = weakref.finalize(self, _close, self._runner, unpacked)
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -132,51 +134,61 @@ class FmuModel:
 
         Returns:
             The trajectories. y of shape (n, t, k). [declared output units]
+
+        Raises:
+            NeedsFreshProcess: If the FMU cannot go on in this process; the answers so far are lost.
+        """
+        theta = np.asarray(theta, dtype=np.float64)
+        failures = [""] * len(theta)
+        y = np.empty((len(theta), len(self.time), len(self.output_names)))
+        self.simulate_into(theta, y, before=_nothing, after=failures.__setitem__)
+        return Trajectories(
+            np.array(theta), y, self.time, self.parameter_space.names, self.output_names, tuple(failures)
+        )
+
+    def simulate_into(
+        self,
+        theta: FloatArray,
+        y: FloatArray,
+        *,
+        before: Callable[[int], None],
+        after: Callable[[int, str], None],
+    ) -> None:
+        """Simulate row after row into an array, telling of each when it starts and when it is done.
+
+        Args:
+            theta: Parameters. Shape (n, p). [model's units]
+            y: Filled with the outputs; NaN throughout in failed rows. Shape (n, t, k).
+                [declared output units]
+            before: Called with the row's number just before it starts.
+            after: Called with the row's number and why it failed ("" when it is good) once its y is complete.
+
+        Raises:
+            NeedsFreshProcess: If the row last told of by before() can only be answered by another process.
         """
         if not self._finalizer.alive:
             raise ValueError("the model is closed; open it again")
-        theta = np.asarray(theta, dtype=np.float64)
         if theta.ndim != 2 or theta.shape[1] != self.parameter_space.n_parameters:
             raise ValueError(
                 f"theta has shape {theta.shape}; expected (n, {self.parameter_space.n_parameters})"
             )
-        scenario = self._settings.scenario
-        y = np.full((len(theta), len(scenario.time_simulated), len(self.output_names)), np.nan)
-        # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
-        failures = [
-            self._simulate_row(row, y[i]) if np.isfinite(row).all() else "" for i, row in enumerate(theta)
-        ]
-        self._settings.outputs_from_fmu(y)
-        return Trajectories.checked(
-            theta,
-            y[:, scenario.n_warmup :],
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-            failures=failures,
-        )
+        for i, row in enumerate(np.ascontiguousarray(theta, dtype=np.float64)):
+            before(i)
+            after(i, self._simulate_row(row, y[i]))
 
     def _simulate_row(self, row: FloatArray, y: FloatArray) -> str:
         """Fill y with one row's outputs; return why it failed, "" when it did not."""
-        _MESSAGES.clear()
-        status, stage, step = simulate_row(
-            self._instance.functions,
-            self._instance.component,
-            self._parameter_references,
-            np.concatenate([self._fixed, self._settings.parameters_for_fmu(row)]),
-            self._input_references,
-            self._inputs,
-            self._output_references,
-            self._edges,
-            self._settings.scenario.output_every,
-            y,
-        )
-        if status <= WARNING:
-            return ""
-        said = f": {_MESSAGES[-1]}" if _MESSAGES else ""
-        name = _STATUS[status] if status < len(_STATUS) else f"status {status}"
-        self._instance.recover(fatal=status >= _FATAL)
-        return f"{FUNCTIONS[stage]} returned {name} at {self._edges[step]:g} s{said}"
+        settings = self._settings
+        reason = _wrong_number(settings.parameter_space.names, row)
+        if not reason:
+            # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
+            reason = self._runner.run(row, self._y_simulated)
+        if not reason:
+            np.add(self._y_simulated[settings.scenario.n_warmup :], settings.output_offsets, out=y)
+            reason = _wrong_output(settings, y)
+        if reason:
+            y[:] = np.nan
+        return reason
 
     def close(self) -> None:
         """Free the instance and remove the unpacked folder; closing twice does no harm."""
@@ -196,84 +208,52 @@ class FmuModel:
         self.close()
 
 
-class _Instance:
-    """One FMU instance through fmpy's loader, and the addresses of its functions."""
-
-    def __init__(self, description: FmuDescription, folder: Path) -> None:
-        self._path = description.path
-        # Loading changes the working directory, and fmpy leaves it changed when loading fails.
-        before = Path.cwd()
-        try:
-            self._slave: Any = fmi2.FMU2Slave(
-                guid=description.guid,
-                modelIdentifier=description.model_identifier,
-                unzipDirectory=str(folder),
-            )
-            library = self._slave.dll
-            addresses = [ctypes.cast(getattr(library, name), ctypes.c_void_p).value for name in FUNCTIONS]
-        except Exception as error:
-            raise InputError(f"{self._path}: cannot be loaded ({' '.join(str(error).split())})") from None
-        finally:
-            os.chdir(before)
-        self.functions = np.array(addresses, dtype=np.intp)
-        self._fresh()
-
-    def _fresh(self) -> None:
-        _MESSAGES.clear()
-        try:
-            self._slave.instantiate(callbacks=_CALLBACKS)
-        except Exception:
-            said = f" ({_MESSAGES[-1]})" if _MESSAGES else ""
+def _runner(settings: FmuSettings, description: FmuDescription, plan: RunPlan, folder: Path) -> Runner:
+    """Load the FMU and choose what drives it."""
+    instance = FmuInstance(description, settings.interface, folder)
+    try:
+        start = Start(instance, plan, str(settings.path))
+        solver: Solver
+        if settings.interface == "co-simulation":
+            solver = CoSimulation(instance, plan, start)
+        else:
             raise InputError(
-                f"{self._path}: the FMU refuses to be instantiated{said}; try it in another FMI tool"
-            ) from None
-        self.component = int(getattr(self._slave.component, "value", self._slave.component))
-
-    def recover(self, *, fatal: bool) -> None:
-        """Replace the instance after a failed row: not every FMU can be reset out of an error."""
-        # After fmi2Fatal the standard allows no call at all, not even to free the instance.
-        if not fatal:
-            self._slave.fmi2FreeInstance(self._slave.component)
-        self._fresh()
-
-    def free(self) -> None:
-        """Free the instance and unload the library."""
-        with contextlib.suppress(Exception):
-            self._slave.freeInstance()
+                f"{settings.path}: model exchange cannot be run yet; export it for co-simulation"
+            )
+    except BaseException:
+        instance.close()
+        raise
+    return RestartingRunner(instance, solver)
 
 
-def _close(instance: _Instance, unpacked: UnpackedFmu) -> None:
-    instance.free()
+def _close(runner: Runner, unpacked: UnpackedFmu) -> None:
+    runner.close()
     unpacked.remove()
 
 
-def _references(description: FmuDescription, names: Any, causality: str) -> Any:
-    where = str(description.path)
-    return np.array(
-        [description.require(name, causality, where).reference for name in names], dtype=np.uint32
-    )
+def _nothing(_row: int) -> None:
+    """Nobody is told."""
 
 
-# The last message of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one.
-_MESSAGES: deque[str] = deque(maxlen=1)
+def _wrong_number(names: tuple[str, ...], row: FloatArray) -> str:
+    finite = np.isfinite(row)
+    if finite.all():
+        return ""
+    column = int(np.argmin(finite))
+    return f"parameter {names[column]} is {row[column]}"
 
 
-def _remember(_environment: object, _name: object, status: int, _category: object, message: bytes) -> None:
-    if status > WARNING and message:
-        _MESSAGES.append(" ".join(message.decode("utf-8", "replace").split()))
-
-
-def _callbacks() -> Any:
-    callbacks: Any = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_remember)
-    callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
-    callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-    # The proxy fills in the message's printf arguments; where there is none, they stay raw.
-    with contextlib.suppress(Exception):
-        from fmpy.logging import addLoggerProxy
-
-        addLoggerProxy(ctypes.byref(callbacks))
-    return callbacks
-
-
-_CALLBACKS: Final = _callbacks()
+def _wrong_output(settings: FmuSettings, y: FloatArray) -> str:
+    """Say which output is no number or outside its band first, "" for none. y of shape (t, k)."""
+    wrong = ~np.isfinite(y)
+    outside = np.zeros_like(wrong)
+    if settings.accepted is not None:
+        outside = (y < settings.accepted[:, 0]) | (y > settings.accepted[:, 1])
+    if not (wrong.any() or outside.any()):
+        return ""
+    step, column = np.argwhere(wrong | outside)[0]
+    name, value, time = settings.output_names[column], y[step, column], settings.scenario.time[step]
+    if wrong[step, column] or settings.accepted is None:
+        return f"output {name} is {value} at {time:g} s"
+    low, high = settings.accepted[column]
+    return f"output {name} is {value:.6g} at {time:g} s, outside the accepted {low:g} to {high:g}"

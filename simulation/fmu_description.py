@@ -1,70 +1,64 @@
-"""What an FMU says about itself: variables, units, binaries; read without unpacking it."""
+"""What an FMU says about itself: variables, units, interfaces, binaries; read without unpacking it."""
 
 import difflib
 import hashlib
 import io
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import fmpy
 
 from simulation.errors import InputError
+from simulation.fmu_variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
 
-
-@dataclass(frozen=True)
-class FmuVariable:
-    """One variable of the model description.
-
-    Attributes:
-        name: Name.
-        reference: Value reference.
-        causality: "parameter", "input", "output", "local", ...
-        kind: "Real", "Integer", "Boolean", "String" or "Enumeration".
-        unit: Declared unit, "" for none.
-        start: Start value, None when it has none or is no number. [unit]
-        minimum: Declared minimum, None for none. [unit]
-        maximum: Declared maximum, None for none. [unit]
-        description: What the variable means, "" for nothing said.
-    """
-
-    name: str
-    reference: int
-    causality: str
-    kind: str
-    unit: str
-    start: float | None
-    minimum: float | None
-    maximum: float | None
-    description: str
+# Folder of this platform's binaries, by FMI version.
+PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
 
 
 @dataclass(frozen=True)
 class FmuDescription:
-    """The part of a model description that a co-simulation needs.
+    """What a model description says, as far as running the FMU needs it.
 
     Attributes:
         path: The FMU.
         guid: Identity that ties the description to the binary.
-        model_identifier: Name of the binary.
         model_name: Name of the model.
         generation_tool: Tool that made the FMU, "" for nothing said.
         sha256: SHA-256 of the FMU's bytes, in hexadecimal.
         platforms: Platforms the FMU has a binary for.
         variables: All variables by name.
+        fmi_version: "2.0" or "3.0".
+        interfaces: Interfaces by name, "co-simulation" or "model-exchange"; at least one.
+        default_experiment: What it suggests for a simulation.
+        states: Names of the continuous states (model exchange), in the order of the FMU.
+        derivatives: Names of their derivatives, in the same order.
+        n_event_indicators: Functions whose change of sign is an event (model exchange).
+        description: What the model is, "" for nothing said.
     """
 
     path: Path
     guid: str
-    model_identifier: str
     model_name: str
     generation_tool: str
     sha256: str
     platforms: tuple[str, ...]
     variables: Mapping[str, FmuVariable]
+    fmi_version: FmiVersion
+    interfaces: Mapping[str, FmuInterface]
+    default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
+    states: tuple[str, ...] = ()
+    derivatives: tuple[str, ...] = ()
+    n_event_indicators: int = 0
+    description: str = ""
+
+    @property
+    def model_identifier(self) -> str:
+        """Name of the binary of the first interface."""
+        return next(iter(self.interfaces.values())).model_identifier
 
     @cached_property
     def _names_by_causality(self) -> dict[str, list[str]]:
@@ -84,12 +78,33 @@ class FmuDescription:
         """
         return tuple(self._names_by_causality.get(causality, []))
 
+    def interface(self, name: str, where: str) -> FmuInterface:
+        """Find an interface.
+
+        Args:
+            name: "co-simulation" or "model-exchange".
+            where: What asks for it, for the message.
+
+        Returns:
+            The interface.
+
+        Raises:
+            InputError: If the FMU does not have it.
+        """
+        if name in self.interfaces:
+            return self.interfaces[name]
+        other = next(iter(self.interfaces))
+        raise InputError(
+            f"{where}: {self.path.name} has no {name} interface; "
+            f'write interface = "{other}" in the case file, or export it for {name}'
+        )
+
     def require(self, name: str, causality: str, where: str) -> FmuVariable:
-        """Find a Real variable of a given causality.
+        """Find a real scalar of a given causality.
 
         Args:
             name: Name of the variable.
-            causality: What it must be.
+            causality: What it must be; a "parameter" may also be a start value (an initial state).
             where: What asks for it, for the message.
 
         Returns:
@@ -97,6 +112,29 @@ class FmuDescription:
 
         Raises:
             InputError: If there is none of this name, or it is something else.
+        """
+        variable = self.find(name, causality, where)
+        if variable.kind not in REAL_KINDS:
+            remedy = "hold it under [fixed]" if causality == "parameter" else "choose another"
+            numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
+            raise InputError(
+                f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
+            )
+        return variable
+
+    def find(self, name: str, causality: str, where: str) -> FmuVariable:
+        """Find a scalar of any type and a given causality.
+
+        Args:
+            name: Name of the variable.
+            causality: What it must be; a "parameter" may also be a structural one or a start value.
+            where: What asks for it, for the message.
+
+        Returns:
+            The variable.
+
+        Raises:
+            InputError: If there is none of this name, it has another causality, or it is an array.
         """
         variable = self.variables.get(name)
         if variable is None:
@@ -107,28 +145,48 @@ class FmuDescription:
                 close = [by_lower[name.lower()]] if name.lower() in by_lower else []
             hint = f"did you mean {close[0]}?" if close else f"its {causality}s: {_listed(candidates)}"
             raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
-        if variable.causality != causality:
+        settable = causality == "parameter" and (
+            variable.is_start_value or variable.causality == "structuralParameter"
+        )
+        if variable.causality != causality and not settable:
             raise InputError(
                 f"{where}: {name} is a {variable.causality} of {self.path.name}, not its {causality}; "
                 f"choose one of: {_listed(self.names(causality))}"
             )
-        if variable.kind != "Real":
-            raise InputError(f"{where}: {name} is of type {variable.kind}; only Real variables can be used")
+        if variable.shape:
+            size = " x ".join(map(str, variable.shape))
+            raise InputError(
+                f"{where}: {name} is an array ({size}) of {self.path.name}; "
+                "choose another, only scalars can be used"
+            )
         return variable
 
 
+def binary_member(fmi_version: str, model_identifier: str) -> str:
+    """Name the archive member that is the binary for this platform.
+
+    Args:
+        fmi_version: "2.0" or "3.0".
+        model_identifier: Name of the binary.
+
+    Returns:
+        Its path in the FMU.
+    """
+    return f"binaries/{PLATFORM_FOLDERS[fmi_version]}/{model_identifier}{fmpy.sharedLibraryExtension}"
+
+
 def read_description(path: Path) -> FmuDescription:
-    """Read the model description of an FMI 2.0 co-simulation FMU.
+    """Read the model description of an FMI 2.0 or 3.0 FMU.
 
     Args:
         path: The FMU.
 
     Returns:
-        Its description.
+        Its description, with the interfaces that can be run on this platform.
 
     Raises:
-        InputError: If the file is missing, no FMU, of another FMI version, without co-simulation, or has no
-            binary for this platform.
+        InputError: If the file is missing, no FMU, of another FMI version, without co-simulation and model
+            exchange, or has no binary for this platform.
     """
     try:
         content = path.read_bytes()
@@ -148,51 +206,97 @@ def read_description(path: Path) -> FmuDescription:
     except Exception as error:  # fmpy raises plain exceptions of many kinds
         said = " ".join(str(error).split())
         raise InputError(f"{path}: its modelDescription.xml is not valid ({said}); export it again") from None
-    if model.fmiVersion != "2.0":
-        raise InputError(f"{path}: speaks FMI {model.fmiVersion}; export it as FMI 2.0 co-simulation")
-    if model.coSimulation is None:
-        raise InputError(f"{path}: has no co-simulation interface; export it as FMI 2.0 co-simulation")
-    identifier = str(model.coSimulation.modelIdentifier)
-    platforms = tuple(
-        sorted(
-            {
-                part[1]
-                for part in (name.split("/") for name in members)
-                if part[0] == "binaries" and len(part) > 2
-            }
-        )
-    )
-    binary = f"binaries/{fmpy.platform}/{identifier}{fmpy.sharedLibraryExtension}"
-    if binary not in members:
-        held = f"it has one for {', '.join(platforms)}" if platforms else "it has none at all"
+    version = _version(path, str(model.fmiVersion))
+    declared = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
+    interfaces = {name: _interface(one) for name, one in declared.items() if one is not None}
+    if not interfaces:
         raise InputError(
-            f"{path}: no binary for this platform ({binary} is missing, {held}); "
-            f"export or compile it for {fmpy.platform}"
+            f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
         )
+    platforms = {
+        name.split("/")[1] for name in members if name.startswith("binaries/") and name.count("/") > 1
+    }
+    binaries = {name: binary_member(version, one.model_identifier) for name, one in interfaces.items()}
+    runnable = {name: one for name, one in interfaces.items() if binaries[name] in members}
+    if not runnable:
+        held = f"it has one for {', '.join(sorted(platforms))}" if platforms else "it has none at all"
+        raise InputError(
+            f"{path}: no binary for this platform ({next(iter(binaries.values()))} is missing, {held}); "
+            f"export or compile it for {PLATFORM_FOLDERS[version]}"
+        )
+    derivatives = [unknown.variable for unknown in model.derivatives]
+    experiment = model.defaultExperiment
     return FmuDescription(
         path=path,
         guid=str(model.guid),
-        model_identifier=identifier,
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        platforms=platforms,
+        platforms=tuple(sorted(platforms)),
         variables={str(variable.name): _variable(variable) for variable in model.modelVariables},
+        fmi_version=version,
+        interfaces=runnable,
+        default_experiment=DefaultExperiment()
+        if experiment is None
+        else DefaultExperiment(
+            start_s=_number(experiment.startTime),
+            stop_s=_number(experiment.stopTime),
+            step_s=_number(experiment.stepSize),
+            tolerance=_number(experiment.tolerance),
+        ),
+        states=tuple(str(one.derivative.name) for one in derivatives if one.derivative is not None),
+        derivatives=tuple(str(one.name) for one in derivatives if one.derivative is not None),
+        n_event_indicators=len(model.eventIndicators)
+        if version == "3.0"
+        else int(model.numberOfEventIndicators),
+        description=str(model.description or ""),
+    )
+
+
+def _version(path: Path, said: str) -> FmiVersion:
+    if said == "2.0":
+        return "2.0"
+    # 3.0.1 and 3.0.2 are corrections of the text.
+    if said.split(".")[:2] == ["3", "0"]:
+        return "3.0"
+    raise InputError(f"{path}: speaks FMI {said}; export it as FMI 2.0 or 3.0")
+
+
+def _interface(declared: Any) -> FmuInterface:
+    return FmuInterface(
+        model_identifier=str(declared.modelIdentifier),
+        can_get_and_set_state=bool(declared.canGetAndSetFMUstate),
+        provides_directional_derivatives=bool(declared.providesDirectionalDerivative),
+        can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
+        needs_execution_tool=bool(declared.needsExecutionTool),
+        can_handle_variable_step=bool(getattr(declared, "canHandleVariableCommunicationStepSize", False)),
+        has_event_mode=bool(getattr(declared, "hasEventMode", False)),
+        internal_step_s=_number(getattr(declared, "fixedInternalStepSize", None)),
     )
 
 
 def _variable(variable: Any) -> FmuVariable:
     declared = variable.declaredType
+    causality = str(variable.causality or "local")
     return FmuVariable(
         name=str(variable.name),
         reference=int(variable.valueReference),
-        causality=str(variable.causality or "local"),
+        causality=causality,
         kind=str(variable.type),
         unit=str(variable.unit or (declared.unit if declared is not None else None) or ""),
         start=_number(variable.start),
         minimum=_number(variable.min or (declared.min if declared is not None else None)),
         maximum=_number(variable.max or (declared.max if declared is not None else None)),
         description=str(variable.description or ""),
+        variability=str(variable.variability or ("fixed" if causality == "parameter" else "continuous")),
+        initial=str(variable.initial or ""),
+        start_text="" if variable.start is None else str(variable.start),
+        shape=tuple(int(size) for size in variable.shape or ()),
+        items={
+            str(item.name): int(item.value)
+            for item in (declared.items if declared is not None else [])
+            if item.value is not None
+        },
     )
 
 

@@ -1,0 +1,53 @@
+"""Calls of C functions by their address, compiled by numba without the interpreter.
+
+Addresses arrive as integers, so the machine code depends on no FMU and lies in numba's cache on disk: beside
+the module, or in the user's cache folder where the package is read-only.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile a function without the interpreter's lock, from the cache on disk where there can be one.
+
+    Args:
+        function: The function.
+
+    Returns:
+        The compiled function.
+    """
+    try:
+        loop: Any = njit(cache=True, nogil=True)(function)
+    except RuntimeError:
+        # numba found no folder to cache in (read-only package, no writable home): compile in every process.
+        loop = njit(nogil=True)(function)
+    return cast(_Function, loop)
+
+
+def _call_status(typing_context: Any, address: Any, arguments: Any) -> Any:
+    """Call a C function that returns a status; each item of the tuple has exactly its C type's width.
+
+    A C bool is passed as an int32 of 0 or 1: either fills one register, with zeros above.
+    """
+    signature = types.int32(types.intp, arguments)
+
+    def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+        target, packed = values
+        argument_types = [context.get_value_type(kind) for kind in arguments]
+        function_type = ir.FunctionType(ir.IntType(32), argument_types)
+        function = builder.inttoptr(target, function_type.as_pointer())
+        unpack: Any = cgutils.unpack_tuple
+        return builder.call(function, unpack(builder, packed, len(argument_types)))
+
+    return signature, generate
+
+
+call_status: Any = intrinsic(_call_status)

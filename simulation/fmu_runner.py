@@ -1,0 +1,54 @@
+"""What runs rows on an FMU: the promises between the model, the ways to start over and the solvers."""
+
+from typing import Protocol
+
+from simulation.arrays import FloatArray
+
+
+class NeedsFreshProcess(RuntimeError):  # noqa: N818 (says what is to be done, not what went wrong)
+    """The row at hand cannot be simulated in this process, and could be in a new one.
+
+    Raised where an FMU ended with a fatal error (the standard then calls every instance of the process
+    corrupt), where it refuses a second instance, or where not even a second instance answers like the first.
+    No result was handed out for the row; rows before it are good. Whoever supervises the process ends it,
+    starts another and hands it the row again: the first row of a process never raises this.
+    """
+
+
+class Runner(Protocol):
+    """Answers one row after the other, each as if it were the first."""
+
+    def run(self, values: FloatArray, y: FloatArray) -> str:
+        """Simulate one row.
+
+        Args:
+            values: The calibrated parameters. Shape (p,). [FMU's units]
+            y: Filled with the outputs, contiguous. Shape (n_warmup + t, k). [FMU's units]
+
+        Returns:
+            Why the row failed, in one line; "" when it is good.
+
+        Raises:
+            NeedsFreshProcess: If only another process can answer this row.
+        """
+        ...
+
+    def close(self) -> None:
+        """Free the FMU; closing twice does no harm."""
+        ...
+
+
+class Solver(Protocol):
+    """Takes an instance that is as if just instantiated through one row, by one interface."""
+
+    def solve(self, values: FloatArray, y: FloatArray) -> str:
+        """Set the parameters, initialize, and step to the end.
+
+        Args:
+            values: The calibrated parameters. Shape (p,). [FMU's units]
+            y: Filled with the outputs, contiguous. Shape (n_warmup + t, k). [FMU's units]
+
+        Returns:
+            Why the row failed, in one line; "" when it is good. After a failure the instance is replaced.
+        """
+        ...
