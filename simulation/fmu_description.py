@@ -38,6 +38,7 @@ class FmuDescription:
         derivatives: Names of their derivatives, in the same order.
         n_event_indicators: Functions whose change of sign is an event (model exchange).
         description: What the model is, "" for nothing said.
+        complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
     """
 
     path: Path
@@ -54,6 +55,7 @@ class FmuDescription:
     derivatives: tuple[str, ...] = ()
     n_event_indicators: int = 0
     description: str = ""
+    complaint: str = ""
 
     @property
     def model_identifier(self) -> str:
@@ -200,12 +202,7 @@ def read_description(path: Path) -> FmuDescription:
         raise InputError(f"{path}: not an FMU ({error}); export it again, an FMU is a zip archive") from None
     if "modelDescription.xml" not in members:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
-    try:
-        # From memory: fmpy leaves the file open when the description is not valid.
-        model: Any = fmpy.read_model_description(io.BytesIO(content))
-    except Exception as error:  # fmpy raises plain exceptions of many kinds
-        said = " ".join(str(error).split())
-        raise InputError(f"{path}: its modelDescription.xml is not valid ({said}); export it again") from None
+    model, complaint = _read_model(path, content)
     version = _version(path, str(model.fmiVersion))
     declared = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
     interfaces = {name: _interface(one) for name, one in declared.items() if one is not None}
@@ -250,7 +247,20 @@ def read_description(path: Path) -> FmuDescription:
         if version == "3.0"
         else int(model.numberOfEventIndicators),
         description=str(model.description or ""),
+        complaint=complaint,
     )
+
+
+def _read_model(path: Path, content: bytes) -> tuple[Any, str]:
+    """Read the description; where it breaks rules of the standard but is complete, say which rules."""
+    complaint = ""
+    for validate in (True, False):
+        try:
+            # From memory: fmpy leaves the file open when the description is not valid.
+            return fmpy.read_model_description(io.BytesIO(content), validate=validate), complaint
+        except Exception as error:  # fmpy raises plain exceptions of many kinds
+            complaint = complaint or " ".join(str(error).split())
+    raise InputError(f"{path}: its modelDescription.xml is not valid ({complaint}); export it again")
 
 
 def _version(path: Path, said: str) -> FmiVersion:
