@@ -30,7 +30,7 @@ class FmuSettings:
 
     Attributes:
         path: The FMU.
-        parameter_space: The parameters, by the FMU's names and in its units.
+        parameter_space: The parameters, by the FMU's names, in the declared units.
         scenario: Inputs and times.
         output_names: The FMU's output variables.
         output_offsets: Added to the FMU's outputs, for instance -273.15 from K to degC. Shape (k,).
@@ -41,7 +41,10 @@ class FmuSettings:
             [declared output units]
         shared_warmup: Whether the warm-up is simulated once, with warmup_theta, and every row starts from the
             state at its end.
-        warmup_theta: Parameters of that warm-up. Shape (p,). [model's units]
+        warmup_theta: Parameters of that warm-up. Shape (p,). [declared units]
+        output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
+        parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
+        parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
     """
 
     path: Path
@@ -55,6 +58,9 @@ class FmuSettings:
     accepted: FloatArray | None = None
     shared_warmup: bool = False
     warmup_theta: FloatArray | None = None
+    output_factors: FloatArray | None = None
+    parameter_factors: FloatArray | None = None
+    parameter_offsets: FloatArray | None = None
 
     def __post_init__(self) -> None:
         both = [name for name in self.fixed if name in self.parameter_space.names]
@@ -65,6 +71,12 @@ class FmuSettings:
             raise ValueError(f"accepted has shape {self.accepted.shape}; expected {(k, 2)}")
         if self.shared_warmup and (self.warmup_theta is None or self.warmup_theta.shape != (p,)):
             raise ValueError(f"a shared warm-up needs warmup_theta of shape {(p,)}")
+
+    def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
+        """Convert a row from the declared units to the FMU's. Shape (p,)."""
+        if self.parameter_factors is not None:
+            row = row * self.parameter_factors
+        return row if self.parameter_offsets is None else row + self.parameter_offsets
 
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the picklable recipe that worker processes are given."""
@@ -182,9 +194,12 @@ class FmuModel:
         reason = _wrong_number(settings.parameter_space.names, row)
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
-            reason = self._runner.run(row, self._y_simulated)
+            reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)
         if not reason:
-            np.add(self._y_simulated[settings.scenario.n_warmup :], settings.output_offsets, out=y)
+            simulated = self._y_simulated[settings.scenario.n_warmup :]
+            if settings.output_factors is not None:
+                simulated = np.multiply(simulated, settings.output_factors, out=y)
+            np.add(simulated, settings.output_offsets, out=y)
             reason = _wrong_output(settings, y)
         if reason:
             y[:] = np.nan
@@ -215,11 +230,12 @@ def _runner(settings: FmuSettings, description: FmuDescription, plan: RunPlan, f
         start = Start(instance, plan, str(settings.path))
         solver: Solver
         if settings.interface == "co-simulation":
-            solver = CoSimulation(instance, plan, start)
+            solver = CoSimulation(instance, plan, start, str(settings.path))
         else:
-            raise InputError(
-                f"{settings.path}: model exchange cannot be run yet; export it for co-simulation"
-            )
+            # Here, because it loads CVODE and compiles its callbacks.
+            from simulation.fmu_exchange import ModelExchange
+
+            solver = ModelExchange(instance, plan, start, description=description)
     except BaseException:
         instance.close()
         raise
