@@ -10,10 +10,26 @@ from fmus.compiler.modelica import Check, FlatModel, Variable
 
 
 @dataclass(frozen=True)
-class Ode:
-    """Explicit form of a model: der(x) = derivative(t, x, u, p), y = output(t, x, u, p), x(0) = start(p).
+class Action:
+    """One branch of a when, see `events.Branch`; targets are states and discrete variables by their place.
 
-    All expressions are SX columns in the order of the variables.
+    Attributes:
+        when: Number of its when.
+        condition: True where not zero.
+        values: New value by the target's place among states and discrete variables.
+    """
+
+    when: int
+    condition: Any
+    values: dict[int, Any]
+
+
+@dataclass(frozen=True)
+class Ode:
+    """Explicit form of a model: der(x) = derivative(t, x, u, p), y = output(t, x, u, p), (x, d)(0) = start(p).
+
+    All expressions are SX columns in the order of the variables. What stands still between events is u: inputs,
+    discrete variables d, and truth values of the relations.
     """
 
     name: str
@@ -27,6 +43,16 @@ class Ode:
     output: Any
     start: Any
     checks: tuple[Check, ...]
+    discrete: tuple[Variable, ...]
+    truths: tuple[Any, ...]
+    margins: Any
+    relations: Any
+    actions: tuple[Action, ...]
+
+    @property
+    def has_events(self) -> bool:
+        """Whether anything happens at events."""
+        return bool(self.truths or self.actions)
 
     @property
     def x(self) -> Any:
@@ -35,8 +61,8 @@ class Ode:
 
     @property
     def u(self) -> Any:
-        """Inputs, a column."""
-        return column([v.symbol for v in self.inputs])
+        """Inputs, discrete variables and truth values, a column."""
+        return column([*(v.symbol for v in (*self.inputs, *self.discrete)), *self.truths])
 
     @property
     def p(self) -> Any:
@@ -91,11 +117,11 @@ def make_explicit(model: FlatModel) -> Ode:
         solved.update(zip(columns, solution, strict=True))
     n_states = len(model.states)
     algebraic = {v.name: solved[n_states + i] for i, v in enumerate(model.algebraics)}
-    declared = {v.name: v for v in (*model.algebraics, *model.states)}
+    declared = {v.name: v for v in (*model.algebraics, *model.states, *model.discrete)}
     for name in model.output_names:
         if name not in declared:
             raise CompileError(f"{model.name}: the output {name} is neither calculated nor a state")
-    values = {**algebraic, **{v.name: v.symbol for v in model.states}}
+    values = {**algebraic, **{v.name: v.symbol for v in (*model.states, *model.discrete)}}
     right_side = ca.cse(
         column([*(solved[i] for i in range(n_states)), *(values[name] for name in model.output_names)])
     )
@@ -109,8 +135,25 @@ def make_explicit(model: FlatModel) -> Ode:
         outputs=tuple(declared[name] for name in model.output_names),
         derivative=right_side[:n_states],
         output=right_side[n_states:],
-        start=column([v.start for v in model.states]),
+        start=column([v.start for v in (*model.states, *model.discrete)]),
         checks=model.checks,
+        discrete=model.discrete,
+        truths=model.truths,
+        margins=ca.cse(column([algebraic[name] for name in model.events.margins])),
+        relations=ca.cse(column([algebraic[name] for name in model.events.values])),
+        actions=_actions(model, algebraic),
+    )
+
+
+def _actions(model: FlatModel, algebraic: dict[str, Any]) -> tuple[Action, ...]:
+    places = {v.name: place for place, v in enumerate((*model.states, *model.discrete))}
+    return tuple(
+        Action(
+            branch.when,
+            algebraic[branch.condition],
+            {places[name]: algebraic[value] for name, value in branch.targets.items()},
+        )
+        for branch in model.events.branches
     )
 
 

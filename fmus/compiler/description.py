@@ -1,4 +1,4 @@
-"""Write modelDescription.xml."""
+"""Write modelDescription.xml, in FMI 2.0 and 3.0."""
 
 from collections.abc import Iterable
 from importlib.metadata import version
@@ -6,24 +6,24 @@ from xml.etree import ElementTree
 
 import casadi as ca
 
-from fmus.compiler.causal import Ode
+from fmus.compiler.causal import Ode, column
 from fmus.compiler.errors import CompileError
 from fmus.compiler.modelica import Variable
 from fmus.compiler.settings import BuildSettings
 from fmus.compiler.units import derivative_unit, parse_unit
 
-# The C sources in the order of their compilation; the headers lie beside them.
-SOURCE_FILES = ("fmi2.c", "integrate.c", "model.c")
+_INITIAL = {"initial": "calculated"}
 
 
 def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
     """Describe an FMU.
 
-    Value references and variables are in this order: states, their derivatives, inputs, parameters, outputs.
+    Value references and variables are in this order: states, their derivatives, inputs, parameters, outputs,
+    discrete variables; in FMI 3.0 then event indicators and the time.
 
     Args:
         ode: Explicit model.
-        settings: Names and default experiment.
+        settings: Names, version of FMI and default experiment.
         guid: GUID of the FMU.
 
     Returns:
@@ -32,33 +32,38 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
     Raises:
         CompileError: If a variable has no unit, or an unknown one.
     """
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=ode.name,
-        guid=guid,
-        description=ode.description,
-        generationTool=f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})",
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
+    return _fmi3(ode, settings, guid) if settings.fmi_version == "3.0" else _fmi2(ode, settings, guid)
+
+
+def write_build_description(settings: BuildSettings) -> str:
+    """Say how the sources of an FMI 3.0 FMU are compiled.
+
+    Args:
+        settings: Names.
+
+    Returns:
+        Text of buildDescription.xml.
+    """
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ElementTree.SubElement(
+        root, "BuildConfiguration", modelIdentifier=settings.identifier, description="Any C99 compiler"
     )
-    common = {
-        "modelIdentifier": settings.identifier,
-        "canNotUseMemoryManagementFunctions": "true",
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": "true",
-    }
-    exchange = ElementTree.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true")
-    simulation = ElementTree.SubElement(
-        root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"
-    )
-    for element in (exchange, simulation):
-        files = ElementTree.SubElement(element, "SourceFiles")
-        for name in SOURCE_FILES:
-            ElementTree.SubElement(files, "File", name=name)
-    variables = _variables(ode)
-    _unit_definitions(root, [attributes["unit"] for _, attributes in variables])
+    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
+    for name in settings.source_files:
+        ElementTree.SubElement(files, "SourceFile", name=name)
+    return _text(root)
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _tool() -> str:
+    return f"fmus.compiler (pymoca {version('pymoca')}, CasADi {version('casadi')})"
+
+
+def _log_and_experiment(root: ElementTree.Element, settings: BuildSettings) -> None:
     categories = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(categories, "Category", name="logStatusError", description="Every error")
     ElementTree.SubElement(
@@ -69,13 +74,108 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
         tolerance=repr(settings.tolerance),
         stepSize=repr(settings.step_size_s),
     )
+
+
+def _fmi2(ode: Ode, settings: BuildSettings, guid: str) -> str:
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=ode.name,
+        guid=guid,
+        description=ode.description,
+        generationTool=_tool(),
+        variableNamingConvention="structured",
+        numberOfEventIndicators=str(len(ode.truths)),
+    )
+    common = {
+        "modelIdentifier": settings.identifier,
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "true",
+    }
+    interfaces = [
+        ElementTree.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true")
+    ]
+    if not settings.model_exchange_only:
+        interfaces.append(
+            ElementTree.SubElement(
+                root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"
+            )
+        )
+    for element in interfaces:
+        files = ElementTree.SubElement(element, "SourceFiles")
+        for name in settings.source_files:
+            ElementTree.SubElement(files, "File", name=name)
+    variables = _variables(ode)
+    _unit_definitions(root, [attributes["unit"] for _, attributes in variables])
+    _log_and_experiment(root, settings)
     listed = ElementTree.SubElement(root, "ModelVariables")
     for reference, (scalar, real) in enumerate(variables):
         element = ElementTree.SubElement(listed, "ScalarVariable", scalar, valueReference=str(reference))
         ElementTree.SubElement(element, "Real", real)
-    _structure(root, ode)
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for tag, unknowns in _dependencies(ode).items():
+        parent = ElementTree.SubElement(structure, tag)
+        for reference, depends_on in unknowns:
+            dependencies = " ".join(str(known + 1) for known in depends_on if known != _time_reference(ode))
+            ElementTree.SubElement(parent, "Unknown", index=str(reference + 1), dependencies=dependencies)
+    return _text(root)
+
+
+def _fmi3(ode: Ode, settings: BuildSettings, guid: str) -> str:
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=ode.name,
+        instantiationToken=guid,
+        description=ode.description,
+        generationTool=_tool(),
+        variableNamingConvention="structured",
+    )
+    common = {
+        "modelIdentifier": settings.identifier,
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "true",
+    }
+    ElementTree.SubElement(root, "ModelExchange", common)
+    if not settings.model_exchange_only:
+        ElementTree.SubElement(root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true")
+    variables = _variables(ode)
+    _unit_definitions(root, [*(attributes["unit"] for _, attributes in variables), "s"])
+    _log_and_experiment(root, settings)
+    listed = ElementTree.SubElement(root, "ModelVariables")
+    for reference, (scalar, real) in enumerate(variables):
+        # FMI 2.0 refers to a state by its place in the list, FMI 3.0 by its value reference.
+        if "derivative" in real:
+            real = {**real, "derivative": str(int(real["derivative"]) - 1)}
+        ElementTree.SubElement(listed, "Float64", {**scalar, "valueReference": str(reference), **real})
+    first_indicator = len(variables)
+    for k in range(len(ode.truths)):
+        about = {"name": f"indicator[{k + 1}]", "valueReference": str(first_indicator + k)}
+        about |= {"description": "Margin of a condition", "causality": "local", **_INITIAL}
+        ElementTree.SubElement(listed, "Float64", about)
+    about = {"name": "time", "valueReference": str(_time_reference(ode)), "description": "Time"}
+    ElementTree.SubElement(listed, "Float64", about, causality="independent", unit="s")
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    tags = {
+        "Outputs": "Output",
+        "Derivatives": "ContinuousStateDerivative",
+        "InitialUnknowns": "InitialUnknown",
+    }
+    for tag, unknowns in _dependencies(ode).items():
+        for reference, depends_on in unknowns:
+            about = {"valueReference": str(reference), "dependencies": " ".join(map(str, depends_on))}
+            ElementTree.SubElement(structure, tags[tag], about)
+    for k in range(len(ode.truths)):
+        ElementTree.SubElement(structure, "EventIndicator", valueReference=str(first_indicator + k))
+    return _text(root)
+
+
+def _time_reference(ode: Ode) -> int:
+    n_rest = len(ode.inputs) + len(ode.parameters) + len(ode.outputs) + len(ode.discrete)
+    return 2 * len(ode.states) + n_rest + len(ode.truths)
 
 
 def _variables(ode: Ode) -> list[tuple[dict[str, str], dict[str, str]]]:
@@ -100,6 +200,8 @@ def _variables(ode: Ode) -> list[tuple[dict[str, str], dict[str, str]]]:
         rows.append(_scalar(variable, causality="parameter", variability="fixed", initial="exact"))
     for variable in ode.outputs:
         rows.append(_scalar(variable, causality="output", variability="continuous", initial="calculated"))
+    for variable in ode.discrete:
+        rows.append(_scalar(variable, causality="local", variability="discrete", initial="calculated"))
     if not ode.states:
         raise CompileError(f"{ode.name}: has no state; there is nothing to simulate")
     if len({scalar["name"] for scalar, _ in rows}) != len(rows):
@@ -133,26 +235,34 @@ def _unit_definitions(root: ElementTree.Element, units: Iterable[str]) -> None:
         ElementTree.SubElement(ElementTree.SubElement(definitions, "Unit", name=unit), "BaseUnit", attributes)
 
 
-def _structure(root: ElementTree.Element, ode: Ode) -> None:
-    """Dependencies: of derivatives and outputs on states and inputs, of initial values also on parameters."""
+def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
+    """Say what each unknown depends on, both by value reference.
+
+    Derivatives and outputs depend on states and inputs, initial values on inputs and parameters, all on time.
+    """
     n_states, n_inputs, n_parameters = len(ode.states), len(ode.inputs), len(ode.parameters)
-    states = [(i + 1, v.symbol) for i, v in enumerate(ode.states)]
-    inputs = [(2 * n_states + i + 1, v.symbol) for i, v in enumerate(ode.inputs)]
-    parameters = [(2 * n_states + n_inputs + i + 1, v.symbol) for i, v in enumerate(ode.parameters)]
-    first_output = 2 * n_states + n_inputs + n_parameters + 1
+    states = [(i, v.symbol) for i, v in enumerate(ode.states)]
+    inputs = [(2 * n_states + i, v.symbol) for i, v in enumerate(ode.inputs)]
+    parameters = [(2 * n_states + n_inputs + i, v.symbol) for i, v in enumerate(ode.parameters)]
+    time = (_time_reference(ode), ode.time)
+    first_output = 2 * n_states + n_inputs + n_parameters
     outputs = [(first_output + i, ode.output[i]) for i in range(len(ode.outputs))]
-    derivatives = [(n_states + i + 1, ode.derivative[i]) for i in range(n_states)]
+    derivatives = [(n_states + i, ode.derivative[i]) for i in range(n_states)]
     # At the start the states are themselves unknowns; what they depend on takes their place.
-    initial = [(i + 1, ode.start[i]) for i in range(n_states)]
+    initial = [(i, ode.start[i]) for i in range(n_states)]
+    truths, started = column(list(ode.truths)), column([v.symbol for v in (*ode.states, *ode.discrete)])
     for index, expression in (*derivatives, *outputs):
-        initial.append((index, ca.substitute(expression, ode.x, ode.start)))
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for tag, unknowns, knowns in (
-        ("Outputs", outputs, [*states, *inputs]),
-        ("Derivatives", derivatives, [*states, *inputs]),
-        ("InitialUnknowns", initial, [*inputs, *parameters]),
-    ):
-        parent = ElementTree.SubElement(structure, tag)
-        for index, expression in unknowns:
-            depends_on = " ".join(str(known) for known, symbol in knowns if ca.depends_on(expression, symbol))
-            ElementTree.SubElement(parent, "Unknown", index=str(index), dependencies=depends_on)
+        # A condition depends on whatever its margin does.
+        unfolded = ca.substitute(expression, truths, ode.margins) if ode.truths else expression
+        initial.append((index, ca.substitute(unfolded, started, ode.start)))
+    return {
+        tag: [
+            (index, [known for known, symbol in knowns if ca.depends_on(expression, symbol)])
+            for index, expression in unknowns
+        ]
+        for tag, unknowns, knowns in (
+            ("Outputs", outputs, [*states, *inputs, time]),
+            ("Derivatives", derivatives, [*states, *inputs, time]),
+            ("InitialUnknowns", initial, [*inputs, *parameters, time]),
+        )
+    }

@@ -1,4 +1,4 @@
-"""Read a Modelica model as flat equations in CasADi symbols; the only module that knows pymoca."""
+"""Read a Modelica model as flat equations in CasADi symbols, by pymoca."""
 
 import math
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from pymoca.backends.casadi import generator
 from pymoca.tree import flatten
 
 from fmus.compiler.errors import CompileError
+from fmus.compiler.events import EventNames, has_when, take_out_events
 
 # CasADi 3.8 dropped the Python 2 name of the division that pymoca 0.12 asks for.
 generator.OP_MAP["/"] = "__truediv__"
@@ -52,7 +53,11 @@ class Check:
 
 @dataclass(frozen=True)
 class FlatModel:
-    """Equations ``residual(time, states, derivatives, algebraics, inputs, parameters) = 0``, all SX."""
+    """Equations ``residual(time, states, derivatives, algebraics, inputs, parameters) = 0``, all SX.
+
+    With events, the equations also hold the discrete variables and the truth values of relations, which change
+    at events alone, and have more algebraic variables: those that `events` names.
+    """
 
     name: str
     description: str
@@ -65,9 +70,12 @@ class FlatModel:
     output_names: tuple[str, ...]
     residual: Any
     checks: tuple[Check, ...]
+    discrete: tuple[Variable, ...] = ()
+    truths: tuple[Any, ...] = ()
+    events: EventNames = EventNames()
 
 
-def read_model(sources: list[Path], class_name: str) -> FlatModel:
+def read_model(sources: list[Path], class_name: str, *, with_events: bool = False) -> FlatModel:
     """Read, flatten and resolve a model.
 
     Constants, parameters of components and parameters that are bound to expressions are replaced by what they
@@ -76,6 +84,7 @@ def read_model(sources: list[Path], class_name: str) -> FlatModel:
     Args:
         sources: Modelica files.
         class_name: Qualified class to read.
+        with_events: Whether relations make events. If not, each is looked at whenever the equations are.
 
     Returns:
         The flat model.
@@ -84,14 +93,21 @@ def read_model(sources: list[Path], class_name: str) -> FlatModel:
         CompileError: If the source does not parse, or leaves the subset that is understood.
     """
     symbols, description = _metadata(sources, class_name)
+    tree = _flatten(sources, class_name)
+    flat_class = tree.classes[class_name]
+    names = EventNames()
+    if with_events:
+        names = take_out_events(flat_class)
+    elif has_when(flat_class):
+        raise CompileError(f"{class_name}: has a when; write events = true into the build file")
     try:
-        raw = generator.generate(_parse(sources), class_name)
+        raw = _generate(tree, class_name)
     except Exception as error:  # pymoca raises whatever its walk runs into
         message = (
             f"{class_name}: pymoca cannot read it ({_first_line(error)}); keep to its subset of Modelica"
         )
         raise CompileError(message) from error
-    return _resolve(raw, class_name, symbols, description)
+    return _resolve(raw, class_name, symbols, description, names)
 
 
 def _first_line(error: Exception) -> str:
@@ -116,19 +132,30 @@ def _parse(sources: list[Path]) -> Any:
     return tree
 
 
-def _metadata(sources: list[Path], class_name: str) -> tuple[dict[str, Any], str]:
-    """Flatten once more for what pymoca's CasADi model leaves out: units and descriptions."""
+def _flatten(sources: list[Path], class_name: str) -> Any:
+    tree = _parse(sources)
     try:
-        flat = flatten(_parse(sources), ast.ComponentRef.from_string(class_name))
-    except CompileError:
-        raise
+        return flatten(tree, ast.ComponentRef.from_string(class_name))
     except Exception as error:
         raise CompileError(f"{class_name}: cannot be flattened ({_first_line(error)})") from error
-    flat_class = flat.classes[class_name]
+
+
+def _generate(flat_tree: Any, class_name: str) -> Any:
+    """Do what pymoca's `generate` does after flattening."""
+    writer = generator.Generator(flat_tree, class_name, generator._merge_default_options(None))
+    generator.GeneratorWalker().walk(writer, flat_tree)
+    return writer.model
+
+
+def _metadata(sources: list[Path], class_name: str) -> tuple[dict[str, Any], str]:
+    """Flatten once more for what pymoca's CasADi model leaves out: units and descriptions."""
+    flat_class = _flatten(sources, class_name).classes[class_name]
     return dict(flat_class.symbols), str(flat_class.comment or "")
 
 
-def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: str) -> FlatModel:
+def _resolve(
+    raw: Any, class_name: str, symbols: dict[str, Any], description: str, events: EventNames
+) -> FlatModel:
     """Turn pymoca's model into scalar SX expressions of time, states, inputs and free parameters."""
     if raw.initial_equations:
         raise CompileError(f"{class_name}: initial equations are not understood; use start with fixed=true")
@@ -170,12 +197,12 @@ def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: st
     def make(variable: Any, start: Any) -> Variable:
         name = variable.symbol.name()
         low, high = limit(variable.min), limit(variable.max)
-        symbol = symbols[name]
+        symbol = symbols.get(name)
         return Variable(
             name=name,
             symbol=by_name[name],
-            unit=str(symbol.unit.value or ""),
-            description=str(symbol.comment or ""),
+            unit=str(symbol.unit.value or "") if symbol else "",
+            description=str(symbol.comment or "") if symbol else "",
             minimum=low if math.isfinite(low) else None,
             maximum=high if math.isfinite(high) else None,
             start=start,
@@ -184,7 +211,11 @@ def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: st
     for state in raw.states:
         if not bool(float(ca.MX(state.fixed).to_DM() if isinstance(state.fixed, ca.MX) else state.fixed)):
             raise CompileError(f"{class_name}: the state {state.symbol.name()} needs start and fixed=true")
-    starts = substitute(convert([v.start for v in raw.states])) if raw.states else []
+    discrete = [v for v in raw.inputs if v.symbol.name() in events.discrete]
+    held = {*events.discrete, *events.truths}
+    with_start = [*raw.states, *discrete]
+    starts = substitute(convert([v.start for v in with_start])) if with_start else []
+    n_states = len(raw.states)
     checks = tuple(
         Check(name, replaced[name], str(symbols[name].unit.value or ""), limit(v.min), limit(v.max))
         for v in raw.parameters
@@ -199,16 +230,19 @@ def _resolve(raw: Any, class_name: str, symbols: dict[str, Any], description: st
         name=class_name,
         description=description,
         time=by_name[raw.time.name()],
-        states=tuple(make(v, start) for v, start in zip(raw.states, starts, strict=True)),
+        states=tuple(make(v, start) for v, start in zip(raw.states, starts[:n_states], strict=True)),
         derivatives=tuple(by_name[v.symbol.name()] for v in raw.der_states),
         algebraics=tuple(make(v, None) for v in raw.alg_states),
-        inputs=tuple(make(v, limit(v.start)) for v in raw.inputs),
+        inputs=tuple(make(v, limit(v.start)) for v in raw.inputs if v.symbol.name() not in held),
         parameters=tuple(
             make(v, _value(numbers[name], name)) for v in raw.parameters if (name := v.symbol.name()) in free
         ),
         output_names=tuple(raw.outputs),
         residual=substitute([ca.vertcat(*convert(raw.equations))])[0],
         checks=tuple(check for check in checks if not check.expression.is_constant()),
+        discrete=tuple(make(v, start) for v, start in zip(discrete, starts[n_states:], strict=True)),
+        truths=tuple(by_name[name] for name in events.truths),
+        events=events,
     )
 
 

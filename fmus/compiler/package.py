@@ -10,16 +10,20 @@ from pathlib import Path
 
 from fmus.compiler.causal import make_explicit
 from fmus.compiler.code import write_code, write_data
-from fmus.compiler.description import SOURCE_FILES, write_description
+from fmus.compiler.description import write_build_description, write_description
 from fmus.compiler.errors import CompileError
 from fmus.compiler.modelica import read_model
-from fmus.compiler.settings import read_settings
+from fmus.compiler.settings import BuildSettings, read_settings
 
 WRAPPER = Path(__file__).parent / "c"
 # No contraction and no build id: the same sources give the same numbers and the same file.
 COMPILER = ("gcc", "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden")
 LINKER = ("-Wl,--build-id=none", "-Wl,-s", "-lm")
-_FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+_FMI_HEADERS = {
+    "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+_BINARIES = {"2.0": "linux64", "3.0": "x86_64-linux"}
 # The earliest date that a ZIP entry can bear: a build has no time of its own.
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
@@ -39,20 +43,23 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
     """
     settings = read_settings(folder)
     modelica = sorted(folder.glob("*.mo"))
-    ode = make_explicit(read_model(modelica, settings.model))
+    ode = make_explicit(read_model(modelica, settings.model, with_events=settings.events))
     code = write_code(ode, settings)
-    sources = {path.name: path.read_bytes() for path in sorted(WRAPPER.glob("*.[ch]"))}
+    own = sorted({*settings.source_files, *settings.headers} - {"model.c"})
+    sources = {name: (WRAPPER / name).read_bytes() for name in own}
     sources |= {"model.c": code.functions.encode(), "model.h": code.header.encode()}
-    sources |= {name: (_fmi_headers() / name).read_bytes() for name in _FMI_HEADERS}
+    sources |= {name: (_fmi_headers() / name).read_bytes() for name in _FMI_HEADERS[settings.fmi_version]}
     described = write_description(ode, settings, guid="") + write_data(ode, guid="")
     guid = _guid([*sources.values(), described.encode(), *(path.read_bytes() for path in modelica)])
     sources["model_data.h"] = write_data(ode, guid).encode()
     files = {
         "modelDescription.xml": write_description(ode, settings, guid).encode(),
-        f"binaries/linux64/{settings.identifier}.so": _compile(sources),
+        f"binaries/{_BINARIES[settings.fmi_version]}/{settings.identifier}.so": _compile(sources, settings),
         **{f"sources/{name}": content for name, content in sources.items()},
         **{f"resources/{path.name}": path.read_bytes() for path in modelica},
     }
+    if settings.fmi_version == "3.0":
+        files["sources/buildDescription.xml"] = write_build_description(settings).encode()
     target = target or folder / f"{settings.identifier}.fmu"
     _pack(files, target)
     return target
@@ -74,7 +81,7 @@ def _guid(parts: list[bytes]) -> str:
     return f"{{{text[:8]}-{text[8:12]}-{text[12:16]}-{text[16:20]}-{text[20:32]}}}"
 
 
-def _compile(sources: dict[str, bytes]) -> bytes:
+def _compile(sources: dict[str, bytes], settings: BuildSettings) -> bytes:
     if shutil.which(COMPILER[0]) is None:
         raise CompileError("gcc is not installed; install it, or use the FMU that is already there")
     with tempfile.TemporaryDirectory(prefix="fmu-build-") as name:
@@ -82,7 +89,7 @@ def _compile(sources: dict[str, bytes]) -> bytes:
         for file, content in sources.items():
             (build / file).write_bytes(content)
         # Relative names in the build folder: no path of this machine gets into the binary.
-        command = [*COMPILER, "-I.", "-o", "model.so", *SOURCE_FILES, *LINKER]
+        command = [*COMPILER, "-I.", "-o", "model.so", *settings.source_files, *LINKER]
         result = subprocess.run(command, cwd=build, capture_output=True, text=True, check=False)
         if result.returncode != 0:
             raise CompileError(f"gcc failed: {(result.stderr.strip().splitlines() or ['no message'])[0]}")

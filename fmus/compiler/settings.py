@@ -9,6 +9,7 @@ from fmus.compiler.errors import CompileError
 
 BUILD_FILE = "build.toml"
 SOLVERS = ("exact", "rk4")
+FMI_VERSIONS = ("2.0", "3.0")
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,10 @@ class BuildSettings:
         solver: ``exact`` (matrix exponential; needs a model that is affine while its inputs are held) or
             ``rk4`` (fourth-order Runge-Kutta with controlled substeps, for any model).
         name: Name of the FMU and its model identifier; empty for the first part of ``model``.
-        max_substep_s: Longest substep of ``rk4``. [s]
+        fmi_version: Version of FMI, ``2.0`` or ``3.0``.
+        model_exchange_only: Whether co-simulation is left out.
+        events: Whether relations in conditions make events, as Modelica means it; needed for ``when``.
+        max_substep_s: Longest substep of ``rk4``, and of the search for events. [s]
         tolerance: Error that ``rk4`` allows per substep, relative to 1 + the magnitude of the state.
         start_time_s: Default start time. [s]
         stop_time_s: Default stop time. [s]
@@ -30,6 +34,9 @@ class BuildSettings:
     model: str
     solver: str = "rk4"
     name: str = ""
+    fmi_version: str = "2.0"
+    model_exchange_only: bool = False
+    events: bool = False
     max_substep_s: float = 60.0
     tolerance: float = 1e-9
     start_time_s: float = 0.0
@@ -40,6 +47,24 @@ class BuildSettings:
     def identifier(self) -> str:
         """Model identifier: a C name that is also the file name of the FMU."""
         return self.name or self.model.split(".")[0]
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the wrapper without events, for FMI 2.0, is enough."""
+        return self.fmi_version == "2.0" and not self.events
+
+    @property
+    def source_files(self) -> tuple[str, ...]:
+        """C sources in the order of their compilation; the headers lie beside them."""
+        if self.is_plain:
+            return ("fmi2.c", "integrate.c", "model.c")
+        wrapper = "fmi3.c" if self.fmi_version == "3.0" else "fmi2_events.c"
+        return (wrapper, "instance.c", "events.c", "integrate.c", "model.c")
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Headers of the C sources, other than those of FMI and the generated ones."""
+        return ("integrate.h",) if self.is_plain else ("instance.h", "integrate.h")
 
 
 def read_settings(folder: Path) -> BuildSettings:
@@ -68,6 +93,8 @@ def read_settings(folder: Path) -> BuildSettings:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if known[key] is str and not isinstance(value, str):
             raise CompileError(f"{path}: {key} = {value!r} must be a text")
+        if known[key] is bool and not isinstance(value, bool):
+            raise CompileError(f"{path}: {key} = {value!r} must be true or false")
         if known[key] is float and not (is_number and math.isfinite(value)):
             raise CompileError(f"{path}: {key} = {value!r} must be a finite number")
     if "model" not in table:
@@ -75,6 +102,10 @@ def read_settings(folder: Path) -> BuildSettings:
     settings = BuildSettings(**table)
     if settings.solver not in SOLVERS:
         raise CompileError(f"{path}: solver = {settings.solver!r} is unknown; known are {', '.join(SOLVERS)}")
+    if settings.fmi_version not in FMI_VERSIONS:
+        raise CompileError(
+            f"{path}: fmi_version = {settings.fmi_version!r} is unknown; known are {', '.join(FMI_VERSIONS)}"
+        )
     for key in ("max_substep_s", "tolerance", "step_size_s"):
         if getattr(settings, key) <= 0:
             raise CompileError(f"{path}: {key} = {getattr(settings, key)} must be positive")

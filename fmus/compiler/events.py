@@ -1,0 +1,202 @@
+"""Take events out of a flat Modelica class: what is left is a model whose discrete variables stand still."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pymoca import ast
+
+from fmus.compiler.errors import CompileError
+
+_RELATIONS = ("<", "<=", ">", ">=")
+_NOT_UNDERSTOOD = ("sample", "initial", "terminal", "edge", "change")
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One branch of a when: as its condition becomes true, variables get new values.
+
+    Attributes:
+        when: Number of the when it belongs to; of the branches of one when, the first that becomes true acts.
+        condition: Name of the variable that holds the condition.
+        targets: New value of each variable that is set: name of the one, name of the variable that holds it.
+    """
+
+    when: int
+    condition: str
+    targets: dict[str, str]
+
+
+@dataclass(frozen=True)
+class EventNames:
+    """Names of the variables that stand for events in a class after `take_out_events`.
+
+    Attributes:
+        discrete: Variables that only whens set; inputs of the class now.
+        truths: Truth value of each relation that makes events, held between them; inputs of the class now.
+        margins: By how much each relation holds, positive where it is true.
+        values: What each relation is when it is looked at.
+        branches: Branches of all whens.
+    """
+
+    discrete: tuple[str, ...] = ()
+    truths: tuple[str, ...] = ()
+    margins: tuple[str, ...] = ()
+    values: tuple[str, ...] = ()
+    branches: tuple[Branch, ...] = ()
+
+
+def has_when(flat_class: Any) -> bool:
+    """Say whether a flat class has a when-equation."""
+    return any(isinstance(equation, ast.WhenEquation) for equation in flat_class.equations)
+
+
+def take_out_events(flat_class: Any) -> EventNames:
+    """Replace relations and whens of a flat class by variables that are held between events.
+
+    A relation becomes an input (its held truth value) and two variables, its margin and what it is now; within
+    noEvent and smooth it stays. A when becomes a variable for each condition and each new value. What it sets
+    becomes an input.
+
+    Args:
+        flat_class: Class as pymoca flattens it; it is changed.
+
+    Returns:
+        Names of the new variables.
+
+    Raises:
+        CompileError: If a when does what is not understood.
+    """
+    return _Rewriting(flat_class).run()
+
+
+@dataclass
+class _Rewriting:
+    flat_class: Any
+    relations: dict[str, str] = field(default_factory=dict)
+    added: list[Any] = field(default_factory=list)
+    discrete: tuple[str, ...] = ()
+
+    def run(self) -> EventNames:
+        whens = [e for e in self.flat_class.equations if isinstance(e, ast.WhenEquation)]
+        rest = [e for e in self.flat_class.equations if not isinstance(e, ast.WhenEquation)]
+        self.discrete = self._discrete_variables(whens)
+        for equation in rest:
+            self._hold_in_equation(equation)
+        branches = [
+            self._branch(number, condition, block)
+            for number, when in enumerate(whens)
+            for condition, block in zip(when.conditions, when.blocks, strict=True)
+        ]
+        self.flat_class.equations = [*rest, *self.added]
+        numbers = range(1, len(self.relations) + 1)
+        return EventNames(
+            discrete=self.discrete,
+            truths=tuple(self.relations.values()),
+            margins=tuple(f"$margin{k}" for k in numbers),
+            values=tuple(f"$value{k}" for k in numbers),
+            branches=tuple(branches),
+        )
+
+    def _error(self, message: str) -> CompileError:
+        return CompileError(f"{self.flat_class.name}: {message}")
+
+    def _discrete_variables(self, whens: list[Any]) -> tuple[str, ...]:
+        names: dict[str, None] = {}
+        for when in whens:
+            for block in when.blocks:
+                for action in block:
+                    if isinstance(action, ast.Equation) and isinstance(action.left, ast.ComponentRef):
+                        names[str(action.left)] = None
+        for name in names:
+            symbol = self.flat_class.symbols.get(name)
+            if symbol is None or {"state", "parameter", "constant", "input"} & set(symbol.prefixes):
+                raise self._error(
+                    f"a when sets {name}, which is no discrete variable; use reinit for a state"
+                )
+            if getattr(symbol.fixed, "value", None) is not True:
+                raise self._error(f"the discrete variable {name} needs start and fixed=true")
+            symbol.prefixes = ["input"]
+        return tuple(names)
+
+    def _branch(self, number: int, condition: Any, block: list[Any]) -> Branch:
+        targets: dict[str, str] = {}
+        for action in block:
+            if isinstance(action, ast.Equation) and isinstance(action.left, ast.ComponentRef):
+                target, value = str(action.left), action.right
+            elif isinstance(action, ast.Function) and str(action.name) == "reinit":
+                target, value = str(action.arguments[0]), action.arguments[1]
+                symbol = self.flat_class.symbols.get(target)
+                if symbol is None or "state" not in symbol.prefixes:
+                    raise self._error(f"reinit of {target}, which is no state")
+            else:
+                raise self._error(
+                    "a when may hold `variable = expression` and `reinit(state, expression)` alone"
+                )
+            if target in targets:
+                raise self._error(f"one branch of a when sets {target} twice")
+            targets[target] = self._variable("action", self._hold(value, acting=True))
+        return Branch(number, self._variable("condition", self._hold(condition)), targets)
+
+    def _variable(self, kind: str, expression: Any) -> str:
+        """Add a variable that an equation sets to the expression."""
+        name = f"${kind}{len(self.added) + 1}" if kind in {"action", "condition"} else kind
+        self._symbol(name, [])
+        self.added.append(ast.Equation(left=ast.ComponentRef(name=name), right=expression))
+        return name
+
+    def _symbol(self, name: str, prefixes: list[str]) -> None:
+        order = 1 + max((symbol.order for symbol in self.flat_class.symbols.values()), default=0)
+        real = ast.ComponentRef(name="Real")
+        self.flat_class.symbols[name] = ast.Symbol(name=name, type=real, prefixes=prefixes, order=order)
+
+    def _hold_in_equation(self, equation: Any) -> None:
+        if isinstance(equation, ast.Equation):
+            equation.left, equation.right = self._hold(equation.left), self._hold(equation.right)
+        elif isinstance(equation, ast.IfEquation):
+            equation.conditions = [self._hold(condition) for condition in equation.conditions]
+            for block in equation.blocks:
+                for inner in block:
+                    self._hold_in_equation(inner)
+
+    def _hold(self, node: Any, *, silent: bool = False, acting: bool = False) -> Any:
+        """Replace the relations of an expression.
+
+        Args:
+            node: The expression.
+            silent: Whether relations make no events, as within noEvent.
+            acting: Whether it is a new value in a when, where a discrete variable must stand in pre().
+        """
+        if isinstance(node, ast.ComponentRef):
+            if acting and str(node) in self.discrete:
+                raise self._error(f"{node} in a when: write pre({node}) for its value before the event")
+            return node
+        if isinstance(node, ast.IfExpression):
+            node.conditions = [self._hold(n, silent=silent, acting=acting) for n in node.conditions]
+            node.expressions = [self._hold(n, silent=silent, acting=acting) for n in node.expressions]
+            return node
+        if not isinstance(node, ast.Expression):
+            return node
+        operator = str(node.operator)
+        if operator == "der":
+            return node
+        if operator in {"noEvent", "smooth"}:
+            return self._hold(node.operands[-1], silent=True, acting=acting)
+        if operator == "pre":
+            if str(node.operands[0]) not in self.discrete:
+                raise self._error(f"pre({node.operands[0]}) of a variable that no when sets")
+            return node.operands[0]
+        if operator in _NOT_UNDERSTOOD:
+            raise self._error(f"{operator}() is not understood; write a condition on a variable or on time")
+        node.operands = [self._hold(n, silent=silent, acting=acting) for n in node.operands]
+        return self._relation(node, operator) if operator in _RELATIONS and not silent else node
+
+    def _relation(self, node: Any, operator: str) -> Any:
+        key = str(node)
+        if key not in self.relations:
+            number = len(self.relations) + 1
+            self.relations[key] = f"$truth{number}"
+            self._symbol(self.relations[key], ["input"])
+            ends = node.operands if operator in {">", ">="} else node.operands[::-1]
+            self._variable(f"$margin{number}", ast.Expression(operator="-", operands=list(ends)))
+            self._variable(f"$value{number}", node)
+        return ast.ComponentRef(name=self.relations[key])
