@@ -14,6 +14,7 @@ import fmpy
 
 from simulation.errors import InputError
 from simulation.fmu_variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
+from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
 # Folder of this platform's binaries, by FMI version.
 PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
@@ -39,6 +40,7 @@ class FmuDescription:
         n_event_indicators: Functions whose change of sign is an event (model exchange).
         description: What the model is, "" for nothing said.
         complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
+        units: What it says of its units, by their names.
     """
 
     path: Path
@@ -56,6 +58,7 @@ class FmuDescription:
     n_event_indicators: int = 0
     description: str = ""
     complaint: str = ""
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict)
 
     @property
     def model_identifier(self) -> str:
@@ -248,6 +251,17 @@ def read_description(path: Path) -> FmuDescription:
         else int(model.numberOfEventIndicators),
         description=str(model.description or ""),
         complaint=complaint,
+        units={str(unit.name): _unit(unit) for unit in model.unitDefinitions},
+    )
+
+
+def _unit(unit: Any) -> UnitDefinition:
+    base = unit.baseUnit
+    return UnitDefinition(
+        base=None
+        if base is None
+        else Unit.of({name: int(getattr(base, name)) for name in BASE_UNITS}, base.factor, base.offset),
+        displayed={str(shown.name): (shown.factor, shown.offset) for shown in unit.displayUnits},
     )
 
 
@@ -298,6 +312,11 @@ def _variable(variable: Any) -> FmuVariable:
         minimum=_number(variable.min or (declared.min if declared is not None else None)),
         maximum=_number(variable.max or (declared.max if declared is not None else None)),
         description=str(variable.description or ""),
+        is_difference=bool(
+            declared.relativeQuantity
+            if variable.relativeQuantity is None and declared is not None
+            else variable.relativeQuantity
+        ),
         variability=str(variable.variability or ("fixed" if causality == "parameter" else "continuous")),
         initial=str(variable.initial or ""),
         start_text="" if variable.start is None else str(variable.start),

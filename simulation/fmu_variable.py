@@ -29,6 +29,7 @@ class FmuVariable:
         start_text: Start value as it is written, "" for none.
         shape: Dimensions of an array, () for a scalar.
         items: Numbers of an enumeration by their names.
+        is_difference: Whether its values are differences of quantities: 1 degC is 1 K then.
     """
 
     name: str
@@ -45,6 +46,7 @@ class FmuVariable:
     start_text: str = ""
     shape: tuple[int, ...] = ()
     items: Mapping[str, int] = field(default_factory=dict)
+    is_difference: bool = False
 
     @property
     def is_start_value(self) -> bool:

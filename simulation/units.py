@@ -1,56 +1,236 @@
-"""Units as text: when two spellings mean the same, and the one conversion made (degC and K)."""
+"""Units as text: what they are in SI, by the FMU's own definitions first, and the conversion between two."""
 
+import math
 import re
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Final
 
 from simulation.errors import InputError
 
-_ZERO_CELSIUS_K = 273.15
-_CELSIUS = "degC"
-_SPELLINGS = {"°C": _CELSIUS, "℃": _CELSIUS, "·": ".", "*": ".", "²": "2", "³": "3", "^": ""}
+BASE_UNITS: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+_SPELLINGS: Final = {"°C": "degC", "℃": "degC", "°": "deg", "·": ".", "*": ".", "²": "2", "³": "3", "^": ""}
 _TOKEN = re.compile(r"(?P<sign>[./()])|(?P<name>[^\W\d_]+|%)(?P<power>-?\d+)?|1")
+_RADIAN: Final = Fraction(math.pi) / 180
+
+# Units by name: exponents in SI base units, and the names of that kind with their size.
+_ENERGY, _POWER, _PRESSURE = "kg.m2.s-2", "kg.m2.s-3", "kg.m-1.s-2"
+_KINDS: Final = (
+    ("", {"1": "1", "%": "0.01", "ppm": "1e-6"}),
+    ("rad", {"rad": "1"}),
+    ("m", {"m": "1"}),
+    ("m2", {"ha": "10000"}),
+    ("m3", {"l": "0.001", "L": "0.001"}),
+    ("kg", {"g": "0.001", "t": "1000"}),
+    ("s", {"s": "1", "min": "60", "h": "3600", "d": "86400"}),
+    ("s-1", {"Hz": "1"}),
+    ("K", {"K": "1"}),
+    ("mol", {"mol": "1"}),
+    ("cd", {"cd": "1", "lm": "1"}),
+    ("cd.m-2", {"lx": "1"}),
+    ("kg.m.s-2", {"N": "1"}),
+    (_PRESSURE, {"Pa": "1", "bar": "1e5", "atm": "101325"}),
+    (_ENERGY, {"J": "1", "Wh": "3600", "cal": "4.184"}),
+    (_POWER, {"W": "1", "VA": "1", "var": "1"}),
+    ("A", {"A": "1"}),
+    ("A.s", {"Ah": "3600"}),
+    ("kg.m2.s-3.A-1", {"V": "1"}),
+    ("kg.m2.s-3.A-2", {"Ohm": "1"}),
+    ("kg-1.m-2.s3.A2", {"S": "1"}),
+    ("kg-1.m-2.s4.A2", {"F": "1"}),
+    ("kg.m2.s-2.A-2", {"H": "1"}),
+    ("kg.s-2.A-1", {"T": "1"}),
+)
+_NO_PREFIX: Final = frozenset({"1", "%", "ppm", "rad", "ha", "min", "h", "d", "cd", "atm"})
+_PREFIXES: Final = {
+    "G": "1e9", "M": "1e6", "k": "1e3", "h": "100", "d": "0.1", "c": "0.01", "m": "0.001", "u": "1e-6",
+    "µ": "1e-6", "μ": "1e-6", "n": "1e-9",
+}  # fmt: skip
+
+Exponents = tuple[tuple[str, int], ...]
 
 
-def offset_between(declared: str, model: str | None, where: str) -> float:
-    """Return what to add to a value in the declared unit to get it in the model's unit.
+@dataclass(frozen=True)
+class Unit:
+    """A unit in SI base units: value in SI = factor * value + offset.
+
+    Attributes:
+        factor: Size of the unit. [SI]
+        offset: Where its zero lies. [SI]
+        exponents: Powers of kg, m, s, A, K, mol, cd and rad, sorted by name.
+    """
+
+    factor: Fraction
+    offset: Fraction
+    exponents: Exponents
+
+    @classmethod
+    def of(cls, powers: Mapping[str, int], factor: float, offset: float) -> "Unit":
+        """Take what a model description says; its decimal numbers are meant as they are written."""
+        return cls(Fraction(str(factor)), Fraction(str(offset)), _sorted(powers))
+
+
+@dataclass(frozen=True)
+class UnitDefinition:
+    """What an FMU says of one of its units.
+
+    Attributes:
+        base: The unit in SI, None where the FMU says nothing of it.
+        displayed: Units that stand for it in a display, by name: factor and offset from the unit to them.
+    """
+
+    base: Unit | None = None
+    displayed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """From a declared unit to the model's: value in the model = factor * value + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def inverse(self) -> "Conversion":
+        """From the model's unit to the declared one."""
+        return Conversion(1.0 / self.factor, -self.offset / self.factor)
+
+
+_DEGREES: Final = {
+    "degC": Unit(Fraction(1), Fraction("273.15"), (("K", 1),)),
+    "degF": Unit(Fraction(5, 9), Fraction("459.67") * Fraction(5, 9), (("K", 1),)),
+    "deg": Unit(_RADIAN, Fraction(0), (("rad", 1),)),
+    "rev": Unit(_RADIAN * 360, Fraction(0), (("rad", 1),)),
+    "rpm": Unit(_RADIAN * 6, Fraction(0), (("rad", 1), ("s", -1))),
+}
+
+
+def conversion(
+    declared: str,
+    model: str | None,
+    where: str,
+    *,
+    definitions: Mapping[str, UnitDefinition] | None = None,
+    is_difference: bool = False,
+) -> Conversion:
+    """Return the conversion from a declared unit to the model's.
+
+    The FMU's own definitions of its units go before what is known of their names.
 
     Args:
         declared: Unit in the case file.
-        model: Unit in the model, None or "" when it declares none (any unit is taken then).
+        model: Unit in the model, None or "" when it declares none (any unit is taken then, unconverted).
         where: What the unit belongs to, for the message.
+        definitions: The FMU's units by name.
+        is_difference: Whether the values are differences: 1 degC is 1 K then.
 
     Returns:
-        0 for the same unit, 273.15 from degC to K, -273.15 from K to degC.
+        The conversion; the identity for two spellings of one unit.
 
     Raises:
-        InputError: If the units contradict each other.
+        InputError: If the units contradict each other, or cannot be compared.
     """
     if not model or _normal(declared) == _normal(model):
-        return 0.0
-    if (_normal(declared), _normal(model)) == (_normal(_CELSIUS), _normal("K")):
-        return _ZERO_CELSIUS_K
-    if (_normal(declared), _normal(model)) == (_normal("K"), _normal(_CELSIUS)):
-        return -_ZERO_CELSIUS_K
-    raise InputError(
-        f'{where}: unit = "{declared}" contradicts the FMU\'s "{model}"; '
-        f'give the values in "{model}" (only degC and K are converted)'
+        return Conversion()
+    defined = (definitions or {}).get(model, UnitDefinition())
+    _check_definition(model, defined, where)
+    shown = next((pair for name, pair in defined.displayed.items() if _same(name, declared)), None)
+    if shown is not None:
+        factor = 1 / Fraction(str(shown[0]))
+        offset = -Fraction(str(shown[1])) * factor
+    else:
+        mine, theirs = in_si(declared, definitions), defined.base or in_si(model)
+        if mine is None or theirs is None or mine.exponents != theirs.exponents:
+            known = "contradicts" if mine is not None else "is not known, and is not"
+            raise InputError(
+                f'{where}: unit = "{declared}" {known} the FMU\'s "{model}"; '
+                f'give the values in "{model}" or in a unit of the same kind'
+            )
+        factor, offset = mine.factor / theirs.factor, (mine.offset - theirs.offset) / theirs.factor
+    return Conversion(float(factor), 0.0 if is_difference else float(offset))
+
+
+def _check_definition(name: str, defined: UnitDefinition, where: str) -> None:
+    """Refuse to convert to a unit whose definition in the FMU is not what its name means."""
+    meant = in_si(name)
+    if meant is None or defined.base is None:
+        return
+    # Some tools leave the angle out.
+    powers = [[power for power in unit.exponents if power[0] != "rad"] for unit in (meant, defined.base)]
+    close = all(
+        math.isclose(float(mine), float(theirs), rel_tol=1e-6)
+        for mine, theirs in (
+            (meant.factor, defined.base.factor),
+            (meant.offset, defined.base.offset),
+        )
     )
+    if powers[0] != powers[1] or not close:
+        raise InputError(
+            f'{where}: the FMU defines its unit "{name}" as something else than "{name}" means; '
+            f'give the values in "{name}", which converts nothing, and check them'
+        )
 
 
-def same_unit(first: str, second: str | None) -> bool:
-    """Tell whether two spellings mean the same unit; no unit matches any.
+def in_si(text: str, definitions: Mapping[str, UnitDefinition] | None = None) -> Unit | None:
+    """Return a unit in SI base units.
+
+    A degree Celsius inside a product is a difference of temperatures.
 
     Args:
-        first: A unit.
-        second: Another unit, or None or "" for none declared.
+        text: The unit, e.g. "W/(m2.K)", "kWh", "l/s".
+        definitions: The FMU's units by name, which go first.
 
     Returns:
-        Whether they are the same.
+        The unit, None where it is not known.
     """
-    return not second or _normal(first) == _normal(second)
+    for name, definition in (definitions or {}).items():
+        if definition.base is not None and _same(name, text):
+            return definition.base
+    powers = _normal(text)
+    if isinstance(powers, str):
+        return None
+    if len(powers) == 1 and powers[0][1] == 1:
+        return _named(powers[0][0])
+    factor, exponents = Fraction(1), Counter[str]()
+    for name, power in powers:
+        unit = _named(name)
+        if unit is None:
+            return None
+        factor *= unit.factor**power
+        for base, exponent in unit.exponents:
+            exponents[base] += exponent * power
+    return Unit(factor, Fraction(0), _sorted(exponents))
 
 
-def _normal(unit: str) -> tuple[tuple[str, int], ...] | str:
+def _named(name: str) -> Unit | None:
+    unit = _DEGREES.get(name) or _without_prefix(name)
+    prefix, rest = name[:1], name[1:]
+    if unit is None and prefix in _PREFIXES and rest not in _NO_PREFIX:
+        unit = _without_prefix(rest)
+        unit = unit and Unit(unit.factor * Fraction(_PREFIXES[prefix]), unit.offset, unit.exponents)
+    return unit
+
+
+def _without_prefix(name: str) -> Unit | None:
+    for exponents, sizes in _KINDS:
+        if name in sizes:
+            powers = _normal(exponents)
+            return Unit(Fraction(sizes[name]), Fraction(0), powers if isinstance(powers, tuple) else ())
+    return None
+
+
+def _same(first: str, second: str) -> bool:
+    return _normal(first) == _normal(second)
+
+
+def _sorted(exponents: Mapping[str, int]) -> Exponents:
+    return tuple(sorted((name, power) for name, power in exponents.items() if power))
+
+
+def _normal(unit: str) -> Exponents | str:
     """Return the exponents of a unit's factors, or its plain text where it is no product of powers."""
     text = unit.strip()
     for spelling, normal in _SPELLINGS.items():
@@ -80,4 +260,4 @@ def _normal(unit: str) -> tuple[tuple[str, int], ...] | str:
             case None:
                 if token["name"]:
                     exponents[token["name"]] += signs[-1] * turn * int(token["power"] or 1)
-    return tuple(sorted((name, power) for name, power in exponents.items() if power))
+    return _sorted(exponents)
