@@ -26,10 +26,11 @@ class Action:
 
 @dataclass(frozen=True)
 class Ode:
-    """Explicit form of a model: der(x) = derivative(t, x, u, p), y = output(t, x, u, p), (x, d)(0) = start(p).
+    """Explicit form of a model: der(x) = derivative(t, x, u, p), y = output(t, x, u, p), x(0) = start(p).
 
-    All expressions are SX columns in the order of the variables. What stands still between events is u: inputs,
-    discrete variables d, and truth values of the relations.
+    All expressions are SX columns in the order of the variables. What stands still between events is u:
+    inputs, discrete variables, and truth values of relations. The start is that of x and of the
+    discrete variables.
     """
 
     name: str

@@ -94,16 +94,11 @@ def _fmi2(ode: Ode, settings: BuildSettings, guid: str) -> str:
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": "true",
     }
-    interfaces = [
-        ElementTree.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true")
-    ]
+    kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "true"}}
     if not settings.model_exchange_only:
-        interfaces.append(
-            ElementTree.SubElement(
-                root, "CoSimulation", common, canHandleVariableCommunicationStepSize="true"
-            )
-        )
-    for element in interfaces:
+        kinds["CoSimulation"] = {"canHandleVariableCommunicationStepSize": "true"}
+    for kind, abilities in kinds.items():
+        element = ElementTree.SubElement(root, kind, {**common, **abilities})
         files = ElementTree.SubElement(element, "SourceFiles")
         for name in settings.source_files:
             ElementTree.SubElement(files, "File", name=name)

@@ -53,9 +53,9 @@ def has_when(flat_class: Any) -> bool:
 def take_out_events(flat_class: Any) -> EventNames:
     """Replace relations and whens of a flat class by variables that are held between events.
 
-    A relation becomes an input (its held truth value) and two variables, its margin and what it is now; within
-    noEvent and smooth it stays. A when becomes a variable for each condition and each new value. What it sets
-    becomes an input.
+    A relation becomes an input (its held truth value) and two variables, its margin and what it is now;
+    within noEvent and smooth it stays. A when becomes a variable for each condition and each new
+    value. What it sets becomes an input.
 
     Args:
         flat_class: Class as pymoca flattens it; it is changed.

@@ -1,7 +1,7 @@
 """Read a Modelica model as flat equations in CasADi symbols, by pymoca."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +55,8 @@ class Check:
 class FlatModel:
     """Equations ``residual(time, states, derivatives, algebraics, inputs, parameters) = 0``, all SX.
 
-    With events, the equations also hold the discrete variables and the truth values of relations, which change
-    at events alone, and have more algebraic variables: those that `events` names.
+    With events, the equations also hold the discrete variables and the truth values of relations, which
+    change at events alone, and have more algebraic variables: those that `events` names.
     """
 
     name: str
@@ -72,7 +72,7 @@ class FlatModel:
     checks: tuple[Check, ...]
     discrete: tuple[Variable, ...] = ()
     truths: tuple[Any, ...] = ()
-    events: EventNames = EventNames()
+    events: EventNames = field(default_factory=EventNames)
 
 
 def read_model(sources: list[Path], class_name: str, *, with_events: bool = False) -> FlatModel:
