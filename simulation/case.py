@@ -3,24 +3,27 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simulation.case_file import read_case_file
+from simulation.arrays import FloatArray
+from simulation.case_data import CaseData, read_data
+from simulation.case_file import CaseFile, read_case_file
 from simulation.case_parts import (
+    Value,
+    accepted_bands,
     check_inputs,
     fixed_values,
     input_values,
-    measured,
-    output_offset,
+    output_conversions,
+    parameter_conversions,
     parameter_space,
-    read_recordings,
-    time_grid,
 )
+from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
 from simulation.execution import ExecutionPolicy
 from simulation.fmu import FmuModel, FmuSettings
 from simulation.fmu_description import FmuDescription, read_description
@@ -73,18 +76,18 @@ class Case:
         note: What must be said wherever the numbers appear, "" for nothing.
         path: The case file.
         fmu: What the FMU says about itself.
-        interface: How the FMU is run.
-        parameter_space: Parameters to calibrate.
-        scenario: Inputs from the start of the simulation to the end of the window.
+        parameter_space: Parameters to calibrate, in the units of the case file.
+        scenario: Inputs from the start of the simulation to the end of the reported part.
         measurement: Measured outputs over the window.
         outputs: The outputs.
-        window_d: Compared part, since the recording's first row. [d]
+        window_d: Compared part, in days of the case file. [d]
         communication_step_s: Step over which inputs are constant. [s]
-        output_step_s: Step of outputs and measurement. [s]
+        output_step_s: Step of the outputs. [s]
         settings: How the model is opened; plain data for worker processes.
-        relative_tolerance: Tolerance of the solver, None for the FMU's own. [1]
         policy: How patiently simulations are run.
         references: Errors known for this window; they decide nothing.
+        validation: The same model compared over the validation period instead, None without one. Its
+            simulations start as the case's do and go on; nothing of it decides what is calibrated.
     """
 
     name: str
@@ -92,7 +95,6 @@ class Case:
     note: str
     path: Path
     fmu: FmuDescription
-    interface: str
     parameter_space: ParameterSpace
     scenario: Scenario
     measurement: Measurement
@@ -101,9 +103,9 @@ class Case:
     communication_step_s: float
     output_step_s: float
     settings: FmuSettings
-    relative_tolerance: float | None = None
     policy: ExecutionPolicy = field(default_factory=ExecutionPolicy)
     references: tuple[KnownError, ...] = ()
+    validation: "Case | None" = None
 
     @property
     def fmu_path(self) -> Path:
@@ -116,7 +118,12 @@ class Case:
         return self.fmu.sha256
 
     @property
-    def fixed(self) -> Mapping[str, float]:
+    def interface(self) -> str:
+        """How the FMU is run."""
+        return self.settings.interface
+
+    @property
+    def fixed(self) -> Mapping[str, Value]:
         """FMU parameters held at a value. [FMU's units]."""
         return self.settings.fixed
 
@@ -126,23 +133,12 @@ class Case:
 
         What was simulated under one model digest holds for every case that has the same.
         """
-        settings = self.settings
         content = hashlib.sha256(
             _json(
-                {
-                    "fmu": self.fmu_sha256,
-                    "interface": self.interface,
-                    "parameters": list(self.parameter_space.names),
-                    "fixed": sorted(self.fixed.items()),
-                    "inputs": list(self.scenario.input_names),
-                    "outputs": [(output.name, output.unit) for output in self.outputs],
-                    "output_every": self.scenario.output_every,
-                    "n_warmup": self.scenario.n_warmup,
-                }
-                | self._choices
+                self._named | {"output_every": self.scenario.output_every, "n_warmup": self.scenario.n_warmup}
             )
         )
-        for array in (self.scenario.time_communication, self.scenario.inputs, settings.output_offsets):
+        for array in (self.scenario.time_communication, self.scenario.inputs):
             content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return content.hexdigest()
 
@@ -150,30 +146,35 @@ class Case:
     def digest(self) -> str:
         """SHA-256 of all that decides what the model answers in its box: not of titles or estimates."""
         space = self.parameter_space
-        content = hashlib.sha256(
-            _json(
-                {
-                    "fmu": self.fmu_sha256,
-                    "interface": self.interface,
-                    "parameters": list(space.names),
-                    "fixed": sorted(self.fixed.items()),
-                    "inputs": list(self.scenario.input_names),
-                    "outputs": [(output.name, output.unit) for output in self.outputs],
-                    "window_d": self.window_d,
-                    "steps_s": (self.communication_step_s, self.output_step_s),
-                }
-                | self._choices
-            )
-        )
+        steps_s = (self.communication_step_s, self.output_step_s)
+        content = hashlib.sha256(_json(self._named | {"window_d": self.window_d, "steps_s": steps_s}))
         for array in (space.lower, space.upper, self.scenario.time_communication, self.scenario.inputs):
             content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return content.hexdigest()
 
     @property
-    def _choices(self) -> dict[str, Any]:
-        """What a case may choose beyond the usual and what then decides answers; empty for the usual."""
-        chosen = {"relative_tolerance": self.relative_tolerance}
-        return {name: value for name, value in chosen.items() if value is not None}
+    def _named(self) -> dict[str, Any]:
+        """What decides answers and has a name; what the case leaves as usual is left out."""
+        settings = self.settings
+        chosen = {
+            "relative_tolerance": settings.relative_tolerance,
+            "accepted": settings.accepted,
+            "warmup_theta": settings.warmup_theta if settings.shared_warmup else None,
+            "parameter_factors": settings.parameter_factors,
+            "parameter_offsets": settings.parameter_offsets,
+        }
+        return {
+            "fmu": self.fmu_sha256,
+            "interface": settings.interface,
+            "parameters": list(self.parameter_space.names),
+            "fixed": sorted(self.fixed.items()),
+            "inputs": list(self.scenario.input_names),
+            "outputs": [(output.name, output.unit) for output in self.outputs],
+        } | {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in chosen.items()
+            if value is not None
+        }
 
     @property
     def make_model(self) -> Callable[[], FmuModel]:
@@ -198,7 +199,8 @@ def load_case(
 
     Args:
         path: The case file, or the folder that holds it as case.toml.
-        window_d: Window to use instead of the file's. [d]
+        window_d: Window to use instead of the file's; the validation period is left out where it overlaps or
+            begins before it. [d]
         communication_step_s: Step to use instead of the file's, to see what it does. [s]
 
     Returns:
@@ -215,27 +217,45 @@ def load_case(
         step = {"communication_step_s": communication_step_s}
         file = file.model_copy(update={"time": file.time.model_copy(update=step)})
     fmu = read_description((path.parent / file.fmu).resolve())
-    space = parameter_space(path, file, fmu)
-    check_inputs(path, file, fmu)
-    recordings = read_recordings(path, file)
+    fmu.interface(file.interface, str(path))
+    data = read_data(path, file)
     window = window_d if window_d is not None else file.time.window_d
-    edges, output_every, n_warmup = time_grid(path, file, recordings, window)
+    case = _compared_over(path, file, fmu, data, plain_period(path, file, window))
+    period = validation_period(path, file, window, is_overridden=window_d is not None)
+    if period is None:
+        return case
+    return replace(case, validation=_compared_over(path, file, fmu, data, period))
+
+
+def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, period: Period) -> Case:
+    """Build the case whose measurement is that of a period."""
+    space = parameter_space(path, file)
+    parameters = parameter_conversions(path, file, fmu)
+    check_inputs(path, file, fmu)
+    outputs = output_conversions(path, file, fmu)
+    edges, output_every, n_warmup = time_grid(path, file, data, period)
     scenario = Scenario(
         time_communication=edges,
-        inputs=input_values(path, file, fmu, recordings, edges),
+        inputs=input_values(path, file, fmu, data, edges),
         input_names=tuple(table.name for table in file.inputs),
         output_every=output_every,
         n_warmup=n_warmup,
     )
-    measurement = measured(path, file, recordings, scenario.time)
-    at_start = measured(path, file, recordings, scenario.time_simulated[:1])
     settings = FmuSettings(
         path=fmu.path,
         parameter_space=space,
         scenario=scenario,
-        output_names=measurement.output_names,
-        output_offsets=-np.array([output_offset(path, table, fmu) for table in file.outputs]),
-        fixed=fixed_values(path, file, fmu, at_start),
+        output_names=tuple(table.name for table in file.outputs),
+        output_offsets=np.array([one.offset for one in outputs]),
+        fixed=fixed_values(path, file, fmu, data, float(edges[0])),
+        interface=file.interface,
+        relative_tolerance=file.relative_tolerance,
+        accepted=accepted_bands(path, file.outputs),
+        shared_warmup=file.time.shared_warmup,
+        warmup_theta=_expected(space) if file.time.shared_warmup else None,
+        output_factors=_unless(1.0, [one.factor for one in outputs]),
+        parameter_factors=_unless(1.0, [one.factor for one in parameters]),
+        parameter_offsets=_unless(0.0, [one.offset for one in parameters]),
     )
     return Case(
         name=file.name,
@@ -243,26 +263,40 @@ def load_case(
         note=file.note,
         path=path,
         fmu=fmu,
-        interface=file.interface,
         parameter_space=space,
         scenario=scenario,
-        measurement=measurement,
+        measurement=measured(file, data, scenario.time, period),
         outputs=tuple(
-            Output(table.name, table.unit, table.uncertainty, recordings[table.file].path, table.column)
+            Output(table.name, table.unit, table.uncertainty, data.recordings[table.file].path, table.column)
             for table in file.outputs
         ),
-        window_d=(float(window[0]), float(window[1])),
+        window_d=period.compared_d,
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,
         settings=settings,
-        relative_tolerance=file.relative_tolerance,
         policy=ExecutionPolicy(**file.simulation.model_dump()),
         references=tuple(
             KnownError(table.label, table.mse, table.target)
             for table in file.references
-            if table.window_d == tuple(window)
+            if table.window_d == period.compared_d
         ),
     )
+
+
+def _expected(space: ParameterSpace) -> FloatArray:
+    """Return the estimates, the middle of the box where there is none. Shape (p,)."""
+    middle = space.from_unit(np.full(space.n_parameters, 0.5))
+    return np.array(
+        [
+            value if one.estimate is None else one.estimate
+            for one, value in zip(space.parameters, middle, strict=True)
+        ]
+    )
+
+
+def _unless(usual: float, values: list[float]) -> FloatArray | None:
+    """Return the values as an array, None where all are as usual."""
+    return None if all(value == usual for value in values) else np.array(values)
 
 
 def _json(content: dict[str, Any]) -> bytes:

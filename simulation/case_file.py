@@ -24,6 +24,7 @@ class TimeTable(_Table):
     # TOML arrays arrive as lists; strict mode would take no list for a tuple.
     window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
     start_d: Finite | None = None
+    zero: Name | None = None
     shared_warmup: bool = False
     validation_d: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
     communication_step_s: Positive
@@ -39,6 +40,7 @@ class InputTable(_Table):
     sum: dict[str, Finite] | None = None
     unit: str
     interpolation: Literal["held", "linear", "smooth"]
+    max_gap_s: Positive | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "InputTable":
@@ -89,6 +91,9 @@ class ValueWithUnit(_Table):
     unit: Name
 
 
+FixedValue = bool | int | Finite | str | FirstMeasured | ValueWithUnit
+
+
 class SimulationTable(_Table):
     """Key [simulation]: how patiently simulations are run; changes no answer."""
 
@@ -120,11 +125,13 @@ class CaseFile(_Table):
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
     data: str = "."
     data_origin: str = ""
+    time_column: Name | None = None
+    timezone: Name | None = None
     time: TimeTable
     inputs: list[InputTable] = []
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
-    fixed: dict[str, bool | int | Finite | str | FirstMeasured | ValueWithUnit] = {}
+    fixed: dict[str, FixedValue] = {}
     simulation: SimulationTable = SimulationTable()
     references: list[ReferenceTable] = []
 

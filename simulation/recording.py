@@ -1,55 +1,127 @@
 """Recorded series in CSV files: read once, checked cell by cell, every fault named with its line."""
 
 import csv
+import io
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.timestamps import Clock, Timestamps
 
-TIME_COLUMN = "time_s"
+TIME_COLUMN: Final = "time_s"
+STAMP_COLUMN: Final = "time"
+# What programs write where there is no value.
+_EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none"})
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+FIRST_LINE: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Columns of a CSV file on an even time grid.
+    """Columns of a CSV file over rising times.
 
     Attributes:
         path: The file.
-        time: Sample times, rising in even steps. Shape (m,). [s]
-        columns: One series per column asked for. Shape (m,) each.
+        time: Sample times, rising. Shape (m,). [s]
+        columns: One series per column asked for, NaN where a cell is empty. Shape (m,) each.
+        clock: What the times count from: "seconds" as the file says, "local" a clock without time zone,
+            "utc" timestamps with one; the last two in seconds since 1970.
     """
 
     path: Path
     time: FloatArray
     columns: dict[str, FloatArray]
+    clock: Clock = "seconds"
 
     @property
     def step_s(self) -> float:
-        """Distance between two samples. [s]."""
-        return float(self.time[1] - self.time[0])
+        """Usual distance between two samples, the median. [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def is_even(self) -> bool:
+        """Whether all samples lie equally far apart."""
+        return bool(np.all(np.abs(np.diff(self.time) - self.step_s) <= 1e-6 * self.step_s))
+
+    def since(self, zero_s: float) -> "Recording":
+        """Return the same series with times that count from another zero. [s]."""
+        return replace(self, time=self.time - zero_s)
 
 
-def read_recording(path: Path, column_names: list[str], *, if_missing: str = "") -> Recording:
-    """Read columns of a CSV file with a header line and the times in `time_s`.
+def read_recording(
+    path: Path,
+    column_names: list[str],
+    *,
+    time_column: str | None = None,
+    timezone: str | None = None,
+    if_missing: str = "",
+) -> Recording:
+    """Read columns of a CSV file with a header line.
+
+    Commas, semicolons or tabulators separate the cells; with the latter two, a decimal comma is read.
+    Times are seconds in a column whose name ends with `_s` or `[s]`, else timestamps.
 
     Args:
         path: The file.
         column_names: Columns to read beside the time.
+        time_column: Name of the time column; None for `time_s` or `time`, whichever is there.
+        timezone: Where the clock of timestamps without an offset hangs, e.g. "Europe/Berlin"; None for a
+            clock that is never set forward or back.
         if_missing: What to do where there is no such file; "" for the general advice.
 
     Returns:
         The series.
 
     Raises:
-        InputError: If the file, a column or a cell is missing, no number, or the time is no even rising grid.
+        InputError: If the file or a column is missing, a cell is no number, or the times do not rise.
     """
+    rows, delimiter = _rows(path, if_missing)
+    if not rows or not any(cell.strip() for cell in rows[0]):
+        raise InputError(f"{path}: the file is empty; the first line names the columns")
+    header = [cell.strip() for cell in rows[0]]
+    time_name = _time_column(path, header, time_column)
+    for name in [time_name, *column_names]:
+        if name not in header:
+            raise InputError(f"{path}: column {name} is missing; found {', '.join(header)}")
+        if header.count(name) > 1:
+            raise InputError(
+                f"{path}: column {name} stands {header.count(name)} times in the header; keep one"
+            )
+    # A blank line at the end is no row; anywhere else its time is missing.
+    while len(rows) > 1 and not any(cell.strip() for cell in rows[-1]):
+        rows.pop()
+    if len(rows) < 3:
+        raise InputError(f"{path}: {len(rows) - 1} rows of data; a recording has at least two")
+    cells = {name: _cells(rows, header.index(name)) for name in [time_name, *column_names]}
+    clock: Clock = "seconds"
+    if time_name.endswith(("_s", "[s]")):
+        time = _numbers(path, time_name, cells[time_name], delimiter)
+        for row in np.flatnonzero(np.isnan(time))[:1]:
+            raise InputError(
+                f"{path}: line {row + FIRST_LINE}, column {time_name}: the time is missing; add it"
+            )
+    else:
+        stamps = Timestamps(path, time_name, timezone)
+        time, clock = stamps.read(cells[time_name], first_line=FIRST_LINE)
+    _check_rising(path, time_name, time, cells[time_name])
+    columns = {name: _numbers(path, name, cells[name], delimiter) for name in column_names}
+    return Recording(path, time, columns, clock)
+
+
+def _rows(path: Path, if_missing: str) -> tuple[list[list[str]], str]:
+    """Return the cells of all lines, and what separates them."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
+        content = path.read_bytes()
+        text = _decoded(content)
+        first = text.partition("\n")[0]
+        delimiter = next((sign for sign in ";\t" if sign in first), ",")
+        return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)), delimiter
     except FileNotFoundError:
         remedy = if_missing or "put the recording there or correct `data` and `file`"
         raise InputError(f"{path}: no such file; {remedy}") from None
@@ -57,53 +129,80 @@ def read_recording(path: Path, column_names: list[str], *, if_missing: str = "")
         raise InputError(
             f"{path}: not a readable CSV file ({error}); give a comma-separated text file"
         ) from None
-    if not rows or not any(cell.strip() for cell in rows[0]):
-        raise InputError(f"{path}: the file is empty; the first line names the columns")
-    header = [cell.strip() for cell in rows[0]]
-    for name in [TIME_COLUMN, *column_names]:
-        if name not in header:
-            raise InputError(f"{path}: column {name} is missing; found {', '.join(header)}")
-        if header.count(name) > 1:
-            raise InputError(
-                f"{path}: column {name} stands {header.count(name)} times in the header; keep one"
-            )
-    # A blank line at the end is no row; anywhere else it is a missing cell.
-    while len(rows) > 1 and not any(cell.strip() for cell in rows[-1]):
-        rows.pop()
-    if len(rows) < 3:
-        raise InputError(f"{path}: {len(rows) - 1} rows of data; a recording has at least two")
-    time = _column(path, header, rows, TIME_COLUMN)
-    _check_grid(path, time)
-    return Recording(path, time, {name: _column(path, header, rows, name) for name in column_names})
 
 
-def _column(path: Path, header: list[str], rows: list[list[str]], name: str) -> FloatArray:
-    index = header.index(name)
-    values = np.empty(len(rows) - 1)
-    for line, row in enumerate(rows[1:], start=2):
-        cell = row[index].strip() if index < len(row) else ""
+def _decoded(content: bytes) -> str:
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # The usual encoding of a spreadsheet's export; its umlauts and degree signs can only be in names.
+        return content.decode("cp1252")
+
+
+def _time_column(path: Path, header: list[str], asked: str | None) -> str:
+    if asked is not None and asked in header:
+        return asked
+    for name in (TIME_COLUMN, STAMP_COLUMN):
+        if name in header:
+            return name
+    wanted = (
+        f"time column {asked} is missing" if asked else f"no column {TIME_COLUMN} or {STAMP_COLUMN} is there"
+    )
+    raise InputError(
+        f"{path}: {wanted}; found {', '.join(header)}; name it with time_column in the case file"
+    )
+
+
+def _cells(rows: list[list[str]], index: int) -> list[str]:
+    return [row[index].strip() if index < len(row) else "" for row in rows[1:]]
+
+
+def _numbers(path: Path, name: str, cells: list[str], delimiter: str) -> FloatArray:
+    """Return the cells as numbers, NaN where one is empty."""
+    if delimiter != ",":
+        cells = _with_points(path, name, cells)
+    values = np.empty(len(cells))
+    for row, cell in enumerate(cells):
         try:
-            value = float(cell)
+            values[row] = float(cell)
         except ValueError:
-            said = f"{cell!r} is not a number" if cell else "the cell is empty"
-            raise InputError(f"{path}: line {line}, column {name}: {said}; fill the gap first") from None
-        if not math.isfinite(value):
-            raise InputError(f"{path}: line {line}, column {name}: {cell} is not finite; fill the gap first")
-        values[line - 2] = value
+            if cell.casefold() not in _EMPTY:
+                raise InputError(
+                    f"{path}: line {row + FIRST_LINE}, column {name}: {cell!r} is not a number; "
+                    "correct it, or leave the cell empty"
+                ) from None
+            values[row] = np.nan
+        if math.isinf(values[row]):
+            raise InputError(
+                f"{path}: line {row + FIRST_LINE}, column {name}: {cell} is not finite; leave the cell empty"
+            )
     return values
 
 
-def _check_grid(path: Path, time: FloatArray) -> None:
-    steps = np.diff(time)
-    for row in np.flatnonzero(steps <= 0)[:1]:
-        said = "repeats" if steps[row] == 0 else "comes before"
+def _with_points(path: Path, name: str, cells: list[str]) -> list[str]:
+    """Replace decimal commas; a column that has points as well could mean thousands by one of them."""
+    commas = [row for row, cell in enumerate(cells) if _DECIMAL_COMMA.fullmatch(cell)]
+    points = [row for row, cell in enumerate(cells) if "." in cell]
+    if commas and points:
         raise InputError(
-            f"{path}: line {row + 3}: {TIME_COLUMN} = {time[row + 1]:.12g} {said} the line above "
-            f"({time[row]:.12g}); sort the rows and drop duplicates"
+            f"{path}: column {name} has a comma in {cells[commas[0]]!r} (line {commas[0] + FIRST_LINE}) and "
+            f"a point in {cells[points[0]]!r} (line {points[0] + FIRST_LINE}); write all numbers alike"
         )
-    step = float(np.median(steps))
-    for row in np.flatnonzero(np.abs(steps - step) > 1e-6 * step)[:1]:
+    return [cell.replace(",", ".") for cell in cells] if commas else cells
+
+
+def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str]) -> None:
+    for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
+        said = "repeats" if time[row + 1] == time[row] else "comes before"
+        stamps = name if name == TIME_COLUMN else f"column {name}"
+        hint = (
+            " (if clocks were set back there: write the offset from UTC, or give the case a timezone)"
+            if not name.endswith(("_s", "[s]")) and 0 <= time[row] - time[row + 1] <= 3600.0
+            else ""
+        )
         raise InputError(
-            f"{path}: line {row + 3}: {TIME_COLUMN} goes from {time[row]:.12g} to {time[row + 1]:.12g}, "
-            f"but the grid is {step:.12g} s; fill the gap or resample to an even grid"
+            f"{path}: line {row + FIRST_LINE + 1}: {stamps} = {cells[row + 1]} {said} the line above "
+            f"({cells[row]}); sort the rows and drop duplicates{hint}"
         )

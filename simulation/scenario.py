@@ -55,7 +55,7 @@ class Scenario:
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:
     """Tell whether a series is known over all communication steps.
 
-    A held sample is good for one sample step beyond its time, the others end with the last sample.
+    A held sample is good for one usual (median) step beyond its time, the others end with the last sample.
 
     Args:
         time: Sample times. Shape (m,). [s]
@@ -65,8 +65,9 @@ def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) ->
     Returns:
         Whether no step needs a value from outside.
     """
-    slack = 1e-9 * (time[1] - time[0])
-    end = time[-1] + (time[1] - time[0] if interpolation == "held" else 0.0)
+    step = float(np.median(np.diff(time)))
+    slack = 1e-9 * step
+    end = time[-1] + (step if interpolation == "held" else 0.0)
     return bool(time[0] <= edges[0] + slack and edges[-1] <= end + slack)
 
 
@@ -94,7 +95,7 @@ def values_over_steps(
         )
     if interpolation == "held":
         # A millionth of a sample step forgives edges whose sum of floats falls just short of a sample.
-        at = np.searchsorted(time, edges[:-1] + 1e-6 * (time[1] - time[0]), side="right") - 1
+        at = np.searchsorted(time, edges[:-1] + 1e-6 * np.median(np.diff(time)), side="right") - 1
         return np.asarray(values[at], dtype=np.float64)
     # Integrated relative to the start of the window and to the mean: no digits are lost in large integrals.
     start, level = edges[0], float(np.mean(values))

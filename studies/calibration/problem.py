@@ -20,7 +20,8 @@ class Evaluation:
         u: Points. Shape (n, p). [1]
         theta: The same points as parameters. Shape (n, p). [per parameter]
         y: Trajectories, NaN in failed rows. Shape (n, t, k). [output's unit]
-        residuals: Weighted (simulated - measured), NaN in failed rows. Shape (n, t*k). [first output's unit]
+        residuals: Scaled (simulated - measured) at the m samples of all outputs, NaN in failed rows.
+            Shape (n, m). [first output's unit]
         mse: Mean of the squared residuals, infinite in failed rows. Shape (n,). [first output's unit squared]
         failures: Why a row failed; "" where it did not. Length n.
     """
@@ -55,8 +56,7 @@ class CalibrationProblem:
     """Find the parameters with which a model reproduces a measurement.
 
     The same problem is posed to the surrogate (screening) and to the physical model (polishing): see `on`.
-    One output is weighted by 1, so that the MSE is in its unit squared; further outputs are weighted by the
-    ratio of the first output's uncertainty to their own, which makes their errors comparable with the first.
+    The measurement says how outputs are compared and weighted; the MSE is in the first output's unit squared.
 
     Attributes:
         model: The model that is asked.
@@ -79,21 +79,11 @@ class CalibrationProblem:
                 f"the model answers at {time.size} times up to {time[-1]:g} s, the measurement has "
                 f"{measured.size} up to {measured[-1]:g} s; open both from the same case and window"
             )
-        if not np.all(np.isfinite(self.measurement.y)):
-            raise InputError("the measurement contains NaN; repair the recording or choose another window")
 
     @property
     def space(self) -> ParameterSpace:
         """The parameters, their bounds and coordinates."""
         return self.model.parameter_space
-
-    @property
-    def weights(self) -> FloatArray:
-        """Weight of each output's residuals. Shape (k,). [1 for the first output]."""
-        uncertainty = np.asarray(self.measurement.uncertainty, dtype=np.float64)
-        if uncertainty.size == 1:
-            return np.ones(1)
-        return np.asarray(uncertainty[0] / uncertainty, dtype=np.float64)
 
     def on(self, model: ForwardModel) -> "CalibrationProblem":
         """Pose the same problem to another model of the same parameters."""
@@ -131,8 +121,7 @@ class CalibrationProblem:
             u: The points they belong to. Shape (n, p). [1]
             trajectories: The model's answers, in the same order.
         """
-        difference = (trajectories.y - self.measurement.y[None]) * self.weights
-        residuals = difference.reshape(len(u), -1)
+        residuals = self.measurement.compared(trajectories.y)
         failed = trajectories.failed | ~np.all(np.isfinite(residuals), axis=1)
         mse = np.full(len(u), np.inf)
         mse[~failed] = np.mean(residuals[~failed] ** 2, axis=1)
@@ -143,7 +132,7 @@ class CalibrationProblem:
         return Evaluation(u, trajectories.theta, trajectories.y, residuals, mse, failures)
 
     def residuals(self, u: FloatArray) -> FloatArray:
-        """Return the signed residuals, simulated minus measured. Shape (n, t*k). [first output's unit]."""
+        """Return the signed residuals, simulated minus measured. Shape (n, m). [first output's unit]."""
         return self.evaluate(u).residuals
 
     def mse(self, u: FloatArray) -> FloatArray:

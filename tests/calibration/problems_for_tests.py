@@ -75,7 +75,7 @@ def problem_on(
     y = model.simulate(truth[None]).y[0]
     y = y + noise * np.random.default_rng(7).normal(size=y.shape)
     k = len(model.output_names)
-    measurement = Measurement(
+    measurement = Measurement.on_grid(
         time=np.asarray(model.time),
         y=y,
         output_names=tuple(model.output_names),

@@ -124,7 +124,7 @@ def test_known_parameters_are_found_again_up_to_what_they_do(first: Done) -> Non
         result = calibrate_two_phase(
             SurrogateModel(surrogate, space, exact.output_names, exact.time),
             office,
-            Measurement(exact.time, exact.y[0], exact.output_names, np.array([0.5])),
+            Measurement.on_grid(exact.time, exact.y[0], exact.output_names, np.array([0.5])),
             screening=DifferentialEvolution(margin=0.2),
             polishing=LeastSquaresTRF(max_calls=300),
             seed=0,

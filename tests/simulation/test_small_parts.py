@@ -96,7 +96,7 @@ def test_celsius_and_kelvin_are_converted():
 def test_a_measurement_has_one_column_and_one_uncertainty_per_output():
     time = np.arange(3.0)
     with pytest.raises(ValueError, match="do not fit"):
-        Measurement(time, np.zeros((3, 2)), ("T",), np.array([0.5]))
-    one = Measurement(time, np.zeros((3, 1)), ("T",), np.array([0.5]))
-    other = Measurement(time, np.ones((3, 1)), ("T",), np.array([0.5]))
+        Measurement.on_grid(time, np.zeros((3, 2)), ("T",), np.array([0.5]))
+    one = Measurement.on_grid(time, np.zeros((3, 1)), ("T",), np.array([0.5]))
+    other = Measurement.on_grid(time, np.ones((3, 1)), ("T",), np.array([0.5]))
     assert one.digest != other.digest

@@ -1,0 +1,168 @@
+"""The recordings of a case on one time axis: what is measured when, and what drives the model when."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case_file import CaseFile, InputTable, OutputTable
+from simulation.errors import InputError
+from simulation.measurement import Samples
+from simulation.recording import FIRST_LINE, Recording, read_recording
+from simulation.scenario import covers
+from simulation.timestamps import zero_of
+
+DAY_S = 86400.0
+# Samples further apart than this many usual steps have a gap between them.
+GAP_STEPS = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class CaseData:
+    """All recordings of a case.
+
+    Attributes:
+        path: The case file.
+        recordings: By their names in the case file, on one time axis.
+        day_zero_s: Model time at which the days of the case file begin to count. [s]
+    """
+
+    path: Path
+    recordings: dict[str, Recording]
+    day_zero_s: float
+
+    def samples(self, table: OutputTable, begin_s: float, end_s: float) -> Samples:
+        """Return what was measured of an output in a period; gaps have no sample.
+
+        Args:
+            table: The output.
+            begin_s: Begin of the period. [s]
+            end_s: Its end. [s]
+
+        Raises:
+            InputError: If there are less than two.
+        """
+        recording = self.recordings[table.file]
+        values = recording.columns[table.column]
+        slack = 1e-6 * recording.step_s
+        inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
+        n_samples = int(np.count_nonzero(inside))
+        if n_samples < 2:
+            begin_d, end_d = ((time - self.day_zero_s) / DAY_S for time in (begin_s, end_s))
+            raise InputError(
+                f"{self.path}: outputs[{table.name}]: {recording.path} has {n_samples} values of "
+                f"{table.column} from day {begin_d:g} to {end_d:g}, 2 are needed; choose other days"
+            )
+        # A sample that a rounding puts outside belongs to the first or last output time.
+        return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside])
+
+    def first_measured(self, table: OutputTable, start_s: float, where: str) -> float:
+        """Return the measured value of an output at the start of the simulation: the nearest in time.
+
+        Raises:
+            InputError: If the nearest is further away than samples usually are.
+        """
+        recording = self.recordings[table.file]
+        known = np.flatnonzero(~np.isnan(recording.columns[table.column]))
+        if len(known):
+            row = known[np.argmin(np.abs(recording.time[known] - start_s))]
+            if abs(recording.time[row] - start_s) <= recording.step_s * (1.0 + 1e-6):
+                return float(recording.columns[table.column][row])
+        raise InputError(
+            f"{where}: {recording.path} has no value of {table.column} near the start, {start_s:.12g} s; "
+            "give a number, or choose a start_d with a measured value"
+        )
+
+    def input_series(
+        self, table: InputTable, column: str, edges: FloatArray, where: str
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the samples of a column that drives an input, checked to have no gap where it is needed.
+
+        Args:
+            table: The input.
+            column: The column.
+            edges: Edges of the communication steps. Shape (s + 1,). [s]
+            where: Key of the case file, for messages.
+
+        Returns:
+            Times [s] and values. Shape (m,) each.
+
+        Raises:
+            InputError: If the series does not cover the steps, or has a gap in them.
+        """
+        recording = self.recordings[table.file]
+        known = ~np.isnan(recording.columns[column])
+        time, values = recording.time[known], recording.columns[column][known]
+        if len(time) < 2 or not covers(time, edges, table.interpolation):
+            held = f"covers {time[0]:.12g} to {time[-1]:.12g} s" if len(time) else "is empty"
+            raise InputError(
+                f"{where}: {recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; "
+                "shorten window_d or record longer"
+            )
+        longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
+        steps = np.diff(time)
+        is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
+        for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
+            line = int(np.flatnonzero(known)[row]) + FIRST_LINE
+            raise InputError(
+                f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
+                f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "
+                f"max_gap_s = {steps[row]:.12g}"
+            )
+        return time, values
+
+    @property
+    def end_s(self) -> float:
+        """End of the longest recording. [s]."""
+        return max(float(recording.time[-1]) for recording in self.recordings.values())
+
+
+def read_data(path: Path, file: CaseFile) -> CaseData:
+    """Read every file that the case names, each once, and put them on one time axis.
+
+    Args:
+        path: The case file.
+        file: Its content.
+
+    Returns:
+        The recordings.
+
+    Raises:
+        InputError: If one cannot be read, or their times do not belong together.
+    """
+    columns: dict[str, list[str]] = {}
+    for table in file.outputs:
+        columns.setdefault(table.file, []).append(table.column)
+    for source in file.inputs:
+        columns.setdefault(source.file, []).extend(source.weights)
+    folder = path.parent / file.data
+    recordings = {
+        name: read_recording(
+            Path((folder / name).resolve()),
+            list(dict.fromkeys(wanted)),
+            time_column=file.time_column,
+            timezone=file.timezone,
+            if_missing=file.data_origin,
+        )
+        for name, wanted in columns.items()
+    }
+    first = recordings[file.outputs[0].file]
+    for recording in recordings.values():
+        if recording.clock != first.clock:
+            words = {
+                "seconds": "counts seconds",
+                "local": "has timestamps without an offset from UTC",
+                "utc": "has timestamps with an offset from UTC",
+            }
+            raise InputError(
+                f"{path}: {recording.path} {words[recording.clock]} and {first.path} "
+                f"{words[first.clock]}; write the times of all files alike"
+            )
+    if file.time.zero is not None:
+        zero_s = zero_of(file.time.zero, first.clock, file.timezone, f"{path}: time.zero")
+    elif first.clock == "seconds":
+        return CaseData(path, recordings, float(first.time[0]))
+    else:
+        zero_s = float(first.time[0])
+    return CaseData(path, {name: one.since(zero_s) for name, one in recordings.items()}, 0.0)

@@ -1,0 +1,191 @@
+"""The periods of a case: what is simulated, from when on it is reported, and which part is compared."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case_data import DAY_S, CaseData
+from simulation.case_file import CaseFile
+from simulation.errors import InputError
+from simulation.measurement import Measurement
+
+
+@dataclass(frozen=True)
+class Period:
+    """Which days are simulated, reported and compared.
+
+    Attributes:
+        key: Key of the case file that asks for it, for messages.
+        start_d: Start of the simulation. [d]
+        reported_d: Part whose outputs are reported; before it lies the warm-up. [d]
+        compared_d: Part that is compared with the measurement, at the end of the reported one. [d]
+    """
+
+    key: str
+    start_d: float
+    reported_d: tuple[float, float]
+    compared_d: tuple[float, float]
+
+
+def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> Period:
+    """Return the period that is calibrated.
+
+    Args:
+        path: The case file.
+        file: Its content.
+        window_d: The window. [d]
+
+    Raises:
+        InputError: If window and start contradict each other.
+    """
+    begin_d, end_d = _rising(path, "window_d", window_d)
+    start_d = begin_d if file.time.start_d is None else file.time.start_d
+    if not 0.0 <= start_d <= begin_d:
+        raise InputError(
+            f"{path}: time.start_d = {start_d:g} does not lie between day 0 and the window's start, "
+            f"{begin_d:g}; correct it"
+        )
+    if file.time.shared_warmup and start_d == begin_d:
+        raise InputError(
+            f"{path}: time.shared_warmup = true, but the simulation starts with the window, day {begin_d:g}; "
+            "set an earlier start_d, or drop shared_warmup"
+        )
+    return Period("window_d", start_d, (begin_d, end_d), (begin_d, end_d))
+
+
+def validation_period(
+    path: Path, file: CaseFile, window_d: tuple[float, float], *, is_overridden: bool
+) -> Period | None:
+    """Return the period on which calibrated parameters are validated, None without one.
+
+    Its simulations start where those of the window do, because that is where initial states belong.
+
+    Args:
+        path: The case file.
+        file: Its content.
+        window_d: The window that is calibrated. [d]
+        is_overridden: Whether the window is the caller's; a validation period that does not go with it is
+            left out then.
+
+    Raises:
+        InputError: If it overlaps with the window, or begins before the simulation.
+    """
+    if file.time.validation_d is None:
+        return None
+    begin_d, end_d = _rising(path, "time.validation_d", file.time.validation_d)
+    where = f"{path}: time.validation_d = [{begin_d:g}, {end_d:g}]"
+    start_d = window_d[0] if file.time.start_d is None else file.time.start_d
+    wrong = ""
+    if begin_d < window_d[1] and window_d[0] < end_d:
+        wrong = f"overlaps with window_d = [{window_d[0]:g}, {window_d[1]:g}]; choose days that were not seen"
+    elif begin_d < start_d:
+        wrong = f"begins before the simulation, day {start_d:g}; choose later days or an earlier start_d"
+    elif begin_d < window_d[0] and file.time.shared_warmup:
+        wrong = "lies in the warm-up, which is shared; choose days after the window or drop shared_warmup"
+    if wrong and is_overridden:
+        return None
+    if wrong:
+        raise InputError(f"{where} {wrong}")
+    reported = (min(window_d[0], begin_d), end_d)
+    return Period("time.validation_d", start_d, reported, (begin_d, end_d))
+
+
+def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArray, int, int]:
+    """Lay out the communication steps from the start of the simulation to the end of a period.
+
+    Args:
+        path: The case file.
+        file: Its content.
+        data: The recordings.
+        period: The period.
+
+    Returns:
+        Edges of the steps [s], steps between two outputs, number of outputs before the reported part.
+
+    Raises:
+        InputError: If the steps do not fit into it, or the recordings end before.
+    """
+    (begin_d, end_d), start_d = period.reported_d, period.start_d
+    compared_d = period.compared_d
+    where = f"{path}: {period.key} = [{compared_d[0]:g}, {compared_d[1]:g}]"
+    step, output_step = file.time.communication_step_s, file.time.output_step_s
+    if not step > 0:
+        raise InputError(f"{path}: communication_step_s = {step:g} is not above 0; correct it")
+    output_every = round(output_step / step)
+    if output_every < 1 or not math.isclose(output_every * step, output_step, rel_tol=1e-9):
+        raise InputError(
+            f"{path}: time.output_step_s = {output_step:g} is no multiple of "
+            f"communication_step_s = {step:g}; choose steps that fit"
+        )
+    n_reported = _whole_steps(end_d - begin_d, output_step, where)
+    n_warmup = _whole_steps(begin_d - start_d, output_step, f"{path}: time.start_d = {start_d:g}")
+    longest = max(
+        (data.recordings[table.file] for table in file.outputs), key=lambda one: float(one.time[-1])
+    )
+    length_d = (longest.time[-1] - data.day_zero_s) / DAY_S
+    # Where samples are not taken evenly, the last of a period comes a little before its end.
+    slack_d = 0.0 if longest.is_even else longest.step_s / DAY_S
+    if end_d > length_d + slack_d + 1e-9:
+        raise InputError(
+            f"{where}: the recording {longest.path} ends after {length_d:.6g} days; shorten the window"
+        )
+    start = data.day_zero_s + start_d * DAY_S
+    n_steps = (n_warmup + n_reported) * output_every
+    return start + step * np.arange(n_steps + 1, dtype=np.float64), output_every, n_warmup
+
+
+def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -> Measurement:
+    """Return what was measured in the compared part of a period.
+
+    Args:
+        file: The case file's content.
+        data: The recordings.
+        time: Reported output times. Shape (t,). [s]
+        period: The period.
+
+    Raises:
+        InputError: If an output is declared twice, has less than two samples, or one outside its own band.
+    """
+    names = tuple(table.name for table in file.outputs)
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{data.path}: outputs[{name}] is declared {names.count(name)} times; keep one")
+    begin_s = float(time[0]) + (period.compared_d[0] - period.reported_d[0]) * DAY_S
+    samples = tuple(data.samples(table, begin_s, float(time[-1])) for table in file.outputs)
+    for table, one in zip(file.outputs, samples, strict=True):
+        low, high = table.accepted or (-math.inf, math.inf)
+        for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
+            raise InputError(
+                f"{data.path}: outputs[{table.name}]: accepted = [{low:g}, {high:g}] leaves out the measured "
+                f"{one.values[row]:g} at {one.time[row]:.12g} s; widen it, or empty that cell"
+            )
+    return Measurement(
+        time,
+        samples,
+        names,
+        uncertainty=np.array([table.uncertainty for table in file.outputs]),
+        weights=np.array([table.weight for table in file.outputs]),
+    )
+
+
+def _rising(path: Path, key: str, days: tuple[float, float]) -> tuple[float, float]:
+    begin_d, end_d = float(days[0]), float(days[1])
+    if not (math.isfinite(begin_d) and math.isfinite(end_d) and 0.0 <= begin_d < end_d):
+        raise InputError(
+            f"{path}: {key} = [{begin_d:g}, {end_d:g}]: the end must lie after the start and neither before "
+            "day 0; correct it"
+        )
+    return begin_d, end_d
+
+
+def _whole_steps(span_d: float, output_step: float, where: str) -> int:
+    """Return how many output steps [s] a span [d] holds."""
+    n_steps = round(span_d * DAY_S / output_step)
+    if not math.isclose(n_steps * output_step, span_d * DAY_S, rel_tol=1e-9):
+        raise InputError(
+            f"{where}: not a whole number of output steps of {output_step:g} s; choose days that fit"
+        )
+    return n_steps
