@@ -1,0 +1,52 @@
+"""Answers block by block, for batches that memory should not hold."""
+
+from collections.abc import Callable, Generator, Iterator
+from typing import Final, Protocol, runtime_checkable
+
+from simulation.arrays import FloatArray
+from simulation.forward_model import ForwardModel
+from simulation.trajectories import Trajectories
+
+BLOCK_ROWS: Final = 64
+OnRows = Callable[[int], None]
+"""Called with the number of rows finished so far."""
+
+
+@runtime_checkable
+class StreamingModel(Protocol):
+    """A model that hands over its answers as they come."""
+
+    def stream(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> Iterator[Trajectories]:
+        """Simulate every row.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+            on_progress: Called with the number of rows finished so far.
+
+        Yields:
+            Consecutive blocks of rows, in order; a block may be overwritten when the next is asked for.
+        """
+        ...
+
+
+def streamed(
+    model: ForwardModel, theta: FloatArray, *, on_progress: OnRows | None = None
+) -> Generator[Trajectories]:
+    """Simulate every row and yield consecutive blocks, also of a model that does not stream.
+
+    Args:
+        model: The model to ask.
+        theta: Parameters. Shape (n, p). [per parameter]
+        on_progress: Called with the number of rows finished so far.
+
+    Yields:
+        Blocks of rows, in order; a block may be overwritten when the next is asked for.
+    """
+    if isinstance(model, StreamingModel):
+        yield from model.stream(theta, on_progress=on_progress)
+        return
+    for start in range(0, len(theta), BLOCK_ROWS):
+        block = model.simulate(theta[start : start + BLOCK_ROWS])
+        if on_progress is not None:
+            on_progress(start + block.n)
+        yield block
