@@ -260,4 +260,4 @@ def _normal(unit: str) -> Exponents | str:
             case None:
                 if token["name"]:
                     exponents[token["name"]] += signs[-1] * turn * int(token["power"] or 1)
-    return _sorted(exponents)
+    return _sorted(exponents) if len(signs) == 1 else text

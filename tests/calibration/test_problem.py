@@ -65,7 +65,7 @@ def test_one_output_keeps_its_unit_whatever_its_uncertainty() -> None:
 
 def test_several_outputs_are_weighted_by_their_uncertainty() -> None:
     problem = problem_on(TwoOutputs(), np.zeros(2), uncertainty=np.array([0.5, 50.0]))
-    np.testing.assert_allclose(problem.weights, [1.0, 0.01])
+    np.testing.assert_allclose(problem.measurement.scales, [1.0, 0.01])
     fine, coarse = problem.residuals(np.array([0.8, 0.7])).reshape(5, 2).T
     np.testing.assert_allclose(fine, coarse)
 
@@ -90,8 +90,7 @@ def _measurement(**changes: object) -> Measurement:
     ("measurement", "message"),
     [
         (_measurement(output_names=("TAir",)), r"outputs \('T',\) are not the measured ones \('TAir',\)"),
-        (_measurement(time=np.arange(25) * 1800.0), "up to 86400 s, the measurement has 25 up to 43200 s"),
-        (_measurement(y=np.full((25, 1), np.nan)), "contains NaN"),
+        (_measurement(time=np.arange(25) * 7200.0), "up to 86400 s, the measurement has 25 up to 172800 s"),
     ],
 )
 def test_a_measurement_that_cannot_be_compared_is_refused(measurement: Measurement, message: str) -> None:

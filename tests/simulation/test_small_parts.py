@@ -1,13 +1,10 @@
-"""Counting, units, toys and measurements."""
+"""Counting and toys."""
 
 import numpy as np
 import pytest
 
 from simulation.counting import BudgetExceeded, CountingModel
-from simulation.errors import InputError
-from simulation.measurement import Measurement
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
-from simulation.units import offset_between, same_unit
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
@@ -59,44 +56,3 @@ def test_the_ishigami_toy_ends_as_the_classical_function():
 def test_a_toy_can_fail():
     answer = ToyRC(fails_above_r=1.5).simulate(ROWS)
     assert answer.failures == ("", "parameter R is nan", "R = 2 K/W is above 1.5")
-
-
-@pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        ("W/(m2.K)", "W/(m2 K)"),
-        ("W/(m2.K)", "W/m2/K"),
-        ("W/(m2.K)", "W.m-2.K-1"),
-        ("m2.K/W", "K·m²/W"),
-        ("degC", "°C"),
-        ("1", ""),
-        ("m3/s", "m^3/s"),
-        ("anything", None),
-    ],
-)
-def test_spellings_of_one_unit_are_the_same(first: str, second: str | None):
-    assert same_unit(first, second)
-    assert offset_between(first, second, "here") == 0.0
-
-
-@pytest.mark.parametrize(
-    ("first", "second"), [("W", "K"), ("m2.K/W", "W/(m2.K)"), ("1", "%"), ("s", "h"), ("W/(m2", "W/m2.K")]
-)
-def test_other_units_contradict(first: str, second: str):
-    assert not same_unit(first, second)
-    with pytest.raises(InputError, match=r"here: unit = .* contradicts"):
-        offset_between(first, second, "here")
-
-
-def test_celsius_and_kelvin_are_converted():
-    assert offset_between("degC", "K", "here") == 273.15
-    assert offset_between("K", "degC", "here") == -273.15
-
-
-def test_a_measurement_has_one_column_and_one_uncertainty_per_output():
-    time = np.arange(3.0)
-    with pytest.raises(ValueError, match="do not fit"):
-        Measurement.on_grid(time, np.zeros((3, 2)), ("T",), np.array([0.5]))
-    one = Measurement.on_grid(time, np.zeros((3, 1)), ("T",), np.array([0.5]))
-    other = Measurement.on_grid(time, np.ones((3, 1)), ("T",), np.array([0.5]))
-    assert one.digest != other.digest

@@ -132,12 +132,12 @@ WRONG: dict[str, tuple[Change, str]] = {
         r'inputs\[u\]: unit = "W" contradicts .*"K/s"',
     ),
     "contradicting parameter unit": (
-        toml('unit = "1/s"', 'unit = "1/h"'),
-        r'parameters\[k\]: unit = "1/h" contradicts the FMU\'s "1/s"',
+        toml('unit = "1/s"', 'unit = "1/m"'),
+        r'parameters\[k\]: unit = "1/m" contradicts the FMU\'s "1/s"; give the values in "1/s" or in a unit',
     ),
     "contradicting output unit": (
-        toml('unit = "degC"', 'unit = "degF"'),
-        r'outputs\[y\]: unit = "degF" contra',
+        toml('unit = "degC"', 'unit = "W"'),
+        r'outputs\[y\]: unit = "W" contradicts the FMU\'s "K"',
     ),
     "window beyond the data": (
         toml("[0.25, 0.75]", "[0.25, 3.0]"),
@@ -158,10 +158,6 @@ WRONG: dict[str, tuple[Change, str]] = {
     "steps that do not fit": (
         toml("communication_step_s = 600", "communication_step_s = 700"),
         r"output_step_s = 1800 is no multiple of communication_step_s = 700",
-    ),
-    "outputs between samples": (
-        toml("output_step_s = 1800", "output_step_s = 600"),
-        r"outputs\[y\]: .*recording\.csv has no sample at 22200 s; choose an output_step_s",
     ),
     "no recording": (
         lambda folder: (folder / "data" / "recording.csv").unlink(),
@@ -187,21 +183,47 @@ WRONG: dict[str, tuple[Change, str]] = {
         r"recording\.csv: column heating is missing; found time_s, T_degC, heat$",
     ),
     "column twice": (csv("T_degC", "heating"), r"column (heating stands 2 times|T_degC is missing)"),
-    "empty cell": (
-        csv(r"^3600,[^,]*,", "3600,,"),
-        r"recording\.csv: line 4, column T_degC: the cell is empty",
+    "empty cell of an input": (
+        csv(r"^(36000,[^,]*),.*$", r"\1,"),
+        r"recording\.csv: line 21: heating has no value from 34200 to 37800 s; fill the gap, or let "
+        r"inputs\[u\] bridge it with max_gap_s = 3600$",
     ),
-    "NaN cell": (
-        csv(r"^3600,[^,]*,", "3600,nan,"),
-        r"line 4, column T_degC: nan is not finite; fill the gap",
+    "NaN cell of an input": (
+        csv(r"^(36000,[^,]*),.*$", r"\1,NaN"),
+        r"line 21: heating has no value from 34200",
     ),
-    "text cell": (csv(r"^3600,[^,]*,", "3600,warm,"), r"line 4, column T_degC: 'warm' is not a number"),
-    "short line": (csv(r"^3600,.*$", "3600,20.1"), r"line 4, column heating: the cell is empty"),
+    "short line": (csv(r"^36000,.*$", "36000,20.1"), r"line 21: heating has no value from 34200"),
+    "gap of an input longer than declared": (
+        lambda folder: (
+            csv(r"^36000,.*\n37800,.*\n", "")(folder),
+            toml('"linear"', '"linear"\nmax_gap_s = 3600')(folder),
+        ),
+        r"line 21: heating has no value from 34200 to 39600 s; .* max_gap_s = 5400$",
+    ),
+    "input without a value": (
+        csv(r"(?s)(?<=heating\n).*", "0,20,\n1800,20,\n"),
+        r"(window_d|inputs\[u\]: .*recording\.csv is empty)",
+    ),
+    "input that ends in gaps": (
+        csv(r"(?s)^63000,([^,]*),.*", r"63000,\1,\n86400,20,"),
+        r"inputs\[u\]: .*recording\.csv covers 0 to 61200 s, the window needs 21600 to 64800 s",
+    ),
+    "infinite cell": (csv(r"^3600,[^,]*,", "3600,inf,"), r"line 4, column T_degC: inf is not finite"),
+    "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
+    "blank line inside": (csv(r"^3600,.*$", ""), r"line 4, column time_s: the time is missing"),
+    "one value in the window": (
+        csv(r"(?s)^23400,.*", "48000,20.0,\n90000,,\n"),
+        r"(inputs|outputs)\[",
+    ),
+    "text cell": (
+        csv(r"^3600,[^,]*,", "3600,warm,"),
+        r"line 4, column T_degC: 'warm' is not a number; correct it, or",
+    ),
     "unsorted": (csv(r"^3600,", "900,"), r"line 4: time_s = 900 comes before the line above \(1800\); sort"),
     "duplicate time": (csv(r"^3600,", "1800,"), r"line 4: time_s = 1800 repeats the line above"),
-    "gap": (
-        csv(r"^3600,.*\n", ""),
-        r"line 4: time_s goes from 1800 to 5400, but the grid is 1800 s; fill the gap",
+    "gap of an input": (
+        csv(r"^36000,.*\n", ""),
+        r"line 21: heating has no value from 34200 to 37800 s; fill the gap, or let inputs\[u\] bridge it",
     ),
     "too short": (
         csv(r"^50400,(.*\n)*", ""),
@@ -226,7 +248,7 @@ WRONG: dict[str, tuple[Change, str]] = {
             b'<CoSimulation modelIdentifier="decay" canHandleVariableCommunicationStepSize="true"/>',
             b'<ModelExchange modelIdentifier="decay"/>',
         ),
-        r"decay\.fmu: has no co-simulation interface; export it as FMI 2\.0 co-simulation",
+        r'case\.toml: decay\.fmu has no co-simulation interface; write interface = "model-exchange"',
     ),
     "another FMI version": (
         xml(b'fmiVersion="2.0"', b'fmiVersion="4.0"'),

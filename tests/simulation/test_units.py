@@ -1,0 +1,152 @@
+"""Units: spellings, conversions against independent values, contradictions, the FMU's own definitions."""
+
+import re
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulation.errors import InputError
+from simulation.units import Conversion, Unit, UnitDefinition, conversion, in_si
+
+KELVIN = Unit.of({"K": 1}, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("W/(m2.K)", "W/(m2 K)"),
+        ("W/(m2.K)", "W/m2/K"),
+        ("W/(m2.K)", "W.m-2.K-1"),
+        ("m2.K/W", "K·m²/W"),
+        ("degC", "°C"),
+        ("1", ""),
+        ("m3/s", "m^3/s"),
+        ("W/(m2.K)", "W/(m2.degC)"),
+        ("W.h", "Wh"),
+        ("J", "N.m"),
+        ("anything", None),
+        ("anything", ""),
+        ("own words", "own words"),
+    ],
+)
+def test_spellings_of_one_unit_are_the_same(first: str, second: str | None):
+    assert conversion(first, second, "here") == Conversion(1.0, 0.0)
+
+
+# Values of the international system's brochure and of the units' definitions.
+@pytest.mark.parametrize(
+    ("declared", "model", "factor", "offset"),
+    [
+        ("degC", "K", 1.0, 273.15),
+        ("K", "degC", 1.0, -273.15),
+        ("degF", "degC", 5 / 9, -160 / 9),
+        ("kW", "W", 1e3, 0.0),
+        ("kWh", "J", 3.6e6, 0.0),
+        ("MWh", "GJ", 3.6, 0.0),
+        ("bar", "Pa", 1e5, 0.0),
+        ("hPa", "Pa", 100.0, 0.0),
+        ("mbar", "hPa", 1.0, 0.0),
+        ("l/s", "m3/s", 1e-3, 0.0),
+        ("m3/h", "m3/s", 1 / 3600, 0.0),
+        ("l/min", "m3/h", 0.06, 0.0),
+        ("kg/h", "kg/s", 1 / 3600, 0.0),
+        ("t/h", "kg/s", 1 / 3.6, 0.0),
+        ("%", "1", 0.01, 0.0),
+        ("ppm", "1", 1e-6, 0.0),
+        ("h", "s", 3600.0, 0.0),
+        ("d", "h", 24.0, 0.0),
+        ("1/h", "1/s", 1 / 3600, 0.0),
+        ("km/h", "m/s", 1 / 3.6, 0.0),
+        ("cm2", "m2", 1e-4, 0.0),
+        ("kJ/(kg.K)", "J/(kg.K)", 1e3, 0.0),
+        ("mW/(m.K)", "W/(m.degC)", 1e-3, 0.0),
+        ("deg", "rad", 0.017453292519943295, 0.0),
+        ("rpm", "rad/s", 0.10471975511965977, 0.0),
+        ("rev/min", "rpm", 1.0, 0.0),
+        ("kOhm", "V/A", 1e3, 0.0),
+    ],
+)
+def test_units_of_one_kind_are_converted(declared: str, model: str, factor: float, offset: float):
+    found = conversion(declared, model, "here")
+    # Rounded once, from exact fractions.
+    assert found.factor == pytest.approx(factor, rel=3e-16)
+    assert found.offset == pytest.approx(offset, rel=1e-15)
+
+
+def test_celsius_and_kelvin_differ_by_the_very_number():
+    assert conversion("degC", "K", "here") == Conversion(1.0, 273.15)
+    assert conversion("degC", "K", "here").inverse == Conversion(1.0, -273.15)
+
+
+@given(st.sampled_from(["degC", "degF", "kWh", "l/s", "%"]), st.floats(-1e6, 1e6))
+def test_a_conversion_and_its_inverse_are_the_identity(unit: str, value: float):
+    model = {"degC": "K", "degF": "K", "kWh": "J", "l/s": "m3/h", "%": "1"}[unit]
+    there = conversion(unit, model, "here")
+    back = there.inverse
+    assert (value * there.factor + there.offset) * back.factor + back.offset == pytest.approx(value, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "said"),
+    [
+        ("W", "K", "contradicts"),
+        ("m2.K/W", "W/(m2.K)", "contradicts"),
+        ("s", "m", "contradicts"),
+        ("1", "W", "contradicts"),
+        # A turn is an angle: 1 Hz is 2 pi rad/s, and who means which cannot be known.
+        ("Hz", "rad/s", "contradicts"),
+        ("1/s", "rad/s", "contradicts"),
+        # Heat flow and mass flow need a density or an enthalpy.
+        ("kg/s", "m3/s", "contradicts"),
+        ("C", "K", "is not known"),
+        ("cfm", "m3/s", "is not known"),
+        ("W/(m2", "W/m2.K", "is not known"),
+        ("degc", "K", "is not known"),
+        ("kdegC", "K", "is not known"),
+        ("kkW", "W", "is not known"),
+        ("degC", "own words", "contradicts"),
+    ],
+)
+def test_other_units_contradict(first: str, second: str, said: str):
+    with pytest.raises(
+        InputError, match=rf'here: unit = ".*" {said}.* the FMU\'s "{re.escape(second)}"'
+    ) as caught:
+        conversion(first, second, "here")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_difference_of_temperatures_has_no_offset():
+    assert conversion("degC", "K", "here", is_difference=True) == Conversion(1.0, 0.0)
+    assert conversion("degF", "K", "here", is_difference=True).factor == pytest.approx(5 / 9)
+
+
+def test_the_fmu_s_own_units_go_first():
+    definitions = {
+        "rack": UnitDefinition(base=Unit.of({"kg": 1, "m": 2, "s": -3}, 2500.0, 0.0)),
+        "K": UnitDefinition(base=KELVIN, displayed={"degRe": (0.8, -218.52), "degC": (1.0, -273.15)}),
+    }
+    # Declared in the FMU's unit, in a display unit, and in a unit of the same kind.
+    assert conversion("kW", "rack", "here", definitions=definitions) == Conversion(0.4, 0.0)
+    assert conversion("rack", "W", "here", definitions=definitions) == Conversion(2500.0, 0.0)
+    reaumur = conversion("degRe", "K", "here", definitions=definitions)
+    assert reaumur.factor == 1.25
+    assert reaumur.offset == pytest.approx(273.15, rel=1e-15)
+    assert conversion("degC", "K", "here", definitions=definitions) == Conversion(1.0, 273.15)
+
+
+def test_an_fmu_whose_unit_is_not_what_its_name_says_is_not_believed():
+    celsius_without_offset = {"degC": UnitDefinition(base=KELVIN)}
+    with pytest.raises(InputError, match=r'the FMU defines its unit "degC" as something else'):
+        conversion("K", "degC", "here", definitions=celsius_without_offset)
+    # Nothing is converted, so nothing can be wrong.
+    assert conversion("degC", "degC", "here", definitions=celsius_without_offset) == Conversion()
+    # Leaving out the angle is common and harmless.
+    no_angle = {"rpm": UnitDefinition(base=Unit.of({"s": -1}, 0.10471975511965977, 0.0))}
+    assert conversion("rpm", "rpm", "here", definitions=no_angle) == Conversion()
+
+
+def test_decimal_numbers_of_a_description_are_meant_as_written():
+    assert Unit.of({"m": 3, "s": -1, "K": 0}, 0.001, 0.0) == in_si("l/s")
+    assert Unit.of({"K": 1}, 1.0, 273.15).offset == Fraction("273.15")
