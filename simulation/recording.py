@@ -81,7 +81,11 @@ def read_recording(
     Raises:
         InputError: If the file or a column is missing, a cell is no number, or the times do not rise.
     """
-    rows, delimiter = _rows(path, if_missing)
+    if not path.exists():
+        remedy = if_missing or "put the recording there or correct `data` and `file`"
+        columns = ", ".join([time_column or TIME_COLUMN, *column_names])
+        raise InputError(f"{path}: no such file (columns {columns}); {remedy}")
+    rows, delimiter = _rows(path)
     if not rows or not any(cell.strip() for cell in rows[0]):
         raise InputError(f"{path}: the file is empty; the first line names the columns")
     header = [cell.strip() for cell in rows[0]]
@@ -114,7 +118,7 @@ def read_recording(
     return Recording(path, time, columns, clock)
 
 
-def _rows(path: Path, if_missing: str) -> tuple[list[list[str]], str]:
+def _rows(path: Path) -> tuple[list[list[str]], str]:
     """Return the cells of all lines, and what separates them."""
     try:
         content = path.read_bytes()
@@ -122,9 +126,6 @@ def _rows(path: Path, if_missing: str) -> tuple[list[list[str]], str]:
         first = text.partition("\n")[0]
         delimiter = next((sign for sign in ";\t" if sign in first), ",")
         return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)), delimiter
-    except FileNotFoundError:
-        remedy = if_missing or "put the recording there or correct `data` and `file`"
-        raise InputError(f"{path}: no such file; {remedy}") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             f"{path}: not a readable CSV file ({error}); give a comma-separated text file"

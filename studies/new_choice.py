@@ -16,6 +16,7 @@ MOST_ACTIVE = 20
 FACTOR = 5.0
 """Bounds around a start value: a fifth and five times, as in the paper's study."""
 TEMPERATURE_SPAN_K = 10.0
+WIDEST_TEMPERATURE_K = 100.0
 WIDEST_RATIO, WIDEST_SHIFT = 1e3, 1e2
 """The FMU's own bounds are taken when they are this near to each other, as a ratio or in start values."""
 DAY_S = 86400.0
@@ -132,7 +133,9 @@ def bounds_for(variable: FmuVariable) -> Bounds:
     start, low, high = variable.start, variable.minimum, variable.maximum
     if start is None:
         return Bounds(0.0, 1.0, "linear", "the FMU gives no start value: write what is plausible", True)
-    if low is not None and high is not None and low <= start <= high and _is_near(start, low, high):
+    if (low is not None and start < low) or (high is not None and start > high):
+        low = high = None
+    if low is not None and high is not None and _is_near(variable, low, high):
         is_wide = low > 0.0 and high / low >= 10.0
         return Bounds(low, high, "log" if is_wide else "linear", "the FMU's min and max")
     if start == 0.0:
@@ -212,22 +215,23 @@ def _split(candidates: list[FmuVariable], used: list[FmuVariable]) -> Choice:
     return Choice(tuple(used), tuple(v for v in candidates if v.name not in names))
 
 
-def _is_near(start: float, low: float, high: float) -> bool:
+def _is_near(variable: FmuVariable, low: float, high: float) -> bool:
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         return False
+    if _is_temperature(variable):
+        return high - low <= WIDEST_TEMPERATURE_K
     if low > 0.0:
         return high / low <= WIDEST_RATIO
-    return high - low <= max(1.0, WIDEST_SHIFT * abs(start))
+    return high - low <= max(1.0, WIDEST_SHIFT * abs(variable.start or 0.0))
 
 
 def _is_temperature(variable: FmuVariable) -> bool:
-    assert variable.start is not None
     unit = variable.unit.strip()
-    return (unit == "K" and variable.start > 200.0) or unit in ("degC", "°C")
+    return (unit == "K" and (variable.start or 0.0) > 200.0) or unit in ("degC", "°C")
 
 
 def _clipped(bounds: Bounds, start: float, low: float | None, high: float | None) -> Bounds:
-    """Keep proposed bounds inside the FMU's, as long as the start value is inside as well."""
+    """Keep proposed bounds inside the FMU's."""
     lower, upper, why = _short(bounds.lower), _short(bounds.upper), bounds.why
     if low is not None and lower < low <= start < upper:
         lower, why = low, f"{why}, not below the FMU's min"

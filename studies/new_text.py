@@ -96,11 +96,7 @@ note = ""                     # printed wherever the numbers appear, e.g. "measu
 fmu = {toml_string(case.fmu_file)}
 interface = {toml_string(case.interface)}   # the FMU offers: {offered}
 data = {toml_string(case.data)}   # the folder of the CSV files, from here
-data_origin = {toml_string(f"save yours there; {_forms(case)} beside it shows the form")}"""
-
-
-def _forms(case: NewCase) -> str:
-    return "the .example.csv" if not case.inputs else "the .example.csv files"
+data_origin = {toml_string("save yours there: README.md beside it says how")}"""
 
 
 def _time(case: NewCase) -> str:

@@ -161,14 +161,14 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "no recording": (
         lambda folder: (folder / "data" / "recording.csv").unlink(),
-        r"data/recording\.csv: no such file; put the recording there",
+        r"data/recording\.csv: no such file \(columns time_s, .*\); put the recording there",
     ),
     "no recording, and the case knows its origin": (
         lambda folder: (
             (folder / "data" / "recording.csv").unlink(),
             toml('data = "data"', 'data = "data"\ndata_origin = "ask the author"')(folder),
         ),
-        r"data/recording\.csv: no such file; ask the author$",
+        r"data/recording\.csv: no such file \(columns time_s, .*\); ask the author$",
     ),
     "empty recording": (
         lambda folder: (folder / "data" / "recording.csv").write_text(""),  # type: ignore[dict-item]

@@ -1,0 +1,301 @@
+"""`studies new`: a case file from what an FMU says about itself, right at once, nothing overwritten."""
+
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import pytest
+from project_for_tests import OFFICE, Run
+
+from simulation.case_file import read_case_file
+from simulation.fmu_variable import FmuVariable
+from studies.new_choice import bounds_for
+
+HEAD_2 = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="g">'
+)
+HEAD_3 = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n'
+    '<fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">'
+)
+
+
+def make_fmu(
+    file: Path, variables: str, *, version: str = "2.0", interfaces: str = "", extra: str = ""
+) -> Path:
+    """Write an FMU that can be read, not run."""
+    identifier = "model"
+    interfaces = interfaces or f'<CoSimulation modelIdentifier="{identifier}"/>'
+    head = (HEAD_2 if version == "2.0" else HEAD_3).format(name=file.stem)
+    description = (
+        f"{head}{interfaces}{extra}<ModelVariables>{variables}</ModelVariables><ModelStructure/>"
+        "</fmiModelDescription>"
+    )
+    folder = fmpy.platform if version == "2.0" else fmpy.platform_tuple
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("modelDescription.xml", description)
+        archive.writestr(f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}", b"")
+    return file
+
+
+def real(name: str, number: int, causality: str, attributes: str = "", description: str = "") -> str:
+    variability = "continuous" if causality in ("input", "output") else "fixed"
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{number}" causality="{causality}" '
+        f'variability="{variability}" description="{description}"><Real {attributes}/></ScalarVariable>'
+    )
+
+
+ROOM = "".join(
+    [
+        real("UA", 1, "parameter", 'start="100" unit="W/K"', "heat loss &quot;UA&quot;"),
+        real("wall.k", 2, "parameter", 'start="0.5" min="0.1" max="2"'),
+        real("wall.d[1]", 3, "parameter", 'start="0.2"'),
+        real("T0", 4, "parameter", 'start="293.15" unit="K"'),
+        real("offset", 5, "parameter", 'start="0"'),
+        real("_cs_tol", 6, "parameter", 'start="1e-6"'),
+        '<ScalarVariable name="n.windows" valueReference="7" causality="parameter" variability="fixed">'
+        '<Integer start="3"/></ScalarVariable>',
+        '<ScalarVariable name="table" valueReference="8" causality="parameter" variability="fixed">'
+        '<String start="a\\b.txt"/></ScalarVariable>',
+        real("TAmb", 9, "input", 'start="280" unit="K"'),
+        real("T", 10, "output", 'unit="K"'),
+        real("Q", 11, "output", 'unit="W"'),
+    ]
+)
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    return make_fmu(
+        tmp_path / "My Room.v2.fmu",
+        ROOM,
+        extra='<DefaultExperiment startTime="0" stopTime="172800" stepSize="900"/>',
+    )
+
+
+def case_of(project: Path, name: str) -> dict[str, Any]:
+    return tomllib.loads((project / "fmus" / name / "case.toml").read_text(encoding="utf-8"))
+
+
+def test_a_new_case_says_what_the_fmu_says(project: Path, studies: Run, room: Path) -> None:
+    answer = studies("new", str(room), "--json")
+    assert answer.code == 0, answer.err
+    case = case_of(project, "my-room-v2")
+    assert answer.document["next"] == ["studies check my-room-v2", "studies run my-room-v2"]
+    assert case["fmu"] == "My Room.v2.fmu"
+    assert (project / "fmus" / "my-room-v2" / "My Room.v2.fmu").read_bytes() == room.read_bytes()
+    assert case["interface"] == "co-simulation"
+    assert case["time"]["window_d"] == [0, 2]
+    assert case["time"]["communication_step_s"] == 900
+    # Top level, start value known, not the tool's own.
+    assert [table["name"] for table in case["parameters"]] == ["UA", "T0"]
+    assert case["parameters"][0]["estimate"] == 100
+    assert (case["parameters"][0]["lower"], case["parameters"][0]["upper"]) == (20, 500)
+    assert case["parameters"][0]["scale"] == "log"
+    assert case["parameters"][0]["description"] == 'heat loss "UA"'
+    assert (case["parameters"][1]["lower"], case["parameters"][1]["upper"]) == (283.15, 303.15)
+    assert [(table["name"], table["unit"]) for table in case["inputs"]] == [("TAmb", "K")]
+    assert [(table["name"], table["unit"]) for table in case["outputs"]] == [("T", "K")]
+    data = project / "data" / "my-room-v2"
+    assert (data / "inputs.example.csv").read_text().splitlines()[:2] == ["time_s,TAmb", "0,280"]
+    assert (data / "measured.example.csv").read_text().splitlines()[0] == "time_s,T"
+    readme = (data / "README.md").read_text(encoding="utf-8")
+    assert "| | `TAmb` | input | K |" in readme
+
+
+def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
+    project: Path, studies: Run, room: Path
+) -> None:
+    assert studies("new", str(room)).code == 0
+    file = project / "fmus" / "my-room-v2" / "case.toml"
+    assert len(read_case_file(file).parameters) == 2
+    lines = file.read_text(encoding="utf-8").splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("# Further outputs"))
+    end = next(i for i, line in enumerate(lines) if line.startswith("[fixed]"))
+    further = [line for line in lines[start:end] if not line.startswith("# Further")]
+    fixed = [line for line in lines[end + 1 :] if "=" in line and "<output>" not in line]
+    text = "\n".join(
+        [
+            *lines[:start],
+            *(line.removeprefix("# ") for line in further),
+            lines[end],
+            *(line.removeprefix("# ") for line in fixed),
+        ]
+    )
+    file.write_text(text, encoding="utf-8")
+    everything = read_case_file(file)
+    assert {table.name for table in everything.outputs} == {"T", "Q"}
+    assert {table.name for table in everything.parameters} == {"UA", "T0", "wall.k", "wall.d[1]", "offset"}
+    assert everything.fixed["n.windows"] == 3
+    assert everything.fixed["table"] == "a\\b.txt"
+
+
+def test_what_needs_the_user_is_marked_and_listed(project: Path, studies: Run, room: Path) -> None:
+    answer = studies("new", str(room), "--parameter", "offset", "--json")
+    lines = (project / "fmus" / "my-room-v2" / "case.toml").read_text(encoding="utf-8").splitlines()
+    marked = [i for i, line in enumerate(lines, 1) if "# EDIT:" in line and not line.startswith("#")]
+    assert [one["line"] for one in answer.document["edit"]] == marked
+    words = [lines[i - 1].split(" = ")[0] for i in marked]
+    assert words[:2] == ["window_d", "output_step_s"]
+    assert "uncertainty" in words
+    # Nothing is known about a parameter that starts at 0.
+    assert "lower" in words
+
+
+def test_patterns_choose_and_brackets_are_no_pattern(project: Path, studies: Run, room: Path) -> None:
+    answer = studies(
+        "new", str(room), "--output", "Q", "T", "--parameter", "wall.d[1]", "--parameter", "U*", "--json"
+    )
+    assert answer.document["parameters"] == ["wall.d[1]", "UA"]
+    assert answer.document["outputs"] == ["Q", "T"]
+
+
+def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None:
+    assert studies("new", str(room)).code == 0
+    file = project / "fmus" / "my-room-v2" / "case.toml"
+    file.write_text("mine", encoding="utf-8")
+    answer = studies("new", str(room))
+    assert answer.code == 2
+    assert "never overwritten" in answer.err
+    assert "fmus/my-room-v2/case.toml" in answer.err
+    assert file.read_text(encoding="utf-8") == "mine"
+    assert "exists" in studies("new", str(room), "--to", str(file.parent)).err
+
+
+def test_a_folder_of_ones_own_holds_everything(project: Path, studies: Run, room: Path) -> None:
+    folder = project / "elsewhere"
+    answer = studies("new", str(room), "--to", str(folder), "--json")
+    assert answer.document["next"][0] == "studies check elsewhere"
+    assert tomllib.loads((folder / "case.toml").read_text(encoding="utf-8"))["data"] == "."
+    assert {file.name for file in folder.iterdir()} == {
+        "case.toml",
+        "My Room.v2.fmu",
+        "README.md",
+        "inputs.example.csv",
+        "measured.example.csv",
+    }
+
+
+def test_an_fmu_below_fmus_stays_where_it_is(project: Path, studies: Run, room: Path) -> None:
+    folder = project / "fmus" / "attic"
+    folder.mkdir()
+    moved = room.rename(folder / "Attic.fmu")
+    assert studies("new", str(moved)).code == 0
+    assert case_of(project, "attic")["data"] == "../../data/attic"
+    assert sorted(file.name for file in folder.iterdir()) == ["Attic.fmu", "case.toml"]
+
+
+def test_check_says_which_csv_is_missing_and_what_it_holds(project: Path, studies: Run) -> None:
+    assert studies("new", str(OFFICE / "Office.fmu"), "--to", "fmus/flat").code == 0
+    answer = studies("check", "flat", "--profile", "smoke")
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    assert "data/flat/measured.csv" in line
+    for word in ("time_s", "TAir", "README.md"):
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (["nowhere.fmu"], ["nowhere.fmu", "no such file"]),
+        (["{room}", "--output", "Tx"], ["--output Tx", "did you mean T"]),
+        (["{room}", "--output", "X*"], ["--output X*", "--list"]),
+        (["{room}", "--parameter", "TAmb"], ["--parameter TAmb", "input"]),
+        (["{room}", "--parameter", "n.windows"], ["n.windows", "Integer", "[fixed]"]),
+        (["{room}", "--interface", "model-exchange"], ["model-exchange", "co-simulation"]),
+        (["{bare}"], ["no real output"]),
+    ],
+)
+def test_a_wrong_wish_is_one_line_and_writes_nothing(
+    project: Path, studies: Run, room: Path, arguments: list[str], fragments: list[str]
+) -> None:
+    bare = make_fmu(room.with_name("bare.fmu"), real("k", 1, "parameter", 'start="1"'))
+    before = sorted(project.rglob("*"))
+    answer = studies("new", *(word.format(room=room, bare=bare) for word in arguments))
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    for fragment in fragments:
+        assert fragment in line
+    assert sorted(project.rglob("*")) == before
+
+
+def test_fmi_3_model_exchange_and_a_broken_rule(project: Path, studies: Run, tmp_path: Path) -> None:
+    # The unit is not among the unit definitions, as CasADi writes it.
+    variables = (
+        '<Float64 name="k" valueReference="1" causality="parameter" variability="fixed" start="2" unit="W"/>'
+        '<Int32 name="n" valueReference="2" causality="parameter" variability="fixed" start="4"/>'
+        '<Float64 name="u" valueReference="3" causality="input" start="0"/>'
+        '<Float64 name="y" valueReference="4" causality="output"/>'
+    )
+    fmu = make_fmu(
+        tmp_path / "Tank.fmu",
+        variables,
+        version="3.0",
+        interfaces='<ModelExchange modelIdentifier="model"/>',
+    )
+    answer = studies("new", str(fmu), "--json")
+    assert answer.code == 0, answer.err
+    case = case_of(project, "tank")
+    assert case["interface"] == "model-exchange"
+    assert [table["name"] for table in case["parameters"]] == ["k"]
+    assert "# n = 4" in (project / "fmus" / "tank" / "case.toml").read_text(encoding="utf-8")
+
+
+def test_an_fmu_with_thousands_of_parameters_makes_a_short_file(
+    project: Path, studies: Run, tmp_path: Path
+) -> None:
+    variables = "".join(real(f"zone.p{i}", i, "parameter", 'start="1"') for i in range(3000))
+    fmu = make_fmu(tmp_path / "big.fmu", variables + real("y", 3000, "output"))
+    answer = studies("new", str(fmu), "--json")
+    assert len(answer.document["parameters"]) == 20
+    file = project / "fmus" / "big" / "case.toml"
+    assert len(file.read_text(encoding="utf-8").splitlines()) < 700
+    assert "2940 more parameters" in file.read_text(encoding="utf-8")
+    assert studies("new", str(fmu), "--to", str(tmp_path / "all"), "--all").code == 0
+    assert (tmp_path / "all" / "case.toml").read_text(encoding="utf-8").count("[[parameters]]") == 3000
+
+
+def test_the_list_shows_every_variable_and_writes_nothing(project: Path, studies: Run, room: Path) -> None:
+    before = sorted(project.rglob("*"))
+    document = studies("new", str(room), "--list", "--json").document
+    assert [one["name"] for one in document["outputs"]] == ["T", "Q"]
+    assert {one["name"] for one in document["parameters"]} >= {"UA", "wall.k", "n.windows", "_cs_tol"}
+    assert "wall.d[1]" in studies("new", str(room), "--list").out
+    assert sorted(project.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("start", "low", "high", "unit", "lower", "upper", "scale"),
+    [
+        (10.0, None, None, "W", 2.0, 50.0, "log"),
+        (-10.0, None, None, "W", -50.0, -2.0, "linear"),
+        # The FMU's own bounds where they say something,
+        (0.5, 0.0, 1.0, "1", 0.0, 1.0, "linear"),
+        (0.5, 0.01, 1.0, "1", 0.01, 1.0, "log"),
+        # and only as an end where they are the limits of what can be.
+        (0.5, 0.0, 1e100, "m", 0.1, 2.5, "log"),
+        (0.5, 0.2, 1e100, "m", 0.2, 2.5, "log"),
+        (0.9, 0.0, 1.0, "m", 0.0, 1.0, "linear"),
+        (293.15, 0.0, 1e4, "K", 283.15, 303.15, "linear"),
+        (20.0, None, None, "degC", 10.0, 30.0, "linear"),
+        # A start value outside its own bounds says that the bounds are wrong.
+        (5.0, 10.0, 20.0, "m", 1.0, 25.0, "log"),
+    ],
+)
+def test_bounds_come_from_the_fmu_or_from_the_start_value(
+    start: float, low: float | None, high: float | None, unit: str, lower: float, upper: float, scale: str
+) -> None:
+    variable = FmuVariable("p", 0, "parameter", "Real", unit, start, low, high, "")
+    bounds = bounds_for(variable)
+    assert (bounds.lower, bounds.upper, bounds.scale) == (lower, upper, scale)
+    assert not bounds.is_guess
+
+
+def test_bounds_are_a_guess_where_nothing_is_known() -> None:
+    for start in (None, 0.0):
+        assert bounds_for(FmuVariable("p", 0, "parameter", "Real", "", start, None, None, "")).is_guess
