@@ -10,15 +10,15 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.fmu_cosimulation import CoSimulation
+from simulation.fmu_cosimulation import CoSimulation, SharedWarmup
 from simulation.fmu_description import FmuDescription, read_description
 from simulation.fmu_instance import FmuInstance
 from simulation.fmu_plan import RunPlan, run_plan
-from simulation.fmu_restart import RestartingRunner
+from simulation.fmu_restart import RestartingRunner, Way
 from simulation.fmu_runner import Runner, Solver
 from simulation.fmu_start import Start
 from simulation.fmu_unpack import UnpackedFmu
-from simulation.fmu_variable import Interface
+from simulation.fmu_variable import FmuInterface, Interface
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.trajectories import Trajectories
@@ -138,6 +138,11 @@ class FmuModel:
         """Output times. Shape (t,). [s]."""
         return self._settings.scenario.time
 
+    @property
+    def way(self) -> str:
+        """How rows are started over: "undecided" (yet), "reset", "state", "new instance" or "new process"."""
+        return self._runner.way
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row; one that is NaN, is refused by the FMU or ends in NaN fails with the reason.
 
@@ -223,23 +228,62 @@ class FmuModel:
         self.close()
 
 
-def _runner(settings: FmuSettings, description: FmuDescription, plan: RunPlan, folder: Path) -> Runner:
+def _runner(
+    settings: FmuSettings, description: FmuDescription, plan: RunPlan, folder: Path
+) -> RestartingRunner:
     """Load the FMU and choose what drives it."""
     instance = FmuInstance(description, settings.interface, folder)
     try:
-        start = Start(instance, plan, str(settings.path))
-        solver: Solver
-        if settings.interface == "co-simulation":
-            solver = CoSimulation(instance, plan, start, str(settings.path))
-        else:
-            # Here, because it loads CVODE and compiles its callbacks.
-            from simulation.fmu_exchange import ModelExchange
-
-            solver = ModelExchange(instance, plan, start, description=description)
+        return _restarting(settings, description, plan, instance)
     except BaseException:
         instance.close()
         raise
-    return RestartingRunner(instance, solver)
+
+
+def _restarting(
+    settings: FmuSettings, description: FmuDescription, plan: RunPlan, instance: FmuInstance
+) -> RestartingRunner:
+    """Choose what takes the instance through a row, and how it may be started over."""
+    where = str(settings.path)
+    said = description.interface(settings.interface, where)
+    start = Start(instance, plan, where)
+    if settings.shared_warmup and settings.warmup_theta is not None:
+        _check_shared_warmup(where, settings.interface, said, plan)
+        theta = settings.parameters_for_fmu(settings.warmup_theta)
+        shared = SharedWarmup(CoSimulation(instance, plan, start, where), plan, start, theta)
+        return RestartingRunner(
+            instance, shared, ways=("state",), trusting=True, prepare=shared.prepare, n_ignored=plan.n_warmup
+        )
+    solver: Solver
+    if settings.interface == "co-simulation":
+        solver = CoSimulation(instance, plan, start, where)
+    else:
+        # Here, because it loads CVODE and compiles its callbacks.
+        from simulation.fmu_exchange import ModelExchange
+
+        solver = ModelExchange(instance, plan, start, description=description)
+    once = said.can_be_instantiated_only_once_per_process
+    ways: tuple[Way, ...] = ("reset", "state") if said.can_get_and_set_state else ("reset",)
+    # With one instance there is no second try: the surer way goes first.
+    return RestartingRunner(instance, solver, ways=ways[::-1] if once else ways, trusting=once)
+
+
+def _check_shared_warmup(where: str, interface: Interface, said: FmuInterface, plan: RunPlan) -> None:
+    if interface != "co-simulation" or not said.can_get_and_set_state:
+        raise InputError(
+            f"{where}: shared_warmup = true needs a co-simulation FMU that can get and set its state; "
+            "this one cannot, drop shared_warmup"
+        )
+    if not plan.n_warmup:
+        raise InputError(
+            f"{where}: shared_warmup = true without a warm-up; set start_d or drop shared_warmup"
+        )
+    for variable in plan.calibrated:
+        if variable.causality != "parameter" or variable.variability != "tunable":
+            raise InputError(
+                f"{where}: shared_warmup = true, but {variable.name} can only be set before the warm-up "
+                f"(it is {variable.variability}, not tunable); drop shared_warmup"
+            )
 
 
 def _close(runner: Runner, unpacked: UnpackedFmu) -> None:

@@ -19,6 +19,7 @@ from simulation.fmu_variable import Interface
 
 OK: Final = 0
 WARNING: Final = 1
+DISCARD: Final = 2
 FATAL: Final = 4
 _STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
@@ -64,6 +65,13 @@ class FmuInstance:
 
     Functions are named as in the standard without the version: "DoStep" is fmi2DoStep or fmi3DoStep. A status
     above WARNING makes the instance damaged: it is to be replaced before it is used again.
+
+    Attributes:
+        prefix: "fmi2" or "fmi3".
+        component: Address of the instance.
+        damaged: Whether the instance is to be replaced before it is used again.
+        lost: Whether the FMU said that no instance of the process can be used again.
+        keeps_state: Whether a state was saved that the instance may be brought back to.
     """
 
     def __init__(self, description: FmuDescription, interface: Interface, folder: Path) -> None:
@@ -86,7 +94,8 @@ class FmuInstance:
         self._library = self._load()
         self.component = 0
         self.damaged = False
-        self._fatal = False
+        self.lost = False
+        self.keeps_state = False
         self._initialized = False
         self._instantiate()
         if not self.component:
@@ -170,7 +179,7 @@ class FmuInstance:
             One line.
         """
         self.damaged = True
-        self._fatal = self._fatal or status == FATAL or status >= len(_STATUS)
+        self.lost = self.lost or status == FATAL or status >= len(_STATUS)
         known = f"{self.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
         said = f": {message}" if (message := last_message()) else ""
         return f"{self.full_name(name)} returned {known} at {time:g} s{said}"
@@ -195,7 +204,7 @@ class FmuInstance:
         Raises:
             NeedsFreshProcess: If the FMU said that all is lost, or makes no second instance in this process.
         """
-        if self._fatal:
+        if self.lost:
             raise NeedsFreshProcess(
                 f"{self._description.path}: after {self.prefix}Fatal no instance of this process can be used"
             )
@@ -268,7 +277,7 @@ class FmuInstance:
 
     def _free_instance(self) -> None:
         # After a fatal error the standard allows no call at all, not even to free the instance.
-        if self.component and not self._fatal:
+        if self.component and not self.lost:
             if self._initialized and not self.damaged and self.has("Terminate"):
                 self.call("Terminate")
             free = self._library[self.full_name("FreeInstance")]
@@ -280,7 +289,7 @@ class FmuInstance:
     def _unload(self) -> None:
         handle, self._library = self._library._handle, None
         self._functions = {}
-        if not self._fatal:
+        if not self.lost:
             with contextlib.suppress(Exception):
                 fmpy.freeLibrary(handle)
 

@@ -1,4 +1,4 @@
-"""The co-simulation loop of FMI 2.0, compiled once for every FMU: it calls the FMU's functions by address."""
+"""The co-simulation loops, compiled once for every FMU: they call the FMU's own functions by address."""
 
 from typing import Any, Final
 
@@ -7,57 +7,67 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.fmu_call import call_status, compiled
 
-# Order of the addresses in the array handed to the loop, and of the stages it reports.
-FUNCTIONS: Final = ("SetReal", "DoStep", "GetReal")
-_SET, _STEP, _GET = range(len(FUNCTIONS))
+# Order of the addresses in the array handed to a loop, and of the stages it reports.
+FUNCTIONS_2: Final = ("SetReal", "DoStep", "GetReal")
+FUNCTIONS_3: Final = ("SetFloat64", "DoStep", "GetFloat64")
+_SET, _STEP, _GET = range(3)
 WARNING: Final = 1
+# What a loop returns in place of a status when a step was good and yet not the whole step.
+ENDED: Final = 100
+EARLY: Final = 101
 
 
 @compiled
-def step_through(
+def step_through_2(
     functions: Any,
     component: int,
     input_references: Any,
     inputs: FloatArray,
     output_references: Any,
     time: FloatArray,
+    first: int,
     output_every: int,
+    no_going_back: bool,
     y: FloatArray,
 ) -> tuple[int, int, int]:
     """Take an initialized instance of FMI 2.0 through the communication steps.
 
     Args:
-        functions: Addresses of FUNCTIONS. Shape (3,), intp.
+        functions: Addresses of FUNCTIONS_2. Shape (3,), intp.
         component: Address of the instance.
         input_references: Value references. Shape (n_inputs,), uint32.
         inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
+        first: Step to begin with; a multiple of output_every.
         output_every: Steps between two outputs.
-        y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
+        no_going_back: Whether no saved state of an earlier time will be set.
+        y: Filled with the outputs from the first step on, contiguous. Shape (t, k). [model's units]
 
     Returns:
-        Status of the last call (0 or 1 when all went well), its index in FUNCTIONS, and its step.
+        Status of the last call (0 or 1 when all went well), its index in FUNCTIONS_2, and its step.
     """
     n_inputs, n_outputs = input_references.size, output_references.size
     n_steps = time.size - 1
-    true = np.int32(1)
+    no_state = np.int32(no_going_back)
     # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
     # signed, as numba adds an unsigned and a signed integer to a float.
     inputs_address, inputs_stride = np.intp(inputs.ctypes.data), n_inputs * inputs.itemsize
-    y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
+    y_stride = n_outputs * y.itemsize
+    y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
     input_list, output_list = input_references.ctypes.data, output_references.ctypes.data
     status = call_status(functions[_GET], (component, output_list, n_outputs, y_address))
     if status > WARNING:
-        return status, _GET, 0
+        return status, _GET, first
     until_output = output_every
-    for step in range(n_steps):
+    for step in range(first, n_steps):
         if n_inputs > 0:
             values = inputs_address + step * inputs_stride
             status = call_status(functions[_SET], (component, input_list, n_inputs, values))
             if status > WARNING:
                 return status, _SET, step
-        status = call_status(functions[_STEP], (component, time[step], time[step + 1] - time[step], true))
+        h = time[step + 1] - time[step]
+        status = call_status(functions[_STEP], (component, time[step], h, no_state))
         if status > WARNING:
             return status, _STEP, step
         until_output -= 1
@@ -65,6 +75,80 @@ def step_through(
             until_output = output_every
             y_address += y_stride
             status = call_status(functions[_GET], (component, output_list, n_outputs, y_address))
+            if status > WARNING:
+                return status, _GET, step
+    return status, _GET, n_steps - 1
+
+
+@compiled
+def step_through_3(
+    functions: Any,
+    component: int,
+    input_references: Any,
+    inputs: FloatArray,
+    output_references: Any,
+    time: FloatArray,
+    first: int,
+    output_every: int,
+    no_going_back: bool,
+    said: FloatArray,
+    y: FloatArray,
+) -> tuple[int, int, int]:
+    """Take an initialized instance of FMI 3.0 through the communication steps; as step_through_2.
+
+    Args:
+        functions: Addresses of FUNCTIONS_3. Shape (3,), intp.
+        component: Address of the instance.
+        input_references: Value references. Shape (n_inputs,), uint32.
+        inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
+        output_references: Value references. Shape (k,), uint32.
+        time: Edges of the communication steps. Shape (m + 1,). [s]
+        first: Step to begin with; a multiple of output_every.
+        output_every: Steps between two outputs.
+        no_going_back: Whether no saved state of an earlier time will be set.
+        said: What the last step said; its second item is the time that it got to. Shape (2,). [s]
+        y: Filled with the outputs from the first step on, contiguous. Shape (t, k). [model's units]
+
+    Returns:
+        Status of the last call (0 or 1 when all went well; ENDED where the FMU wants no further step, EARLY
+        where it stopped within one), its index in FUNCTIONS_3, and its step.
+    """
+    n_inputs, n_outputs = input_references.size, output_references.size
+    n_steps = time.size - 1
+    no_state = np.int32(no_going_back)
+    inputs_address, inputs_stride = np.intp(inputs.ctypes.data), n_inputs * inputs.itemsize
+    y_stride = n_outputs * y.itemsize
+    y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
+    input_list, output_list = input_references.ctypes.data, output_references.ctypes.data
+    # Three C bools: event handling needed, simulation to be terminated, returned early.
+    flags = np.zeros(3, dtype=np.uint8)
+    flag = np.intp(flags.ctypes.data)
+    reached = np.intp(said.ctypes.data) + said.itemsize
+    status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
+    if status > WARNING:
+        return status, _GET, first
+    until_output = output_every
+    for step in range(first, n_steps):
+        if n_inputs > 0:
+            values = inputs_address + step * inputs_stride
+            status = call_status(functions[_SET], (component, input_list, n_inputs, values, n_inputs))
+            if status > WARNING:
+                return status, _SET, step
+        h = time[step + 1] - time[step]
+        status = call_status(
+            functions[_STEP], (component, time[step], h, no_state, flag, flag + 1, flag + 2, reached)
+        )
+        if status > WARNING:
+            return status, _STEP, step
+        if flags[2] != 0:
+            return EARLY, _STEP, step
+        if flags[1] != 0 and step < n_steps - 1:
+            return ENDED, _STEP, step
+        until_output -= 1
+        if until_output == 0:
+            until_output = output_every
+            y_address += y_stride
+            status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
             if status > WARNING:
                 return status, _GET, step
     return status, _GET, n_steps - 1

@@ -20,6 +20,7 @@ class RunPlan:
         calibrated: The parameters that differ from row to row, in the order of a row. Length p.
         fixed: The parameters held at a value, with their values. [FMU's units]
         input_references: Value references. Shape (n_inputs,), uint32.
+        input_variables: The inputs. Length n_inputs.
         inputs: Input of each step, constant over it, contiguous. Shape (m, n_inputs). [FMU's units]
         output_references: Value references. Shape (k,), uint32.
         outputs: The outputs. Length k.
@@ -32,6 +33,7 @@ class RunPlan:
     calibrated: tuple[FmuVariable, ...]
     fixed: tuple[tuple[FmuVariable, float | int | bool | str], ...]
     input_references: Any
+    input_variables: tuple[FmuVariable, ...]
     inputs: FloatArray
     output_references: Any
     outputs: tuple[FmuVariable, ...]
@@ -41,9 +43,14 @@ class RunPlan:
     tolerance: float | None
 
     @property
+    def n_steps(self) -> int:
+        """Number of communication steps."""
+        return len(self.edges) - 1
+
+    @property
     def n_simulated(self) -> int:
         """Number of outputs of a row, the warm-up's included."""
-        return (len(self.edges) - 1) // self.output_every + 1
+        return self.n_steps // self.output_every + 1
 
 
 def run_plan(
@@ -80,10 +87,12 @@ def run_plan(
         return np.array([variable.reference for variable in variables], dtype=np.uint32)
 
     output_variables = found(outputs, "output")
+    input_variables = found(scenario.input_names, "input")
     return RunPlan(
         calibrated=found(calibrated, "parameter"),
         fixed=tuple((description.find(name, "parameter", where), value) for name, value in fixed.items()),
-        input_references=references(found(scenario.input_names, "input")),
+        input_references=references(input_variables),
+        input_variables=input_variables,
         inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
         output_references=references(output_variables),
         outputs=output_variables,

@@ -1,0 +1,109 @@
+"""FMUs of both versions with parameters of every type: set as meant, or refused in one line."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import kinds_fmu
+import numpy as np
+import pytest
+
+from simulation.errors import InputError
+
+FIXED = {"n": 3, "b": True, "c": "high", "s": "four"}
+ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
+def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param)
+
+
+@pytest.fixture(scope="module")
+def fmu_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=3)
+
+
+def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Path):
+    settings = kinds_fmu.kinds_settings(fmu, fixed=FIXED)
+    with settings.open() as model:
+        answer = model.simulate(ROWS)
+    assert answer.failures == ("", "", "")
+    for row, y in zip(ROWS, answer.y[:, :, 0], strict=True):
+        expected = kinds_fmu.closed_form(settings, *row) + 3 + 7 + 4 + 1000 + 2
+        # The same formula in the same order; exp differs by an ulp between C and NumPy.
+        np.testing.assert_allclose(y, expected, rtol=1e-13)
+
+
+def test_a_structural_parameter_is_set_in_its_own_mode(fmu_3: Path):
+    settings = kinds_fmu.kinds_settings(fmu_3, fixed={"size": 5})
+    with settings.open() as model:
+        y = model.simulate(ROWS).y[:, :, 0]
+    expected = [kinds_fmu.closed_form(settings, *row) + 5 for row in ROWS]
+    np.testing.assert_allclose(y, expected, rtol=1e-13)
+
+
+def test_a_float32_parameter_is_calibrated(fmu_3: Path):
+    settings = kinds_fmu.kinds_settings(fmu_3, names=("f", "k"))
+    with settings.open() as model:
+        y = model.simulate(np.array([[1.5, 1e-4], [0.75, 2e-4]])).y[:, :, 0]
+    expected = [1.5 * kinds_fmu.closed_form(settings, 1e-4, 300.0) + 2]
+    expected += [0.75 * kinds_fmu.closed_form(settings, 2e-4, 300.0) + 2]
+    np.testing.assert_allclose(y, expected, rtol=1e-13)
+
+
+def test_an_alias_is_a_variable_like_any_other(fmu_3: Path):
+    settings = dataclasses.replace(kinds_fmu.kinds_settings(fmu_3), output_names=("also y",))
+    with settings.open() as model:
+        assert model.simulate(ROWS).failures == ("", "", "")
+
+
+@pytest.mark.parametrize(
+    ("fixed", "message"),
+    [
+        ({"n": 1.5}, r"fixed\.n = 1\.5 is no Int.*; give a whole number from"),
+        ({"n": 2**40}, r"fixed\.n = 1099511627776 is no Int"),
+        ({"n": "3"}, r"fixed\.n = '3' is no number"),
+        ({"b": 1}, r"fixed\.b = 1: the FMU's b is true or false"),
+        ({"c": "medium"}, r"fixed\.c = 'medium' is none of its values; choose one of: low, high"),
+        ({"s": 3}, r"fixed\.s = 3 is no text"),
+        ({"f": "hot"}, r"fixed\.f = 'hot' is no number"),
+        ({"y": 3.0}, r"y is a output of .*, not its parameter"),
+        ({"K": 3.0}, r"has no parameter named K; did you mean k\?"),
+        ({"k": 3.0}, r"k is both fixed and calibrated"),
+    ],
+)
+def test_a_fixed_value_that_does_not_fit_is_refused_in_one_line(fmu: Path, fixed: dict, message: str):
+    with pytest.raises(InputError, match=message) as error:
+        kinds_fmu.kinds_settings(fmu, fixed=fixed).open()
+    assert "\n" not in str(error.value)
+
+
+def test_only_reals_are_calibrated_and_arrays_are_not(fmu_3: Path):
+    space = kinds_fmu.kinds_settings(fmu_3).parameter_space
+    for name, message in (
+        ("n", r"n is of type Int8; only Float64 or Float32 variables can be used, hold it under \[fixed\]"),
+        ("many", r"many is an array \(2\)"),
+    ):
+        parameters = (dataclasses.replace(space.parameters[0], name=name), space.parameters[1])
+        changed = dataclasses.replace(space, parameters=parameters)
+        settings = dataclasses.replace(kinds_fmu.kinds_settings(fmu_3), parameter_space=changed)
+        with pytest.raises(InputError, match=message):
+            settings.open()
+
+
+@pytest.mark.parametrize(
+    ("n", "reason"),
+    [
+        (-1, r"^the FMU ended the simulation by itself in the step at 30000 s$"),
+        (-2, r"^the FMU returned early, at 30300 s, from the step at 30000 s$"),
+        (-3, r"^fmi.DoStep returned fmi.Discard at 30000 s$"),
+    ],
+)
+def test_a_simulation_that_stops_early_is_a_failed_row(fmu: Path, n: int, reason: str):
+    if n == -2 and fmu.stem == "kinds2":
+        pytest.skip("a step of FMI 2.0 cannot return early")
+    with kinds_fmu.kinds_settings(fmu, fixed={"n": n}).open() as model:
+        answer = model.simulate(ROWS)
+    assert np.isnan(answer.y).all()
+    assert all(re.search(reason, failure) for failure in answer.failures), answer.failures

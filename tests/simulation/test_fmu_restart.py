@@ -1,0 +1,131 @@
+"""Every row as if it were the first, also where the FMU does what it can to prevent it."""
+
+from pathlib import Path
+
+import kinds_fmu
+import numpy as np
+import pytest
+
+from simulation.errors import InputError
+from simulation.fmu_runner import NeedsFreshProcess
+
+ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 300.0], [2e-4, 310.0], [9e-4, 250.0]])
+
+
+@pytest.fixture(params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
+def fmi(request: pytest.FixtureRequest) -> int:
+    return request.param
+
+
+def _expected(settings, rows=ROWS) -> np.ndarray:
+    return np.array([kinds_fmu.closed_form(settings, *row) + 2 for row in rows])[:, :, None]
+
+
+@pytest.mark.parametrize(
+    ("again", "said", "way"),
+    [
+        ("HONEST", {}, "reset"),
+        ("HONEST", {"state": True}, "reset"),
+        ("HONEST", {"once": True}, "reset"),
+        ("KEEPS_STATE", {}, "new instance"),
+        ("KEEPS_STATE", {"state": True}, "state"),
+        ("KEEPS_STATE", {"once": True}, "new instance"),
+        ("KEEPS_STATE", {"once": True, "state": True}, "state"),
+        ("KEEPS_FIRST", {}, "new instance"),
+        ("KEEPS_FIRST", {"state": True}, "state"),
+        ("REFUSES", {}, "new instance"),
+        ("REFUSES", {"state": True}, "state"),
+    ],
+)
+def test_all_rows_are_right_however_the_fmu_has_to_be_started_over(
+    tmp_path: Path, fmi: int, again: str, said: dict, way: str
+):
+    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again=again, **said))
+    with settings.open() as model:
+        assert model.way == "undecided"
+        answer = model.simulate(ROWS)
+        assert model.way == way
+        more = model.simulate(ROWS[::-1])
+    assert answer.failures == more.failures == ("",) * len(ROWS)
+    np.testing.assert_allclose(answer.y, _expected(settings), rtol=1e-13)
+    assert np.array_equal(answer.y[::-1], more.y)
+
+
+@pytest.mark.parametrize("again", ["STATIC", "ONE_INSTANCE"])
+def test_where_only_another_process_helps_no_row_is_handed_out(tmp_path: Path, fmi: int, again: str):
+    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again=again))
+    started, done = [], []
+    y = np.zeros((len(ROWS), 25, 1))
+    with settings.open() as model:
+        for _ in range(2):
+            with pytest.raises(NeedsFreshProcess):
+                model.simulate_into(
+                    ROWS[1:] if started else ROWS,
+                    y[1:] if started else y,
+                    before=started.append,
+                    after=lambda i, reason: done.append((i, reason)),
+                )
+    assert (started, done) == ([0, 1, 0], [(0, "")])
+    np.testing.assert_allclose(y[:1], _expected(settings, ROWS[:1]), rtol=1e-13)
+
+
+def test_one_instance_with_states_needs_no_other_process(tmp_path: Path, fmi: int):
+    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again="ONE_INSTANCE", state=True, once=True)
+    settings = kinds_fmu.kinds_settings(fmu)
+    with settings.open() as model:
+        answer = model.simulate(ROWS)
+        assert model.way == "state"
+    np.testing.assert_allclose(answer.y, _expected(settings), rtol=1e-13)
+
+
+def test_an_hour_long_row_is_not_repeated(tmp_path: Path, fmi: int, monkeypatch: pytest.MonkeyPatch):
+    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi))
+    monkeypatch.setattr("simulation.fmu_restart._CHEAP_S", 0.0)
+    with settings.open() as model:
+        runner = model._runner
+        solve, n_solved = runner._solver.solve, []
+        clock = iter(np.cumsum([0.0] + [1.0, 3600.0, 0.0] * 100))
+        monkeypatch.setattr("simulation.fmu_restart.time.perf_counter", lambda: next(clock))
+        monkeypatch.setattr(
+            runner._solver, "solve", lambda *arguments: n_solved.append(1) or solve(*arguments), raising=True
+        )
+        answer = model.simulate(ROWS)
+        assert (model.way, len(n_solved)) == ("undecided", len(ROWS))
+    np.testing.assert_allclose(answer.y, _expected(settings), rtol=1e-13)
+
+
+def test_rows_that_share_a_warm_up_start_from_its_end(tmp_path: Path, fmi: int):
+    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, state=True)
+    shared = {"shared_warmup": True, "warmup_theta": np.array([2e-4])}
+    settings = kinds_fmu.kinds_settings(fmu, names=("k",), n_warmup=9, **shared)
+    rows = np.array([[1e-4], [4e-4], [1e-4]])
+    with settings.open() as model:
+        answer = model.simulate(rows)
+        assert model.way == "state"
+    assert answer.failures == ("", "", "")
+    first = 9 * settings.scenario.output_every
+    at_end = kinds_fmu.closed_form(settings, 2e-4, 300.0)[9]
+    for (k,), y in zip(rows, answer.y[:, :, 0], strict=True):
+        x = [at_end]
+        for u in settings.scenario.inputs[first:, 0]:
+            x.append(x[-1] * np.exp(-k * 600.0) + u * (1 - np.exp(-k * 600.0)) / k)
+        np.testing.assert_allclose(y, np.array(x[:: settings.scenario.output_every]) + 2, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("names", "state", "n_warmup", "message"),
+    [
+        (("k",), False, 9, "needs a co-simulation FMU that can get and set its state"),
+        (("k",), True, 0, "without a warm-up; set start_d"),
+        (("k", "x0"), True, 9, r"x0 can only be set before the warm-up \(it is continuous, not tunable\)"),
+    ],
+)
+def test_a_warm_up_that_cannot_be_shared_is_refused(
+    tmp_path: Path, fmi: int, names: tuple[str, ...], state: bool, n_warmup: int, message: str
+):
+    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, state=state)
+    settings = kinds_fmu.kinds_settings(
+        fmu, names=names, n_warmup=n_warmup, shared_warmup=True, warmup_theta=np.full(len(names), 2e-4)
+    )
+    with pytest.raises(InputError, match=message):
+        settings.open()
