@@ -18,6 +18,7 @@ from simulation.fmu_exchange_loop import (
     MOST_EVENTS,
     MOST_ITERATIONS,
     MOST_STEPS,
+    STUCK,
     TOO_MANY_EVENTS,
     TOO_MANY_STEPS,
     simulate_row,
@@ -111,17 +112,12 @@ class ModelExchange:
         if kind == BAD_CALL:
             return self._instance.failure(self._functions[stage], detail, time)
         if kind == BAD_STEP:
-            said = f"{flag_in_words(detail)} {at}"
-            if self.table[SLOT.FAILED_STATUS]:
-                name = self._functions[self.table[SLOT.FAILED_STAGE]]
-                status = int(self.table[SLOT.FAILED_STATUS])
-                return f"{said}; {self._instance.failure(name, status, time)}"
-            if self.table[SLOT.NOT_FINITE]:
-                state = self._states[self.table[SLOT.NOT_FINITE] - 1]
-                return f"{said}; the derivative of {state} is not finite"
-            return said
+            return f"{flag_in_words(detail)} {at}{self._fault(time)}"
+        if kind == STUCK:
+            return f"the integrator's steps became too small to get on {at}{self._fault(time)}"
         if kind == TOO_MANY_STEPS:
-            return f"the integrator needed more than {MOST_STEPS} steps in one communication step {at}"
+            said = f"the integrator needed more than {MOST_STEPS} steps in one communication step {at}"
+            return f"{said}{self._fault(time)}"
         if kind == TOO_MANY_EVENTS:
             return f"the model had more than {MOST_EVENTS} events in one communication step {at}"
         if kind == ENDED:
@@ -129,3 +125,12 @@ class ModelExchange:
         if kind == ENDLESS_ITERATION:
             return f"the model's event did not settle in {MOST_ITERATIONS} iterations {at}"
         return f"state {self._states[detail]} is not finite {at}"
+
+    def _fault(self, time: float) -> str:
+        """Say what CVODE met with in the FMU in this communication step, if anything."""
+        if self.table[SLOT.FAILED_STATUS]:
+            name = self._functions[self.table[SLOT.FAILED_STAGE]]
+            return f"; {self._instance.failure(name, int(self.table[SLOT.FAILED_STATUS]), time)}"
+        if self.table[SLOT.NOT_FINITE]:
+            return f"; the derivative of {self._states[self.table[SLOT.NOT_FINITE] - 1]} is not finite"
+        return ""

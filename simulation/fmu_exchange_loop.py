@@ -32,12 +32,15 @@ TOO_MANY_EVENTS: Final = 4
 ENDED: Final = 5  # the FMU asked to end the simulation
 ENDLESS_ITERATION: Final = 6
 BAD_START: Final = 7  # a state is no finite number; the detail is its index
+STUCK: Final = 8  # steps became too small to move the time
 
 # Internal steps and events in one communication step, and iterations in one event, before a simulation is
 # given up: no model hangs silently.
 MOST_STEPS: Final = 100_000
 MOST_EVENTS: Final = 10_000
 MOST_ITERATIONS: Final = 1_000
+# Successive steps too small to move the time.
+MOST_STUCK: Final = 100
 
 _ONE_STEP: Final = 2
 _ROOT_RETURN: Final = 2
@@ -161,7 +164,7 @@ def simulate_row(
     status = get_real(table, output_list, n_outputs, y_address)
     if status > WARNING:
         return BAD_CALL, status, SLOT.GET_REAL, time
-    passed, stop_edge, until_output, n_internal, n_events = 0, 0, output_every, 0, 0
+    passed, stop_edge, until_output, n_internal, n_events, n_stuck = 0, 0, output_every, 0, 0, 0
     while passed < n_steps:
         if stop_edge == passed:
             # The inputs of this step hold until here.
@@ -171,8 +174,9 @@ def simulate_row(
         target = min(edges[stop_edge], max(later, time))
         is_root = False
         if target - time > 100.0 * _EPSILON * max(abs(time), abs(target)) and integrates:
-            table[SLOT.FAILED_STATUS] = 0
-            table[SLOT.NOT_FINITE] = 0
+            if n_internal == 0:
+                table[SLOT.FAILED_STATUS] = 0
+                table[SLOT.NOT_FINITE] = 0
             call_status(table[SLOT.STOP_AT], (table[SLOT.SOLVER], target))
             flag = call_status(
                 table[SLOT.SOLVE],
@@ -186,6 +190,9 @@ def simulate_row(
             )
             if flag < 0:
                 return BAD_STEP, flag, SLOT.SOLVE, time
+            n_stuck = n_stuck + 1 if reached[0] <= time and flag != _ROOT_RETURN else 0
+            if n_stuck > MOST_STUCK:
+                return STUCK, n_stuck, SLOT.SOLVE, time
             time, is_root = min(reached[0], target), flag == _ROOT_RETURN
             n_internal += 1
             if n_internal > MOST_STEPS:

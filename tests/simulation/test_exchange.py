@@ -1,0 +1,210 @@
+"""Model exchange with events, failures and both FMI versions, against closed forms."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from exchange_for_tests import build, run, settings
+from scipy.integrate import solve_ivp
+
+from simulation.fmu import FmuModel
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("exchange"), request.param, n_states=2)
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def stateless(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("stateless"), request.param, n_states=0)
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def discrete(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Neither states nor event indicators."""
+    return build(tmp_path_factory.mktemp("discrete"), request.param, n_states=0, n_indicators=0)
+
+
+def bounces(time: Any, restitution: float, slowest: float) -> tuple[Any, Any]:
+    """Height and number of bounces of a ball dropped from 1 m, flight by flight."""
+    g, height, count = 9.81, np.zeros(len(time)), np.zeros(len(time))
+    begin, speed, end = -np.sqrt(2.0 / g), np.sqrt(2.0 * g), np.sqrt(2.0 / g)
+    n = 0
+    while True:
+        inside = (time >= max(begin, 0.0)) & (time < end)
+        height[inside] = speed * (time[inside] - begin) - 0.5 * g * (time[inside] - begin) ** 2
+        count[inside] = n
+        n, speed, begin = n + 1, speed * restitution, end
+        if speed <= slowest:
+            count[time >= begin] = n
+            return height, count
+        end = begin + 2.0 * speed / g
+
+
+def test_a_ball_bounces_and_rests(fmu: Path):
+    edges = np.linspace(0.0, 4.0, 81)
+    answer = run(fmu, "BALL", a=0.7, b=0.3, edges=edges, rtol=1e-8)
+    height, count = bounces(edges, 0.7, 0.3)
+    assert answer.failures == ("",)
+    np.testing.assert_allclose(answer.y[0, :, 0], height, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(answer.y[0, :, 1], count)
+
+
+def test_a_thermostat_switches_where_it_should(fmu: Path):
+    """Both branches are exponentials: with a = 1 and u = 4 it heats towards 4 and cools towards 0."""
+    edges = np.linspace(0.0, 6.0, 61)
+    answer = run(fmu, "THERMOSTAT", a=1.0, edges=edges, u=4.0, rtol=1e-8)
+    expected, count = np.zeros(61), np.zeros(61)
+    x, since, heats, n = 1.0, 0.0, True, 0
+    for i, t in enumerate(edges):
+        while True:
+            until = since + (np.log((4.0 - x) / 2.0) if heats else np.log(x / 1.0))
+            if until > t:
+                break
+            x, since, heats, n = (2.0 if heats else 1.0), until, not heats, n + 1
+        expected[i] = 4.0 - (4.0 - x) * np.exp(since - t) if heats else x * np.exp(since - t)
+        count[i] = n
+    np.testing.assert_allclose(answer.y[0, :, 0], expected, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(answer.y[0, :, 1], count)
+    assert count[-1] >= 8
+
+
+@pytest.mark.parametrize("period", [7.0, 10.0, 35.0])
+def test_time_events_take_place_on_time(fmu: Path, period: float):
+    """Also where one falls on an output: the output then shows what the event leaves behind."""
+    edges = np.arange(21) * 10.0
+    answer = run(fmu, "TRIANGLE", a=period, edges=edges)
+    turns = np.floor(edges / period)
+    rest = edges - turns * period
+    expected = np.where(turns % 2 == 0, rest, period - rest)
+    np.testing.assert_allclose(answer.y[0, :, 0], expected, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(answer.y[0, :, 1], turns)
+
+
+def test_a_completed_step_can_ask_for_an_event(fmu: Path):
+    answer = run(fmu, "SAW", edges=np.arange(101) * 0.1)
+    assert answer.failures == ("",)
+    # Between two resets lie a little more than a second: the internal step that goes past 1 is at most 0.1 s.
+    assert 9 <= answer.y[0, -1, 1] <= 10
+    assert 1.0 <= answer.y[0, :, 0].max() <= 1.1
+    assert answer.y[0, -1, 0] < 1.0
+
+
+def test_a_discarded_call_is_tried_again(fmu: Path):
+    edges = np.arange(31) * 1.0
+    answer = run(fmu, "FUSSY", a=0.1, edges=edges, rtol=1e-8)
+    assert answer.failures == ("",)
+    np.testing.assert_allclose(answer.y[0, :, 0], np.exp(-0.1 * edges), rtol=0, atol=1e-6)
+
+
+def test_a_stiff_oscillator_agrees_with_another_integrator(fmu: Path):
+    mu = 100.0
+    edges = np.linspace(0.0, 200.0, 101)
+    answer = run(fmu, "OSCILLATOR", a=mu, edges=edges, rtol=1e-8)
+    reference = solve_ivp(
+        lambda _, x: [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0]],
+        (0.0, 200.0),
+        [2.0, 0.0],
+        method="Radau",
+        t_eval=edges,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(answer.y[0, :, 0], reference.y[0], rtol=0, atol=1e-4)
+
+
+def linear_by_steps(a: float, b: float, u: Any, step: float) -> Any:
+    """Exact solution of LINEAR, inputs held; the output after each step still sees the step's input."""
+    from scipy.linalg import expm
+
+    matrix = np.array([[-a, 0.0, 1.0], [1.0, -b, 0.0], [0.0, 0.0, 0.0]])
+    transition = expm(matrix * step)
+    x, y = np.array([b, 0.0, 0.0]), [u[0]]
+    for value in u:
+        x[2] = value
+        x = transition @ x
+        y.append(x[1] + value)
+    return np.array(y)
+
+
+@pytest.mark.parametrize("output_every", [1, 5])
+def test_inputs_hold_over_their_step_and_jump_after_it(fmu: Path, output_every: int):
+    u = np.repeat(np.random.default_rng(0).normal(size=30), np.tile([1, 1, 3, 1, 4], 6))[:60]
+    edges = np.arange(61) * 2.0
+    answer = run(fmu, "LINEAR", a=0.3, b=0.05, edges=edges, u=u, rtol=1e-8, output_every=output_every)
+    np.testing.assert_allclose(
+        answer.y[0, :, 0], linear_by_steps(0.3, 0.05, u, 2.0)[::output_every], rtol=1e-8, atol=5e-7
+    )
+
+
+def test_only_changes_of_inputs_are_events(fmu: Path):
+    u = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 3.0])
+    answer = run(fmu, "PULSED", a=0.1, edges=np.arange(9.0), u=u)
+    # Once more by the event that ends the initialization; n is read before the event at its edge.
+    np.testing.assert_array_equal(answer.y[0, :, 1], [1, 1, 1, 1, 2, 2, 3, 3, 3])
+
+
+def test_a_model_without_states_samples_its_input(discrete: Path):
+    u = np.arange(20.0)
+    answer = run(discrete, "SAMPLED", a=2.5, edges=np.arange(21.0), u=u)
+    assert answer.failures == ("",)
+    # Sampled at 2.5, 5, 7.5, ...: at 5 the step from 4 to 5 ends, and its input still holds.
+    last = np.floor(np.arange(21) / 2.5) * 2.5
+    expected = np.where(last > 0, np.ceil(last) - 1, 0.0)
+    np.testing.assert_array_equal(answer.y[0, :, 0], expected)
+
+
+def test_a_model_without_states_has_state_events(stateless: Path):
+    answer = run(stateless, "LATE", a=7.3, edges=np.arange(11.0))
+    np.testing.assert_array_equal(answer.y[0, :, 1], np.arange(11) > 7.3)
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [
+        ("NOT_A_NUMBER", r"^the integrator's .* at 100 s; the derivative of x1 is not finite$"),
+        (
+            "BROKEN",
+            r"^the integrator's .* at 100 s; fmi[23]Get\w*Derivatives returned fmi[23]Error at 100 s$",
+        ),
+        ("ENDS", r"^the FMU asked to end the simulation at 100 s$"),
+        ("RESTLESS", r"^the model's event did not settle in 1000 iterations at 110 s$"),
+        ("CHATTERS", r"^the model had more than 10000 events in one communication step at 110 s$"),
+        ("ESCAPE", r"^the integrator.* at 0\.9999\d* s"),
+        ("NOISY", r"^the integrator needed more than 100000 steps in one communication step at"),
+    ],
+)
+def test_a_row_that_fails_says_why(fmu: Path, mode: str, reason: str):
+    # Constant inputs but one, so that RESTLESS and CHATTERS have an event after 100 s.
+    u = np.where(np.arange(20) == 11, 1.0, 0.0)
+    answer = run(fmu, mode, edges=np.arange(21) * 10.0, u=u)
+    assert np.isnan(answer.y).all()
+    with pytest.raises(AssertionError, match=reason):
+        raise AssertionError(answer.failures[0])
+
+
+def test_rows_after_a_failure_are_as_fresh(fmu: Path):
+    chosen = settings(fmu, "OSCILLATOR", edges=np.arange(21) * 0.5)
+    rows = np.array([[1.0, 0.0], [1e300, 0.0], [2.0, 0.0], [1.0, 0.0]])
+    with FmuModel(chosen) as model:
+        answer = model.simulate(rows)
+    with FmuModel(chosen) as model:
+        alone = model.simulate(rows[[2]])
+    assert [reason == "" for reason in answer.failures] == [True, False, True, True]
+    np.testing.assert_array_equal(answer.y[2], alone.y[0])
+    np.testing.assert_array_equal(answer.y[0], answer.y[3])
+
+
+def test_nominal_values_set_the_absolute_tolerance(fmu: Path):
+    """A state of 1e-7 is nothing to a nominal value of 1, and all to one of 1e-7."""
+    errors = []
+    for nominal in (1.0, 1e-7):
+        u = 1e-7 * (np.arange(40) % 2)
+        answer = run(fmu, "LINEAR", a=1.0, b=0.5, edges=np.arange(41) * 1.0, u=u, rtol=1e-6, nominal=nominal)
+        expected = linear_by_steps(1.0, 0.5, u, 1.0)
+        errors.append(np.abs(answer.y[0, 20:, 0] - expected[20:]).max())
+    assert errors[1] < errors[0] / 10.0
+    # A thousandth of the input.
+    assert errors[1] < 1e-10
