@@ -1,200 +1,241 @@
-"""A forward model spread over processes, for batches that are worth it."""
+"""A forward model that lives in supervised worker processes: a crash, a hang or a leak costs one row."""
 
 import contextlib
-import multiprocessing
+import logging
 import os
-import signal
 import threading
-import time
-from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.connection import Connection, wait
+import weakref
+from collections.abc import Callable, Iterator
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
+from simulation.arena import Arena, Grid
 from simulation.arrays import FloatArray
-from simulation.forward_model import ForwardModel, WrappedModel
+from simulation.campaign import Campaign, Record
+from simulation.execution import ExecutionPolicy
+from simulation.parameters import ParameterSpace
+from simulation.recipe import Facts, Recipe, known_facts
 from simulation.trajectories import Trajectories
+from simulation.workforce import Workforce
 
-# Starting workers costs a second or two of imports: only batches with more work than this earn it back.
-POOL_PAYS_S: Final = 3.0
-# Once the workers stand, a batch must still outweigh the transport of its rows.
-SHARE_PAYS_S: Final = 0.05
-_PIECE_S: Final = 0.5
-# Trajectories travel through pipes at about this rate; a faster model is quicker alone.
-_TRANSPORT_BYTES_PER_S: Final = 1e8
-_PIECE_BYTES: Final = 8e6
+_LOG = logging.getLogger(__name__)
+BLOCK_BYTES: Final = 64_000_000
+_MAX_BLOCK_ROWS: Final = 65_536
+# An arena up to this size is used again, and its rows are copied out of it.
+_KEPT_BYTES: Final = 4_000_000
 
 
-class ParallelModel(WrappedModel):
-    """A model that answers large batches with all cores and small ones in this process.
+class ParallelModel:
+    """A model whose every row is simulated in a worker process, never in this one.
 
-    The first rows are simulated here and timed. Workers start when the serial work seen so far in batches
-    reaches pool_pays_s and a row takes longer than its transport; each builds its model once. A row whose
-    process dies is a failed row like any other.
+    Workers start with the first row, as many as the rows are worth, and stay until close(). The answer is the
+    same, bit for bit, whoever simulates which row. Not for use from several threads at once.
     """
 
     def __init__(
         self,
-        make_model: Callable[[], ForwardModel],
+        make_model: Recipe,
         n_workers: int | None = None,
         *,
-        pool_pays_s: float = POOL_PAYS_S,
+        policy: ExecutionPolicy | None = None,
+        spool: Path | None = None,
+        on_warning: Callable[[str], None] | None = None,
     ) -> None:
-        """Build the model for this process; no worker starts yet.
+        """Start nothing yet.
 
         Args:
-            make_model: Recipe for the model; must be picklable.
-            n_workers: Worker processes; None for one per core that this process may use.
-            pool_pays_s: Serial work that earns back the start of workers; 0 starts them at once. [s]
+            make_model: Recipe for the model; must be picklable. Where it is the bound method of an object
+                that has the model's parameter_space, output_names and time, these are known without a worker;
+                a method prepare() of that object is called once, before workers are forked.
+            n_workers: Most worker processes; None for one per core that this process may use.
+            policy: What happens to rows that hang, crash or fail.
+            spool: Folder in which finished rows survive the death of this process (see recover_arenas); None
+                to lose them with it.
+            on_warning: Told, in one line, what a user should know at once; None for the log.
         """
         if n_workers is not None and n_workers < 1:
             raise ValueError(f"n_workers is {n_workers}; at least one process has to work")
-        super().__init__(make_model())
-        self._make_model = make_model
-        self._n_workers = n_workers or available_cores()
-        self._pool_pays_s = pool_pays_s
+        self._policy = policy or ExecutionPolicy()
+        self._n_workers = min(n_workers or available_cores(), self._policy.max_workers or 2**31)
+        self._spool = spool
+        self._on_warning = on_warning or _LOG.warning
+        self._workforce = Workforce(
+            make_model, self._n_workers, policy=self._policy, on_warning=self._on_warning
+        )
+        self._facts = known_facts(make_model)
+        self._arenas: list[Arena] = []
+        self._last: Arena | None = None
         self._row_s: float | None = None
-        self._spent_s = 0.0
-        self._pool: ProcessPoolExecutor | None = None
-        self._leash: Connection | None = None
+        self._n_loads = 0
+        self._finalizer = weakref.finalize(self, _abandon, self._workforce, self._arenas)
+
+    @property
+    def _known(self) -> Facts:
+        if self._facts is None:
+            self._facts = self._workforce.open()
+        return self._facts
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The model's parameters."""
+        return self._known.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The model's outputs."""
+        return self._known.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """The model's output times. Shape (t,). [s]."""
+        return self._known.time
 
     @property
     def n_workers(self) -> int:
-        """Worker processes that a large batch gets."""
+        """Most worker processes that rows are spread over."""
         return self._n_workers
 
     @property
-    def pool_started(self) -> bool:
-        """Whether workers stand ready."""
-        return self._pool is not None
+    def n_processes(self) -> int:
+        """Worker processes that there are now."""
+        return self._workforce.n_processes
 
     def simulate(self, theta: FloatArray) -> Trajectories:
-        """Simulate every row, on all cores where that pays.
+        """Simulate every row.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
 
         Returns:
-            The same trajectories as from one process, bit for bit.
-        """
-        theta = np.asarray(theta, dtype=np.float64)
-        if self._n_workers == 1 or len(theta) < 2:
-            return self._here(theta)
-        parts: list[Trajectories] = []
-        rest = theta
-        # One row, then a few: the first may compile or load something, but a slow model shows after one.
-        for n_probed in (1, 8) if self._row_s is None else ():
-            if len(rest) and (self._row_s or 0.0) * n_probed < _PIECE_S:
-                parts.append(self._here(rest[:n_probed]))
-                rest = rest[n_probed:]
-        if len(rest):
-            parts.append(self._shared(rest) if self._pays(len(rest)) else self._here(rest))
-        return Trajectories.concatenate(parts)
+            The same trajectories as from one process, bit for bit. With a spool, they are safe there until
+            the next call.
 
-    def _here(self, theta: FloatArray) -> Trajectories:
-        before = time.perf_counter()
-        answer = self._model.simulate(theta)
-        spent = time.perf_counter() - before
-        if len(theta):
-            self._row_s = min(spent / len(theta), self._row_s or np.inf)
-        # Lonely rows (a line search) never share work, so they are no argument for workers.
-        if len(theta) > 1:
-            self._spent_s += spent
+        Raises:
+            InputError: If the model cannot be opened, or too many rows fail (CampaignStopped).
+        """
+        theta = self._checked(theta)
+        self._forget_last()
+        if not len(theta):
+            return self._nothing()
+        arena = self._arena_for(len(theta))
+        self._simulate(arena, theta, Record(), None)
+        answer = arena.trajectories(copied=arena.is_kept)
+        self._last = arena
+        if self._spool is None:
+            self._forget_last()
         return answer
 
-    @property
-    def _row_bytes(self) -> int:
-        return 8 * len(self.time) * len(self.output_names)
+    def stream(
+        self, theta: FloatArray, *, on_progress: Callable[[int], None] | None = None
+    ) -> Iterator[Trajectories]:
+        """Simulate every row, a block at a time: memory does not grow with the number of rows.
 
-    def _pays(self, n: int) -> bool:
-        row_s = self._row_s or 0.0
-        expected_s = n * row_s
-        if self._pool_pays_s <= 0.0:
-            return True
-        if expected_s < SHARE_PAYS_S or row_s < 2 * self._row_bytes / _TRANSPORT_BYTES_PER_S:
-            return False
-        return self._pool is not None or self._spent_s + expected_s >= self._pool_pays_s
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+            on_progress: Told how many rows have finished so far.
 
-    def _shared(self, theta: FloatArray) -> Trajectories:
-        """Split rows over the workers; pieces of about half a second keep all of them busy to the end."""
-        most = max(1, int(min(_PIECE_S / max(self._row_s or 0.0, 1e-9), _PIECE_BYTES / self._row_bytes)))
-        size = min(most, -(-len(theta) // self._n_workers))
-        pieces = [theta[start : start + size] for start in range(0, len(theta), size)]
-        pool = self._pool or self._start(self._n_workers)
-        futures = _submit(pool, pieces)
-        parts: list[Trajectories | None] = []
-        for future in futures:
+        Yields:
+            Consecutive rows. With a spool, a block is safe there until the next is asked for.
+
+        Raises:
+            InputError: If the model cannot be opened, or too many rows fail (CampaignStopped).
+        """
+        theta = self._checked(theta)
+        size = max(1, min(_MAX_BLOCK_ROWS, BLOCK_BYTES // self._grid.row_bytes))
+        record = Record()
+        for start in range(0, len(theta), size):
+            rows = theta[start : start + size]
+            arena = Arena.create(self._grid, len(rows), spool=self._spool)
             try:
-                parts.append(future.result())
-            except BrokenProcessPool:
-                parts.append(None)
-        if any(part is None for part in parts):
-            self._stop()
-        return Trajectories.concatenate(
-            [
-                part if part is not None else self._one_by_one(piece)
-                for part, piece in zip(parts, pieces, strict=True)
-            ]
-        )
+                self._simulate(arena, rows, record, on_progress)
+                yield arena.trajectories()
+                arena.remove()
+            finally:
+                # After an error, or where nobody asked for more, the rows may not be stored yet.
+                arena.release()
 
-    def _one_by_one(self, theta: FloatArray) -> Trajectories:
-        """Find the row that killed a worker: one row at a time in one worker, which may die again."""
-        parts = []
-        for row in theta[:, None, :]:
-            try:
-                parts.append(_submit(self._pool or self._start(1), [row])[0].result())
-            except BrokenProcessPool:
-                self._stop()
-                parts.append(self._dead(row))
-        self._stop()
-        return Trajectories.concatenate(parts)
-
-    def _dead(self, row: FloatArray) -> Trajectories:
-        return Trajectories.checked(
-            row,
-            np.full((1, len(self.time), len(self.output_names)), np.nan),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-            failures=["the process that simulated this row died"],
-        )
-
-    def _start(self, n_workers: int) -> ProcessPoolExecutor:
-        # Spawned, never forked: a loaded FMU and its threads do not survive a fork.
-        context = multiprocessing.get_context("spawn")
-        hold, self._leash = context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(
-            n_workers, mp_context=context, initializer=_start_worker, initargs=(self._make_model, hold)
+    def _simulate(
+        self, arena: Arena, theta: FloatArray, record: Record, on_progress: Callable[[int], None] | None
+    ) -> None:
+        arena.load(theta)
+        self._n_loads += 1
+        record.row_s = record.row_s if record.row_s is not None else self._row_s
+        campaign = Campaign(
+            arena,
+            self._n_loads,
+            self._workforce,
+            policy=self._policy,
+            record=record,
+            on_progress=on_progress,
+            on_warning=self._on_warning,
         )
         try:
-            self._pool.submit(_ready).result()
-        except BrokenProcessPool:
-            self._stop()
-            raise RuntimeError(
-                "worker processes do not start; a script must start its work under "
-                'if __name__ == "__main__", or use n_workers=1'
-            ) from None
-        return self._pool
+            campaign.run()
+        except BaseException:
+            # Nobody waits for what still runs; finished rows stay in the arena.
+            self._workforce.close(at_once=True)
+            self._arenas.clear()
+            arena.release()
+            raise
+        self._row_s = record.row_s
 
-    def _stop(self) -> None:
-        """Let go of the leash: workers end at once, in the middle of a row if need be."""
-        if self._leash is not None:
-            self._leash.close()
-            self._leash = None
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
+    def _arena_for(self, n: int) -> Arena:
+        """Return an arena for so many rows: the last one where it is small and fits."""
+        for arena in self._arenas:
+            if arena.capacity >= n:
+                return arena
+        if n * self._grid.row_bytes > _KEPT_BYTES:
+            return Arena.create(self._grid, n, spool=self._spool)
+        fitting = _KEPT_BYTES // self._grid.row_bytes
+        arena = Arena.create(self._grid, min(max(2 * n, 64), max(n, fitting)), spool=self._spool)
+        arena.is_kept = True
+        for smaller in self._arenas:
+            smaller.remove()
+        self._arenas[:] = [arena]
+        return arena
+
+    def _forget_last(self) -> None:
+        """Let go of the rows of the last batch, which are stored by now, or not wanted."""
+        if self._last is not None and not self._last.is_kept:
+            self._last.remove()
+        elif self._last is not None:
+            self._last.clear()
+        self._last = None
+
+    def _checked(self, theta: FloatArray) -> FloatArray:
+        theta = np.asarray(theta, dtype=np.float64)
+        n_parameters = self.parameter_space.n_parameters
+        if theta.ndim != 2 or theta.shape[1] != n_parameters:
+            raise ValueError(f"theta has shape {theta.shape}; expected (n, {n_parameters})")
+        return theta
+
+    @property
+    def _grid(self) -> Grid:
+        known = self._known
+        return Grid(known.parameter_space.names, known.output_names, known.time)
+
+    def _nothing(self) -> Trajectories:
+        grid = self._grid
+        return Trajectories.checked(
+            np.empty((0, len(grid.parameter_names))),
+            np.empty((0, len(grid.time), len(grid.output_names))),
+            time=grid.time,
+            parameter_names=grid.parameter_names,
+            output_names=grid.output_names,
+        )
 
     def close(self) -> None:
-        """End the workers and close the model; closing twice does no harm."""
-        self._stop()
-        close = getattr(self._model, "close", None)
-        if close is not None:
-            close()
+        """End the workers, which close their models; closing twice does no harm, and work opens it again."""
+        self._forget_last()
+        for arena in self._arenas:
+            arena.remove()
+        self._arenas.clear()
+        self._workforce.close()
 
     def __enter__(self) -> "ParallelModel":
         """Return the model."""
@@ -210,6 +251,13 @@ class ParallelModel(WrappedModel):
         self.close()
 
 
+def _abandon(workforce: Workforce, arenas: list[Arena]) -> None:
+    """End the workers of a forgotten model; rows that may not be stored stay in the spool."""
+    workforce.close(at_once=True)
+    for arena in arenas:
+        arena.release()
+
+
 def available_cores() -> int:
     """Count the cores that this process may use.
 
@@ -221,45 +269,19 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def exit_with_parent(*others: Connection) -> None:
+def exit_with_parent() -> None:
     """Make this process end at once when the process that started it ends, however that happens.
 
-    For the first line of a worker. Without it, workers of a killed parent go on for ever.
-
-    Args:
-        others: Connections whose far end, when closed, ends this process too.
+    For the first line of a worker of multiprocessing. Without it, workers of a killed parent go on for ever.
     """
-    parent = multiprocessing.parent_process()
+    parent = parent_process()
     if parent is None:
         return
-    watched: list[Any] = [parent.sentinel, *others]
+    sentinel = parent.sentinel
 
     def watch() -> None:
-        wait(watched)
+        wait([sentinel])
         # Not sys.exit: nothing here is worth finishing, and only the main thread could.
         os._exit(1)
 
     threading.Thread(target=watch, name="exit-with-parent", daemon=True).start()
-
-
-def _submit(pool: ProcessPoolExecutor, pieces: list[FloatArray]) -> list[Future[Trajectories]]:
-    return [pool.submit(_simulate_piece, piece) for piece in pieces]
-
-
-# The model of a worker process; only _start_worker sets it.
-_worker_model: list[ForwardModel] = []
-
-
-def _start_worker(make_model: Callable[[], ForwardModel], leash: Connection) -> None:
-    exit_with_parent(leash)
-    # Ctrl-C reaches the whole group; the parent decides what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _worker_model[:] = [make_model()]
-
-
-def _ready() -> None:
-    """Do nothing: a worker that gets here has built its model."""
-
-
-def _simulate_piece(theta: FloatArray) -> Trajectories:
-    return _worker_model[0].simulate(theta)

@@ -156,7 +156,7 @@ def main() -> None:
     large = np.tile(rows, (100, 1))
     result["batch_rows"] = len(large)
     result["batch_serial_s"] = best_s(lambda: model.simulate(large), 3)
-    with ParallelModel(chosen.open, pool_pays_s=0.0) as parallel:
+    with ParallelModel(chosen.open) as parallel:
         parallel.simulate(large[: 20 * parallel.n_workers])
         result["n_workers"] = parallel.n_workers
         result["batch_parallel_s"] = best_s(lambda: parallel.simulate(large), 3)

@@ -1,31 +1,165 @@
-"""Models for the tests of processes: slow ones, and ones that kill their process."""
+"""Models for the tests of processes: slow ones, and ones that do to their process what broken FMUs do."""
 
 import os
+import signal
+import subprocess
+import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from simulation.errors import InputError
+from simulation.file_lock import FileLock
+from simulation.fmu_runner import NeedsFreshProcess
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
+
+BAD_ABOVE_R = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class SlowToy(ToyRC):
-    """The RC toy, each row held up for a while; prints the process it runs in."""
+    """The RC toy, each row held up for a while; keeps a record of the rows that were begun."""
 
     row_s: float = 0.05
+    begun: Path | None = None
+
+    def open(self) -> "SlowToy":
+        return self
 
     def simulate(self, theta: np.ndarray) -> Trajectories:
+        if self.begun is not None:
+            with self.begun.open("ab", buffering=0) as file:
+                file.write(b"".join(row.tobytes().hex().encode() + b"\n" for row in theta))
         time.sleep(self.row_s * len(theta))
+        bad = theta[:, 0] > BAD_ABOVE_R
+        if bad.any():
+            self.misbehave(theta)
+        return super().simulate(theta)
+
+    def misbehave(self, theta: np.ndarray) -> None:
+        """Do something with rows whose R is above 4 K/W."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrashingToy(SlowToy):
+    row_s: float = 0.0
+    words: str = "about to fall"
+
+    def misbehave(self, theta: np.ndarray) -> None:
+        print(self.words, file=sys.stderr, flush=True)
+        os.kill(os.getpid(), signal.SIGSEGV)
+        time.sleep(10)
+
+
+@dataclass(frozen=True, eq=False)
+class OnceCrashingToy(CrashingToy):
+    """Falls once in the life of its folder, and never again."""
+
+    folder: Path = Path()
+
+    def misbehave(self, theta: np.ndarray) -> None:
+        if not (self.folder / "fell").exists():
+            (self.folder / "fell").touch()
+            super().misbehave(theta)
+
+
+@dataclass(frozen=True, eq=False)
+class ExitingToy(SlowToy):
+    row_s: float = 0.0
+
+    def misbehave(self, theta: np.ndarray) -> None:
+        os._exit(3)
+
+
+@dataclass(frozen=True, eq=False)
+class HangingToy(SlowToy):
+    row_s: float = 0.0
+
+    def misbehave(self, theta: np.ndarray) -> None:
+        time.sleep(1e6)
+
+
+@dataclass(frozen=True, eq=False)
+class RaisingToy(SlowToy):
+    row_s: float = 0.0
+    error: type[Exception] = ValueError
+
+    def misbehave(self, theta: np.ndarray) -> None:
+        raise self.error("R is\ntoo large")
+
+
+@dataclass(frozen=True, eq=False)
+class LeakingToy(SlowToy):
+    """Takes 20 MB with every row and never gives them back."""
+
+    row_s: float = 0.01
+    kept: list[np.ndarray] = field(default_factory=list)
+
+    def simulate(self, theta: np.ndarray) -> Trajectories:
+        self.kept.extend(np.ones(2_500_000) for _ in theta)
         return super().simulate(theta)
 
 
 @dataclass(frozen=True, eq=False)
-class DeadlyToy(ToyRC):
-    """The RC toy, which ends its process for R above 4 K/W, as a broken FMU does."""
+class OncePerProcessToy(SlowToy):
+    """Answers one row, and then only in another process."""
+
+    row_s: float = 0.0
+    used: list[bool] = field(default_factory=list)
 
     def simulate(self, theta: np.ndarray) -> Trajectories:
-        if (theta[:, 0] > 4.0).any():
-            os._exit(1)
+        if self.used:
+            raise NeedsFreshProcess("once is enough")
+        self.used.append(True)
         return super().simulate(theta)
+
+
+@dataclass(frozen=True, eq=False)
+class PickyToy(SlowToy):
+    """Opens only once at a time, like an FMU with one licence, or never."""
+
+    row_s: float = 0.02
+    licence: Path | None = None
+    held: list[FileLock] = field(default_factory=list)
+
+    def open(self) -> "PickyToy":
+        if self.licence is None:
+            raise InputError("picky.fmu: there is no licence; ask for one")
+        lock = FileLock(self.licence)
+        if not lock.try_acquire():
+            raise InputError("picky.fmu: the licence is taken; wait for it")
+        self.held.append(lock)
+        return self
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "held": []}
+
+
+@dataclass(frozen=True, eq=False)
+class DyingAtOpeningToy(SlowToy):
+    def open(self) -> "DyingAtOpeningToy":
+        os.kill(os.getpid(), signal.SIGABRT)
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyToy(SlowToy):
+    """Starts a process of its own with every row, and leaves a file behind."""
+
+    row_s: float = 0.0
+
+    def simulate(self, theta: np.ndarray) -> Trajectories:
+        subprocess.Popen(["sleep", "1000"])
+        Path("left.txt").write_text("behind")
+        return super().simulate(theta)
+
+
+def count_begun(file: Path) -> dict[str, int]:
+    """Return how often each row was begun, by the bytes of its parameters."""
+    counts: dict[str, int] = {}
+    for line in file.read_text().split():
+        counts[line] = counts.get(line, 0) + 1
+    return counts

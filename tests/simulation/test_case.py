@@ -191,7 +191,7 @@ def test_the_office_is_the_same_reused_fresh_and_spread_over_processes(office: C
     for index in (0, 15):
         with office.open_model() as model:
             assert model.simulate(rows[[index]]).digest == reused.take([index]).digest
-    with ParallelModel(office.make_model, 2, pool_pays_s=0.0) as parallel:
+    with ParallelModel(office.make_model, 2) as parallel:
         assert parallel.simulate(rows).digest == reused.digest
         assert parallel.simulate(rows).digest == reused.digest
 

@@ -17,8 +17,7 @@ MODELS = [
     "toy-product",
     "toy-ishigami",
     "counting",
-    "parallel-small",
-    "parallel-pool",
+    "parallel",
     "fmu",
     "fmu-pool",
 ]
@@ -31,10 +30,10 @@ def model(request: pytest.FixtureRequest) -> Iterator[ForwardModel]:
     if name.startswith("fmu"):
         case: Path = request.getfixturevalue("shared_decay_case")
         make_model = load_case(case).make_model
-        with make_model() if name == "fmu" else ParallelModel(make_model, 2, pool_pays_s=0.0) as model:
+        with make_model() if name == "fmu" else ParallelModel(make_model, 2) as model:
             yield model
-    elif name.startswith("parallel"):
-        with ParallelModel(ToyRC, 2, pool_pays_s=0.0 if name == "parallel-pool" else 3.0) as model:
+    elif name == "parallel":
+        with ParallelModel(ToyRC, 2) as model:
             yield model
     else:
         yield {

@@ -1,4 +1,4 @@
-"""Rows over processes: the same bits, started only when it pays, and gone when the parent is."""
+"""Rows over worker processes: the same bits, few processes for little work, and none when all is done."""
 
 import os
 import signal
@@ -12,12 +12,14 @@ import psutil
 import pytest
 
 from simulation.case import load_case
+from simulation.errors import InputError
+from simulation.execution import ExecutionPolicy
 from simulation.parallel import ParallelModel, available_cores
 from simulation.toy import ToyRC
 
 # Workers import the models by name, from this folder.
 sys.path.insert(0, str(Path(__file__).parent))
-from slow_models import DeadlyToy, SlowToy
+from slow_models import PickyToy, SlowToy
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,40 +30,64 @@ def _rows(n: int) -> np.ndarray:
 
 def test_serial_equals_parallel_bit_for_bit(decay_case: Path):
     case = load_case(decay_case)
-    rows = np.column_stack([np.geomspace(2e-5, 5e-4, 101), np.arange(101) % 5])
-    with case.open_model() as serial, ParallelModel(case.make_model, 2, pool_pays_s=0.0) as parallel:
+    rows = np.column_stack([np.geomspace(2e-5, 5e-4, 101), np.array([0, 1, 2, 4, 5])[np.arange(101) % 5]])
+    policy = ExecutionPolicy(max_failed_share=1.0)
+    with case.open_model() as serial, ParallelModel(case.make_model, 2, policy=policy) as parallel:
         first = parallel.simulate(rows)
-        assert parallel.pool_started
         assert first.digest == serial.simulate(rows).digest
         assert parallel.simulate(rows).digest == first.digest
 
 
-def test_a_cheap_batch_starts_no_workers():
-    with ParallelModel(ToyRC) as model:
-        for _ in range(5):
-            model.simulate(_rows(500))
-        assert not model.pool_started
-
-
-def test_an_expensive_batch_starts_workers():
-    with ParallelModel(SlowToy, 2, pool_pays_s=0.5) as model:
-        model.simulate(_rows(3))
-        assert not model.pool_started
-        model.simulate(_rows(16))
-        assert model.pool_started
-
-
-def test_a_row_that_kills_its_process_is_a_failed_row():
-    rows = _rows(24)
-    rows[:9, 0] = 1.0  # those simulated in this process must not kill it
-    deadly = rows[:, 0] > 4.0
-    assert deadly.any()
-    with ParallelModel(DeadlyToy, 2, pool_pays_s=0.0) as model:
+def test_slow_rows_get_all_workers_and_bring_the_same_bits():
+    rows = _rows(40)
+    with ParallelModel(SlowToy(row_s=0.05).open, 3) as model:
         answer = model.simulate(rows)
-    assert np.array_equal(answer.failed, deadly)
-    assert set(np.array(answer.failures)[deadly]) == {"the process that simulated this row died"}
-    good = ToyRC().simulate(rows)
-    assert answer.take(~deadly).digest == good.take(~deadly).digest
+        assert model.n_processes == 3
+    assert answer.digest == ToyRC().simulate(rows).digest
+
+
+def test_little_work_gets_one_worker():
+    with ParallelModel(ToyRC, 4) as model:
+        for n in (1, 15, 200):
+            model.simulate(_rows(n))
+        assert model.n_processes == 1
+
+
+def test_a_described_recipe_is_known_without_a_process():
+    toy = SlowToy()
+    with ParallelModel(toy.open, 2) as model:
+        assert model.parameter_space == toy.parameter_space
+        assert model.output_names == ("T",)
+        assert np.array_equal(model.time, toy.time)
+        assert model.simulate(np.empty((0, 2))).n == 0
+        assert model.n_processes == 0
+
+
+def test_a_large_batch_comes_in_blocks(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("simulation.parallel.BLOCK_BYTES", 20_000)
+    rows, seen = _rows(350), []
+    with ParallelModel(ToyRC, 2) as model:
+        blocks = list(model.stream(rows, on_progress=seen.append))
+    assert [block.n for block in blocks] == [100, 100, 100, 50]
+    assert np.array_equal(np.concatenate([block.y for block in blocks]), ToyRC().simulate(rows).y)
+    assert seen == sorted(seen)
+    assert seen[-1] == 350
+
+
+def test_batches_of_all_sizes_do_not_touch_each_other():
+    with ParallelModel(ToyRC, 2) as model:
+        answers = [(n, model.simulate(_rows(n))) for n in (3, 70, 1, 30_000, 2)]
+    for n, answer in answers:
+        assert answer.digest == ToyRC().simulate(_rows(n)).digest
+
+
+def test_a_model_can_be_asked_between_two_blocks_of_a_stream(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("simulation.parallel.BLOCK_BYTES", 2_000)
+    rows = _rows(25)
+    with ParallelModel(ToyRC, 2) as model:
+        for start, block in zip((0, 10, 20), model.stream(rows), strict=True):
+            assert model.simulate(rows[:3]).digest == ToyRC().simulate(rows[:3]).digest
+            assert block.digest == ToyRC().simulate(rows[start : start + 10]).digest
 
 
 def test_the_cores_are_those_this_process_may_use():
@@ -75,6 +101,33 @@ def test_no_worker_is_no_choice():
         ParallelModel(ToyRC, 0)
 
 
+def test_rows_of_another_shape_are_refused():
+    with pytest.raises(ValueError, match=r"theta has shape \(3, 4\); expected \(n, 2\)"):
+        ParallelModel(SlowToy().open).simulate(np.ones((3, 4)))
+
+
+def test_a_model_that_cannot_be_opened_says_so_in_its_own_line():
+    with ParallelModel(PickyToy().open, 2) as model, pytest.raises(InputError) as caught:
+        model.simulate(_rows(3))
+    assert str(caught.value) == "picky.fmu: there is no licence; ask for one"
+
+
+def test_a_recipe_that_no_other_process_can_find_is_refused(tmp_path: Path):
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from simulation.parallel import ParallelModel\n"
+        "from simulation.toy import ToyRC\n"
+        "class Own(ToyRC): pass\n"
+        "ParallelModel(Own).time\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "is defined in the script itself" in done.stderr
+
+
 SCRIPT = """
 import sys
 sys.path[:0] = [{tests!r}, {root!r}]
@@ -82,46 +135,38 @@ import numpy as np
 from simulation.parallel import ParallelModel
 from slow_models import SlowToy
 
-if __name__ == "__main__":
-    rows = SlowToy().parameter_space.from_unit(np.random.default_rng(0).random((4000, 2)))
-    with ParallelModel(SlowToy, 2, pool_pays_s=0.0) as model:
-        model.simulate(rows[:9])
-        model.simulate(rows[:20])
-        print("ready", flush=True)
-        model.simulate(rows)
+rows = SlowToy().parameter_space.from_unit(np.random.default_rng(0).random((4000, 2)))
+with ParallelModel(SlowToy, 2) as model:
+    model.simulate(rows[:20])
+    print("ready", flush=True)
+    model.simulate(rows)
 """
 
 
+# Without a guard: a script need not know that there are processes.
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_no_worker_outlives_its_parent(how: signal.Signals, tmp_path: Path):
-    script = tmp_path / "work.py"
+def test_no_worker_and_no_file_outlives_its_parent(how: signal.Signals, tmp_path: Path):
+    script, temporary = tmp_path / "work.py", tmp_path / "tmp"
+    temporary.mkdir()
     script.write_text(SCRIPT.format(tests=str(Path(__file__).parent), root=str(ROOT)))
     with subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | {"TMPDIR": str(temporary)},
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         workers = psutil.Process(process.pid).children(recursive=True)
         assert len(workers) >= 2
+        assert list(temporary.iterdir())
         time.sleep(0.1)
         started = time.monotonic()
         process.send_signal(how)
         process.wait(timeout=20)
         _, alive = psutil.wait_procs(workers, timeout=10)
         assert not alive
-        # The batch would have taken 100 s.
-        assert time.monotonic() - started < 10
-
-
-def test_a_script_without_a_guard_is_told_so(tmp_path: Path):
-    script = tmp_path / "unguarded.py"
-    script.write_text(
-        SCRIPT.format(tests=str(Path(__file__).parent), root=str(ROOT)).replace(
-            '__name__ == "__main__"', "True"
-        )
-    )
-    done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60
-    )
-    assert done.returncode != 0
-    assert 'start its work under if __name__ == "__main__"' in done.stderr
+        # The batch would have taken 100 s; "within a second" is what it takes on an idle machine.
+        assert time.monotonic() - started < 5
+    assert not list(temporary.iterdir())

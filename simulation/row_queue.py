@@ -1,0 +1,74 @@
+"""Which rows of an arena wait, and which run owns which: no row is ever in two hands."""
+
+import math
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from simulation.arena import Arena, RowState
+from simulation.worker_messages import Run
+
+# A run this long hides the message that hands it out, and this short keeps all workers busy to the end.
+RUN_S: Final = 0.02
+MIN_RUN_S: Final = 0.002
+_MAX_OVERRUN: Final = 4.0
+
+
+class RowQueue:
+    """The rows of an arena that nobody has begun, handed out in runs of consecutive ones.
+
+    Attributes:
+        n_waiting: Rows that are in nobody's hands.
+    """
+
+    def __init__(self, arena: Arena, number: int) -> None:
+        """Let all rows of an arena wait.
+
+        Args:
+            arena: The arena.
+            number: A number that no other load of an arena has.
+        """
+        self._arena = arena
+        self._number = number
+        self._waiting: deque[tuple[int, int]] = deque([(0, arena.n)] if arena.n else [])
+        self._n_runs = 0
+        self.n_waiting = arena.n
+
+    def take(self, row_s: float | None, n_workers: int) -> Run:
+        """Hand out the next rows: one where nothing is known of their time, else a few milliseconds' worth.
+
+        Args:
+            row_s: Expected time per row; None before the first. [s]
+            n_workers: Among how many the rows are shared.
+        """
+        start, end = self._waiting.popleft()
+        stop = min(end, start + (1 if row_s is None else self._length(max(row_s, 1e-7), n_workers)))
+        if stop < end:
+            self._waiting.appendleft((stop, end))
+        self.n_waiting -= stop - start
+        self._n_runs += 1
+        self._arena.owners[start:stop] = self._n_runs
+        budget_s = _MAX_OVERRUN * max(RUN_S, (stop - start) * (row_s or 0.0))
+        return Run(self._n_runs, self._arena.address, self._number, start, stop, budget_s)
+
+    def _length(self, row_s: float, n_workers: int) -> int:
+        fair = math.ceil(self.n_waiting / (2 * max(1, n_workers)))
+        return max(1, min(int(RUN_S / row_s), max(fair, int(MIN_RUN_S / row_s))))
+
+    def rows(self, run: Run, state: RowState) -> list[int]:
+        """Return the rows in some state that a run still owns."""
+        part = slice(run.start, run.stop)
+        owned = (self._arena.states[part] == state) & (self._arena.owners[part] == run.number)
+        return [run.start + i for i in np.flatnonzero(owned).tolist()]
+
+    def give_back(self, run: Run) -> None:
+        """Let others have the rows of a run that nobody has begun."""
+        rows = self.rows(run, RowState.WAITING)
+        self._arena.owners[rows] = 0
+        for row in reversed(rows):
+            if self._waiting and self._waiting[0][0] == row + 1:
+                self._waiting[0] = (row, self._waiting[0][1])
+            else:
+                self._waiting.appendleft((row, row + 1))
+        self.n_waiting += len(rows)
