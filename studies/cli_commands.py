@@ -25,7 +25,7 @@ def _check(options: argparse.Namespace, console: Console) -> int:
     from studies.stages_check import diagnose
 
     study = open_study(options, console)
-    diagnosis = diagnose(study)
+    diagnosis = diagnose(study, is_thorough=options.thorough)
     show_diagnosis(console, study.label, diagnosis)
     console.document({"command": "check", "label": study.label, **diagnosis.to_dict()})
     return OK if diagnosis.is_sound else FAILED

@@ -1,17 +1,37 @@
 """The doctor as a stage: examined once per case and profile, unless asked for."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from simulation.case import load_case
+from simulation.execution import ExecutionPolicy
+from simulation.forward_model import ForwardModel
+from simulation.parallel import ParallelModel
 from studies.doctor import Diagnosis, Finding, examine
+from studies.doctor.examination import Surgery
 from studies.pipeline import Outcome, Study, Summary, run_stage
 
 
-def diagnose(study: Study) -> Diagnosis:
+def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
     """Examine the study's case now."""
     case = study.case
-    halved = load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0)
-    return examine(case, study.profile, halved=halved, console=study.console)
+
+    @contextmanager
+    def open_model(policy: ExecutionPolicy) -> Iterator[ForwardModel]:
+        with ParallelModel(case.make_model, study.n_jobs, policy=policy) as model:
+            yield model
+
+    surgery = Surgery(
+        case=case,
+        halved=load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0),
+        profile=study.profile,
+        open_model=open_model,
+        n_workers=min(study.n_jobs, case.policy.max_workers or study.n_jobs),
+        command=f"studies check {study.command}",
+        console=study.console,
+    )
+    return examine(surgery, is_thorough=is_thorough)
 
 
 def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:

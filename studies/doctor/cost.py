@@ -1,0 +1,61 @@
+"""What a plan will cost, told before it is spent."""
+
+from simulation.case import Case
+from studies.console import format_seconds
+from studies.doctor.finding import Finding
+from studies.doctor.patience import LEAST_S, SLOWER
+from studies.profile import Profile
+
+
+def planned_simulations(case: Case, profile: Profile) -> dict[str, int]:
+    """Return how many simulations a profile asks for, by purpose."""
+    p, n = case.parameter_space.n_parameters, len(profile.data.n_train)
+    return {
+        "training": max(profile.data.n_train),
+        "validation": profile.data.n_validation,
+        "test": profile.data.n_test,
+        "sensitivity": profile.sensitivity.n_base * (p + 2),
+        "calibration at most": n * (profile.polish.max_calls + 1),
+    }
+
+
+def tell_cost(case: Case, profile: Profile, simulation_s: float, n_workers: int) -> Finding:
+    """Say what the profile costs on this machine.
+
+    Polishing goes one simulation after the other or a Jacobian at a time, so the true time lies above a share
+    by the workers: that part is counted for one worker.
+    """
+    planned = planned_simulations(case, profile)
+    total = sum(planned.values())
+    alone = planned["calibration at most"]
+    seconds = simulation_s * ((total - alone) / n_workers + alone)
+    trainings = len(profile.data.n_train) * profile.tuning.n_trials
+    workers = f"{n_workers} workers" if n_workers > 1 else "one worker"
+    return Finding(
+        f"cost of profile {profile.name}",
+        "ok",
+        f"{_milliseconds(simulation_s)} per simulation; at most {total} simulations, "
+        f"{format_seconds(seconds)} with {workers}; {trainings} trainings",
+    )
+
+
+def tell_timeout(case: Case, simulation_s: float) -> Finding:
+    """Propose a time-out where there is none."""
+    if case.policy.timeout_s is not None:
+        tight = case.policy.timeout_s < 3.0 * simulation_s
+        return Finding(
+            "time-out",
+            "warn" if tight else "ok",
+            f"{case.policy.timeout_s:g} s; the estimates take {format_seconds(simulation_s)}",
+            "raise [simulation] timeout_s: other parameters may take longer" if tight else "",
+        )
+    proposed = max(LEAST_S, float(f"{SLOWER * simulation_s:.1g}"))
+    return Finding(
+        "time-out",
+        "ok",
+        f"none; if simulations can hang: [simulation] timeout_s = {proposed:g}",
+    )
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{1000.0 * seconds:.3g} ms" if seconds < 1.0 else format_seconds(seconds)

@@ -1,0 +1,198 @@
+"""What can be said of a case before anything is simulated: declarations, data, units that cannot be right."""
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.fmu_variable import FmuVariable
+from simulation.parameters import ParameterSpace
+from studies.doctor.finding import Finding
+from studies.report.wording import count
+
+COLDEST_K, COLDEST_DEGC = 150.0, -100.0
+LIKE_KELVIN = (200.0, 400.0)
+"""Values in degC that all lie in between are rather in kelvin."""
+LONGEST = 4
+"""Names told in one line."""
+
+
+def look_at_declaration(case: Case) -> Iterator[Finding]:
+    """Look at what the case and the FMU declare."""
+    yield _names(case)
+    yield _fmu(case)
+    yield from _no_unit(case)
+    yield from _outside_the_fmus_bounds(case)
+
+
+def look_at_data(case: Case) -> Iterator[Finding]:
+    """Look at the recordings, as the model and the comparison get them."""
+    measurement, scenario = case.measurement, case.scenario
+    begin, end = case.window_d
+    n_samples, p = measurement.n_samples, case.parameter_space.n_parameters
+    enough = n_samples > p
+    yield Finding(
+        "data",
+        "ok" if enough else "warn",
+        f"days {begin:g} to {end:g} are covered: {count(n_samples, 'measured value')}, "
+        f"inputs every {case.communication_step_s:g} s",
+        "" if enough else f"{p} parameters cannot be told from {n_samples} values; lengthen the window",
+    )
+    series = {name: scenario.inputs[:, i] for i, name in enumerate(scenario.input_names)}
+    still = [name for name, values in series.items() if np.ptp(values) == 0.0]
+    still += [
+        output.name
+        for output, samples in zip(case.outputs, measurement.samples, strict=True)
+        if len(samples.values) > 1 and np.ptp(samples.values) == 0.0
+    ]
+    if still:
+        yield Finding(
+            "series that never change",
+            "warn",
+            f"constant over the window: {_listed(still)}",
+            "see whether the CSV column is the right one and is filled",
+        )
+    yield from _data_in_wrong_unit(case, series)
+
+
+def temperature_doubt(values: FloatArray, unit: str) -> str:
+    """Say what speaks against a temperature unit; "" for nothing.
+
+    Args:
+        values: Finite values. Shape (n,). [unit]
+        unit: The unit they are said to have.
+    """
+    low, high = float(np.min(values)), float(np.max(values))
+    span = f"{low:.4g} to {high:.4g} {unit}"
+    if unit == "K" and low < COLDEST_K:
+        return f"{span} is very cold: rather degC"
+    if unit in ("degC", "°C"):
+        if low < COLDEST_DEGC:
+            return f"{span} is very cold: 273.15 may be taken off twice"
+        if LIKE_KELVIN[0] < low and high < LIKE_KELVIN[1]:
+            return f"{span} is very hot: rather K"
+    return ""
+
+
+def _names(case: Case) -> Finding:
+    n_inputs = len(case.scenario.input_names)
+    return Finding(
+        "names, units, bounds",
+        "ok",
+        f"{count(case.parameter_space.n_parameters, 'parameter')}, {count(n_inputs, 'input')} and "
+        f"{count(len(case.outputs), 'output')} are in {case.fmu_path.name}, units agree",
+    )
+
+
+def _fmu(case: Case) -> Finding:
+    fmu = case.fmu
+    interface = fmu.interfaces[case.interface]
+    can = [
+        word
+        for word, has in (
+            ("state can be saved", interface.can_get_and_set_state),
+            ("directional derivatives", interface.provides_directional_derivatives),
+            ("one instance per process", interface.can_be_instantiated_only_once_per_process),
+        )
+        if has
+    ]
+    said = f"FMI {fmu.fmi_version} {case.interface} by {fmu.generation_tool or 'an unnamed tool'}"
+    found = ", ".join([said, *can])
+    if interface.needs_execution_tool:
+        return Finding(
+            "FMU",
+            "warn",
+            f"{found}, needs its tool to run",
+            "have the tool, and a licence for each worker, on every machine; limit them: "
+            "[simulation] max_workers",
+        )
+    if fmu.complaint:
+        return Finding(
+            "FMU",
+            "warn",
+            f"{found}; its description breaks the standard: {fmu.complaint[:160]}",
+            "it is used as it is; have its exporter corrected if names or units look wrong",
+        )
+    return Finding("FMU", "ok", found)
+
+
+def _no_unit(case: Case) -> Iterator[Finding]:
+    used = [
+        *case.scenario.input_names,
+        *(output.name for output in case.outputs),
+        *case.parameter_space.names,
+    ]
+    bare = [name for name in used if not case.fmu.variables[name].unit]
+    if bare:
+        yield Finding(
+            "units the FMU does not declare",
+            "warn",
+            f"{count(len(bare), 'variable')} without a unit: {_listed(bare)}",
+            "nothing can be checked for these; see that data and bounds are what its equations expect",
+        )
+
+
+def _outside_the_fmus_bounds(case: Case) -> Iterator[Finding]:
+    space, convert = case.parameter_space, case.settings.parameters_for_fmu
+    variables = [case.fmu.variables[name] for name in space.names]
+    beyond = []
+    for variable, lower, upper in zip(variables, convert(space.lower), convert(space.upper), strict=True):
+        low, high = variable.minimum, variable.maximum
+        if (low is not None and lower < low) or (high is not None and upper > high):
+            ends = " to ".join("..." if end is None else f"{end:g}" for end in (low, high))
+            beyond.append(f"{variable.name} ({ends})")
+    if beyond:
+        yield Finding(
+            "bounds inside the FMU's min and max",
+            "warn",
+            f"wider than the FMU allows: {_listed(beyond)}",
+            "narrow lower and upper; tools differ in what they do beyond",
+        )
+    odd = [
+        f"{variable.name} = {value:g} K"
+        for variable, value in zip(variables, convert(base_point(space)), strict=True)
+        if value < COLDEST_K and _is_temperature(variable)
+    ]
+    if odd:
+        yield Finding(
+            "temperatures among the parameters",
+            "warn",
+            f"the FMU says kelvin: {_listed(odd)}",
+            "see whether its equations count in degC, or the estimate does",
+        )
+
+
+def base_point(space: ParameterSpace) -> FloatArray:
+    """Return the estimates, the middle of the bounds where there is none. Shape (p,). [per parameter]."""
+    middle = space.from_unit(np.full(space.n_parameters, 0.5))
+    estimates = [parameter.estimate for parameter in space.parameters]
+    return np.array([m if e is None else e for e, m in zip(estimates, middle, strict=True)])
+
+
+def _is_temperature(variable: FmuVariable) -> bool:
+    text = f"{variable.name} {variable.description}"
+    is_difference = re.search(r"differ|delta|gradient|\bd[tT]|hyster|dead|band", text) is not None
+    return variable.unit == "K" and not is_difference and re.search(r"(^|\.)T|[Tt]emp", text) is not None
+
+
+def _data_in_wrong_unit(case: Case, inputs: dict[str, FloatArray]) -> Iterator[Finding]:
+    doubts = []
+    for name, values in inputs.items():
+        doubt = temperature_doubt(values, case.fmu.variables[name].unit)
+        doubts += [f"{name}: {doubt}"] if doubt else []
+    for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
+        doubt = temperature_doubt(samples.values, output.unit)
+        doubts += [f"measured {output.name}: {doubt}"] if doubt else []
+    if doubts:
+        yield Finding(
+            "units of the data",
+            "warn",
+            "; ".join(doubts[:LONGEST]),
+            "look into the CSV file and correct unit in the case file (K and degC are converted)",
+        )
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:LONGEST]) + (f" and {len(names) - LONGEST} more" if len(names) > LONGEST else "")

@@ -1,0 +1,111 @@
+"""The same FMU in other circumstances: each input changed, half the communication step."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.fmu import FmuSettings
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.trajectories import Trajectories
+from studies.doctor.answers import Estimates
+from studies.doctor.finding import Finding
+
+STEP_SHARE = 0.2
+"""Halving the communication step may change the output by this share of the sensor's uncertainty."""
+INPUT_SHARE = 0.1
+"""A constant input is changed by this share of its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class CircumstanceModel:
+    """One parameter row asked in different circumstances, whose number is the only parameter.
+
+    Attributes:
+        settings: The circumstances; all with the same outputs and output times.
+        row: Parameters of the FMU. Shape (p,). [per parameter]
+    """
+
+    settings: tuple[FmuSettings, ...]
+    row: FloatArray
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The number of the circumstance."""
+        return ParameterSpace((Parameter("circumstance", -1.0, float(len(self.settings))),))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs."""
+        return self.settings[0].output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        return self.settings[0].scenario.time
+
+    def open(self) -> "CircumstanceModel":
+        """Return the model: the recipe that worker processes are given."""
+        return self
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate the row in each circumstance asked for, on an FMU opened for it.
+
+        Args:
+            theta: Numbers of circumstances. Shape (n, 1). [1]
+
+        Returns:
+            The trajectories.
+        """
+        answers = []
+        for number in theta[:, 0]:
+            with self.settings[round(number)].open() as model:
+                answers.append(model.simulate(self.row[None]))
+        return Trajectories.checked(
+            theta,
+            np.concatenate([answer.y for answer in answers]),
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+            failures=[answer.failures[0] for answer in answers],
+        )
+
+
+def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceModel:
+    """Collect the circumstances: as it is (0), half the step (1), each input changed (2, 3, ...)."""
+    scenario = case.settings.scenario
+    changed = []
+    for column in range(scenario.inputs.shape[1]):
+        inputs = scenario.inputs.copy()
+        inputs[:, column] = _changed(inputs[:, column])
+        changed.append(replace(case.settings, scenario=replace(scenario, inputs=inputs)))
+    return CircumstanceModel((case.settings, halved.settings, *changed), row)
+
+
+def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Trajectories) -> Finding:
+    """Tell what half the communication step changes."""
+    what = f"half the communication step ({halved.communication_step_s:g} s)"
+    if answer.failed[0]:
+        return Finding(what, "warn", f"failed: {answer.failures[0]}", "check the FMU's smallest step")
+    change = np.abs(answer.y[0] - estimates.nominal.y[0]).max(axis=0)
+    shares = change / case.measurement.uncertainty
+    worst = int(np.argmax(shares))
+    good = shares[worst] <= STEP_SHARE
+    output = case.outputs[worst]
+    return Finding(
+        what,
+        "ok" if good else "warn",
+        f"changes {output.name} by {change[worst]:.3g} {output.unit} at most, "
+        f"{shares[worst]:.2g} times the sensor's uncertainty",
+        "" if good else "lower communication_step_s in the case file, or choose another interpolation",
+    )
+
+
+def _changed(values: FloatArray) -> FloatArray:
+    """Return other values of the same kind: in reverse order, so that a switch stays one."""
+    backwards = values[::-1]
+    if not np.array_equal(backwards, values):
+        return backwards
+    shift = INPUT_SHARE * float(np.abs(values).max()) or 1.0
+    return np.asarray(values + shift)
