@@ -142,7 +142,7 @@ def influence(case: Case, estimates: Estimates, answer: Trajectories) -> FloatAr
         answer: the answers to `moved_points`, or to the first of them.
 
     Returns:
-        Largest change; infinite where both bounds failed, which is an effect as well. Shape (p,). [uncertainties]
+        Largest change, infinite where both bounds failed. Shape (p,). [uncertainties]
     """
     p = answer.n // 2
     moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=1) / case.measurement.uncertainty
