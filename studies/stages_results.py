@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.trajectories import Trajectories
+from simulation.row_set import RowSet
 from studies.paths import size_name
 from studies.pipeline import Study, read_json
 from studies.report.records import (
@@ -95,14 +95,7 @@ def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
 
 def measured_series(case: Case) -> MeasuredSeries:
     """Return what the case is calibrated against."""
-    measurement = case.measurement
-    return MeasuredSeries(
-        time=measurement.time,
-        y=measurement.y,
-        output_names=measurement.output_names,
-        units=tuple(output.unit for output in case.outputs),
-        uncertainty=measurement.uncertainty,
-    )
+    return MeasuredSeries(case.measurement, tuple(output.unit for output in case.outputs))
 
 
 def parameter_box(case: Case) -> ParameterBox:
@@ -174,8 +167,7 @@ def coverage_set(study: Study) -> CoverageSet | None:
     file = study.paths.root / manifest["summary"]["files"]["train"]
     if not file.is_file():
         return None
-    rows = Trajectories.load(file)
-    rows = rows.take(np.arange(min(rows.n, N_COVERAGE)))
+    rows = RowSet.load(file).read(N_COVERAGE)
     return CoverageSet("training", rows.theta, rows.y)
 
 

@@ -165,7 +165,7 @@ def coverage_caption(measurement: MeasuredSeries, coverage: CoverageSet) -> str:
     unit = shown_unit(measurement.units[0])
     simulated, measured = (
         f"from {quantity(float(values.min()), unit)} to {quantity(float(values.max()), unit)}"
-        for values in (good[..., 0], measurement.y[:, 0])
+        for values in (good[..., 0], measurement.samples[0].values)
     )
     return (
         f"{count(len(good), f'{coverage.name} simulation')}{failed} range {simulated} in "

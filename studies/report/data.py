@@ -92,9 +92,7 @@ class ReportData:
             raise ValueError(f"headline_n_train is {self.headline_n_train}, the sizes are {sorted(sizes)}")
         for calibration in self.calibrations:
             for what in ("y_screened", "y_polished"):
-                require_shape(
-                    f"the calibration's {what}", getattr(calibration, what), self.measurement.y.shape
-                )
+                require_shape(f"the calibration's {what}", getattr(calibration, what), self.measurement.shape)
             for what in ("theta_screened", "theta_polished"):
                 expected = self.parameters.lower.shape
                 require_shape(f"the calibration's {what}", getattr(calibration, what), expected)

@@ -236,9 +236,31 @@ def _center(members: Sequence[int], heights: Sequence[float], gaps: Sequence[flo
     return min(max(wish, half), 1.0 - half) if half < 0.5 else 0.5
 
 
+def in_days(time: Floats) -> Floats:
+    """Return times in days. Shape (t,). [d]."""
+    return time / SECONDS_PER_DAY
+
+
+def line_with_gaps(axes: Axes, time: Floats, values: Floats, **style: Any) -> None:
+    """Draw a line through samples, broken where they lie further apart than usual; dots where it is broken.
+
+    Args:
+        axes: Where to.
+        time: Sample times. Shape (m,). [s]
+        values: Samples. Shape (m,).
+        style: Color, width and the like of the line.
+    """
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.int64)
+    if len(gaps) or len(time) == 1:
+        # A sample between two gaps has no line.
+        style |= {"marker": ".", "markersize": 2.5 * style.get("linewidth", 1.0)}
+    axes.plot(np.insert(in_days(time), gaps, np.nan), np.insert(values, gaps, np.nan), **style)
+
+
 def day_axis(axes: Axes, time: Floats) -> Floats:
     """Label the horizontal axis in days, fit it to a time axis, and return that in days. Shape (t,)."""
-    days = time / SECONDS_PER_DAY
+    days = in_days(time)
     first, last = float(days[0]), float(days[-1])
     axes.set_xlim(first, last if last > first else first + 1.0)
     axes.set_xlabel("time [d]")

@@ -24,6 +24,8 @@ from studies.report.drawing import (
     decimal_log,
     drawing,
     end_labels,
+    in_days,
+    line_with_gaps,
     log_limits,
     shortened,
 )
@@ -83,9 +85,12 @@ def _draw_output(
         ("screened", calibration.y_screened[:, output], SCREENED, 1.3),
         ("polished", calibration.y_polished[:, output], POLISHED, 1.6),
     )
-    measured = measurement.y[:, output]
-    axes.plot(days, measured, linestyle="none", marker=".", markersize=5, color=MEASURED, zorder=2)
-    labels = [EndLabel(_last(measured), "measured", INK)]
+    measured = measurement.samples[output]
+    measured_days = in_days(measured.time)
+    axes.plot(
+        measured_days, measured.values, linestyle="none", marker=".", markersize=5, color=MEASURED, zorder=2
+    )
+    labels = [EndLabel(_last(measured.values), "measured", INK)]
     for name, values, color, width in series:
         axes.plot(days, values, color=color, linewidth=width, zorder=3)
         labels.append(EndLabel(_last(values), name, color))
@@ -98,9 +103,9 @@ def _draw_output(
 def _draw_residual(
     axes: Axes, measurement: MeasuredSeries, calibration: CalibrationRecord, output: int
 ) -> None:
-    days = day_axis(axes, measurement.time)
+    day_axis(axes, measurement.time)
     unit = difference_unit(measurement.units[output])
-    residual = calibration.y_polished[:, output] - measurement.y[:, output]
+    residual = measurement.residual(calibration.y_polished, output)
     uncertainty = float(measurement.uncertainty[output])
     largest = float(np.nanmax(np.abs(residual))) if np.isfinite(residual).any() else 0.0
     reach = max(1.12 * largest, 1.25 * uncertainty if math.isfinite(uncertainty) else 0.0) or 1.0
@@ -110,7 +115,7 @@ def _draw_residual(
         axes.axhspan(-uncertainty, uncertainty, color=TRAINING, alpha=0.75, linewidth=0, zorder=0)
         labels.append(EndLabel(uncertainty, f"sensor\n±{uncertainty:g} {unit}", MUTED))
     axes.axhline(0.0, color=INK, linewidth=0.8)
-    axes.plot(days, residual, color=POLISHED, linewidth=1.1)
+    line_with_gaps(axes, measurement.samples[output].time, residual, color=POLISHED, linewidth=1.1)
     labels.append(EndLabel(_last(residual), "polished", POLISHED))
     axes.set_ylabel(axis_label("residual", shortened(unit, 10)))
     end_labels(axes, labels)

@@ -20,6 +20,7 @@ from studies.report.drawing import (
     day_axis,
     drawing,
     end_labels,
+    line_with_gaps,
     shortened,
 )
 from studies.report.findings import enclosed_fraction, good_rows
@@ -64,13 +65,14 @@ def coverage_figure(
             axes = panels[output, 0]
             days = day_axis(axes, measurement.time)
             _draw_bundle(axes, days, good[:, :, output])
-            axes.plot(days, measurement.y[:, output], color="white", linewidth=3.6, zorder=4)
-            axes.plot(days, measurement.y[:, output], color=INK, linewidth=1.8, zorder=5)
+            measured = measurement.samples[output]
+            line_with_gaps(axes, measured.time, measured.values, color="white", linewidth=3.6, zorder=4)
+            line_with_gaps(axes, measured.time, measured.values, color=INK, linewidth=1.8, zorder=5)
             axes.autoscale_view(scalex=False)
             name, unit = measurement.output_names[output], shown_unit(measurement.units[output])
             axes.set_ylabel(axis_label(shortened(name), shortened(unit)))
             axes.set_ylim(*axes.get_ylim())
-            labels = [EndLabel(float(measurement.y[-1, output]), "measured", INK)]
+            labels = [EndLabel(float(measured.values[-1]), "measured", INK)]
             if len(good):
                 labels.append(
                     EndLabel(float(np.max(good[:, -1, output])), f"{len(good):,} simulated", SIMULATED)

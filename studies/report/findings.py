@@ -54,7 +54,9 @@ def enclosed_fraction(measurement: MeasuredSeries, coverage: CoverageSet) -> flo
     good = good_rows(coverage)
     if not len(good):
         return math.nan
-    return float(np.mean((good.min(axis=0) <= measurement.y) & (measurement.y <= good.max(axis=0))))
+    differences = [measurement.measurement.differences(good, k) for k in range(len(measurement.output_names))]
+    inside = [(above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0) for above in differences]
+    return float(np.mean(np.concatenate(inside)))
 
 
 def strongest_correlation(coverage: CoverageSet) -> tuple[float, int, int] | None:
@@ -106,7 +108,7 @@ class Residual:
 
 def residual_of(measurement: MeasuredSeries, calibration: CalibrationRecord, output: int) -> Residual | None:
     """Describe the residual of the polished model in one output; None where nothing is known of it."""
-    residual = calibration.y_polished[:, output] - measurement.y[:, output]
+    residual = measurement.residual(calibration.y_polished, output)
     known = np.flatnonzero(np.isfinite(residual))
     if not known.size:
         return None
@@ -117,7 +119,7 @@ def residual_of(measurement: MeasuredSeries, calibration: CalibrationRecord, out
         rms=float(np.sqrt(np.mean(values**2))),
         bias=float(np.mean(values)),
         largest=float(residual[worst]),
-        largest_at_s=float(measurement.time[worst]),
+        largest_at_s=float(measurement.samples[output].time[worst]),
         within=float(np.mean(np.abs(values) <= uncertainty)) if math.isfinite(uncertainty) else math.nan,
     )
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.measurement import Measurement, Samples
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
@@ -26,28 +28,58 @@ def require_shape(what: str, array: NDArray[np.generic], shape: tuple[int, ...])
 
 @dataclass(frozen=True)
 class MeasuredSeries:
-    """The measurement a case is calibrated against, on its output grid.
+    """The measurement a case is calibrated against.
 
     Attributes:
-        time: Shape (t,). Time axis of every trajectory in the report. [s]
-        y: Measured outputs. Shape (t, k). [units]
-        output_names: One name per output.
+        measurement: What was measured of the k outputs and when; its output times are the time axis of every
+            trajectory in the report.
         units: Unit of each output as declared by the case, e.g. "degC".
-        uncertainty: Sensor uncertainty, plus or minus; NaN where undeclared. Shape (k,). [units, differences]
     """
 
-    time: Floats
-    y: Floats
-    output_names: tuple[str, ...]
+    measurement: Measurement
     units: tuple[str, ...]
-    uncertainty: Floats
 
     def __post_init__(self) -> None:
-        n_outputs = len(self.output_names)
-        require_shape("the measured y", self.y, (len(self.time), n_outputs))
-        require_shape("the uncertainty", self.uncertainty, (n_outputs,))
-        if len(self.units) != n_outputs:
-            raise ValueError(f"{len(self.units)} units for {n_outputs} outputs")
+        if len(self.units) != len(self.output_names):
+            raise ValueError(f"{len(self.units)} units for {len(self.output_names)} outputs")
+
+    @property
+    def time(self) -> Floats:
+        """Output times. Shape (t,). [s]."""
+        return self.measurement.time
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """One name per output."""
+        return self.measurement.output_names
+
+    @property
+    def uncertainty(self) -> Floats:
+        """Sensor uncertainty, plus or minus; NaN where undeclared. Shape (k,). [units, differences]."""
+        return self.measurement.uncertainty
+
+    @property
+    def samples(self) -> tuple[Samples, ...]:
+        """What was measured of each output: times and values, gaps left out."""
+        return self.measurement.samples
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (t, k) of a trajectory."""
+        return len(self.time), len(self.output_names)
+
+    def residual(self, y: Floats, output: int) -> Floats:
+        """Return simulated minus measured at the samples of an output.
+
+        Args:
+            y: A trajectory. Shape (t, k). [units]
+            output: Position of the output.
+
+        Returns:
+            Shape (m,). [units, differences]
+        """
+        residual: Floats = self.measurement.differences(y[None], output)[0]
+        return residual
 
 
 @dataclass(frozen=True)

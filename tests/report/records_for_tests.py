@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from simulation.measurement import Measurement
 from studies.report import (
     CalibrationRecord,
     CoverageSet,
@@ -37,9 +38,9 @@ def measured(n_outputs: int = 1, n_steps: int = 480) -> MeasuredSeries:
         1,
     )
     y += np.random.default_rng(1).normal(0, 0.04, y.shape)
-    return MeasuredSeries(
-        time, y, ("TAir", "TWall", "TSlab")[:n_outputs], ("degC",) * n_outputs, np.full(n_outputs, 0.5)
-    )
+    names = ("TAir", "TWall", "TSlab")[:n_outputs]
+    measurement = Measurement.on_grid(time, y, names, np.full(n_outputs, 0.5))
+    return MeasuredSeries(measurement, ("degC",) * n_outputs)
 
 
 def parameter_box(p: int = 14) -> ParameterBox:
@@ -54,7 +55,7 @@ def parameter_box(p: int = 14) -> ParameterBox:
 def calibration(
     n_train: int = 64, *, n_outputs: int = 1, n_polish: int = 124, n_steps: int = 480
 ) -> CalibrationRecord:
-    measurement, parameters = measured(n_outputs, n_steps), parameter_box()
+    measurement, parameters = measured(n_outputs, n_steps).measurement, parameter_box()
     rng = np.random.default_rng(n_train)
     days = measurement.time[:, None] / 86400.0
     y_screened = measurement.y + 0.8 * np.cos(1.3 * days + 1) * np.exp(-n_train / 300) + 0.1

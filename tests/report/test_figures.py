@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib import image
+from matplotlib.figure import Figure
 from records_for_tests import (
     calibration,
     coverage,
@@ -23,12 +24,14 @@ from records_for_tests import (
     trials,
 )
 
-from studies.report import CalibrationRecord, Reference
-from studies.report.drawing import drawing, log_limits, spread_apart
+from simulation.measurement import Samples
+from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
+from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart
 from studies.report.figures_calibration import calibration_figure, overview_figure, polish_figure
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
+from studies.report.findings import enclosed_fraction
 
 REFERENCES = (Reference("best known", 0.0103), Reference("target", 0.0121, is_target=True))
 
@@ -153,9 +156,40 @@ def test_several_outputs_get_panels_of_their_own(tmp_path: Path) -> None:
 
 
 def test_undeclared_uncertainty_draws_no_band(tmp_path: Path) -> None:
-    unknown = replace(measured(), uncertainty=np.array([np.nan]))
+    known = measured()
+    unknown = replace(known, measurement=replace(known.measurement, uncertainty=np.array([np.nan])))
     with_band = calibration_figure(measured(), calibration(), tmp_path / "a.png").read_bytes()
     assert calibration_figure(unknown, calibration(), tmp_path / "b.png").read_bytes() != with_band
+
+
+def test_uneven_samples_are_dots_and_no_line_spans_a_gap(tmp_path: Path) -> None:
+    whole, c = measured(2), calibration(n_outputs=2)
+    uneven = with_gap(whole)
+    pictures = [
+        calibration_figure(series, c, tmp_path / "c.png").read_bytes() for series in (whole, uneven)
+    ] + [
+        coverage_figure(series, coverage(8, n_outputs=2), tmp_path / "f.png").read_bytes()
+        for series in (whole, uneven)
+    ]
+    assert len(set(pictures)) == 4
+    figure = Figure()
+    axes = figure.subplots()
+    line_with_gaps(axes, np.array([0.0, 1.0, 2.0, 6.0, 7.0]), np.arange(5.0), color="k")
+    (line,) = axes.get_lines()
+    assert np.isnan(np.asarray(line.get_ydata())).tolist() == [False, False, False, True, False, False]
+    assert "differs from the measurement by" in captions.calibration_caption(uneven, c)
+    assert 0.0 <= enclosed_fraction(uneven, coverage(8, n_outputs=2)) <= 1.0
+
+
+def with_gap(series: MeasuredSeries) -> MeasuredSeries:
+    """The first output at odd moments with two days missing, the second half as often."""
+    first, second = series.samples
+    kept = np.flatnonzero((first.time < 3 * 86400) | (first.time > 5 * 86400))[1:-1]
+    samples = (
+        Samples(first.time[kept] + 411.0, first.values[kept]),
+        Samples(second.time[::2], second.values[::2]),
+    )
+    return replace(series, measurement=replace(series.measurement, samples=samples))
 
 
 def test_failed_rows_are_left_out_of_the_bundle_and_marked_in_the_pairs(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from records_for_tests import calibration, coverage, measured, parameter_box, report_data, sensitivity, trials
 
-from studies.report import CoverageSet, Provenance, Reference, ReportData, build, captions
+from studies.report import CoverageSet, MeasuredSeries, Provenance, Reference, ReportData, build, captions
 from studies.report.findings import at_bound, calls_to_most, enclosed_fraction, largest_by_chance, residual_of
 from studies.report.tables import calibrations_table, parameters_table, sensitivity_table, tuning_table
 from studies.report.wording import count, declared, difference_unit, listed, percent, significant, squared
@@ -134,7 +134,7 @@ def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
     c = replace(calibration(64), stop_reason=EVIL, surrogate=EVIL)
     data = small(
         title=EVIL, label=EVIL, note=EVIL, calibrations=(c, calibration(128)),
-        measurement=replace(measured(), output_names=(EVIL,), units=(EVIL,)),
+        measurement=MeasuredSeries(replace(measured().measurement, output_names=(EVIL,)), (EVIL,)),
         parameters=replace(parameter_box(), names=(EVIL, *parameter_box().names[1:]), units=(EVIL,) * 14),
         references=(Reference(EVIL, 0.01), Reference(EVIL, 0.02, is_target=True)),
         sensitivity=replace(sensitivity(2), names=(EVIL, "b"), output_names=(EVIL,), model=EVIL),
@@ -264,17 +264,18 @@ def test_residual_is_what_numpy_says() -> None:
     m, c = measured(), calibration(64)
     residual = residual_of(m, c, 0)
     assert residual is not None
-    difference = c.y_polished[:, 0] - m.y[:, 0]
+    difference = c.y_polished[:, 0] - m.measurement.y[:, 0]
     assert residual.rms**2 == pytest.approx(c.mse_polished, rel=1e-12)
     assert abs(residual.largest) == np.abs(difference).max()
     assert residual.within == np.mean(np.abs(difference) <= 0.5)
-    assert residual_of(m, replace(c, y_polished=np.full_like(m.y, np.nan)), 0) is None
+    assert residual_of(m, replace(c, y_polished=np.full_like(c.y_polished, np.nan)), 0) is None
 
 
 def test_enclosed_fraction_counts_measured_values() -> None:
     m = measured(n_steps=4)
-    y = np.stack([m.y - 1, m.y + 1])
-    y[:, 0] = m.y[0] + 5
+    values = m.measurement.y
+    y = np.stack([values - 1, values + 1])
+    y[:, 0] = values[0] + 5
     assert enclosed_fraction(m, CoverageSet("training", np.zeros((2, 14)), y)) == 0.75
 
 
@@ -322,8 +323,8 @@ def test_words_and_units() -> None:
 
 
 def test_records_refuse_what_does_not_fit() -> None:
-    with pytest.raises(ValueError, match=r"measured y has shape \(480, 1\), expected \(480, 2\)"):
-        replace(measured(), output_names=("a", "b"))
+    with pytest.raises(ValueError, match="2 units for 1 outputs"):
+        replace(measured(), units=("degC", "W"))
     with pytest.raises(ValueError, match="y_polished"):
         report_data(calibrations=(replace(calibration(64), y_polished=np.zeros((3, 1))),))
     with pytest.raises(ValueError, match="more than one calibration"):
