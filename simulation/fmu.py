@@ -10,15 +10,12 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.fmu_cosimulation import CoSimulation, SharedWarmup
-from simulation.fmu_description import FmuDescription, read_description
-from simulation.fmu_instance import FmuInstance
-from simulation.fmu_plan import RunPlan, run_plan
-from simulation.fmu_restart import RestartingRunner, Way
-from simulation.fmu_runner import Runner, Solver
-from simulation.fmu_start import Start
+from simulation.fmu_choice import open_runner
+from simulation.fmu_description import read_description
+from simulation.fmu_plan import run_plan
+from simulation.fmu_runner import Runner
 from simulation.fmu_unpack import UnpackedFmu
-from simulation.fmu_variable import FmuInterface, Interface
+from simulation.fmu_variable import Interface
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.trajectories import Trajectories
@@ -78,6 +75,13 @@ class FmuSettings:
             row = row * self.parameter_factors
         return row if self.parameter_offsets is None else row + self.parameter_offsets
 
+    @property
+    def warmup_for_fmu(self) -> FloatArray | None:
+        """Parameters of the shared warm-up, None for none. Shape (p,). [FMU's units]."""
+        if not self.shared_warmup or self.warmup_theta is None:
+            return None
+        return self.parameters_for_fmu(self.warmup_theta)
+
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the picklable recipe that worker processes are given."""
         return FmuModel(self)
@@ -116,7 +120,13 @@ class FmuModel:
         self._y_simulated = np.empty((plan.n_simulated, len(settings.output_names)))
         unpacked = UnpackedFmu(settings.path)
         try:
-            self._runner = _runner(settings, description, plan, unpacked.folder)
+            self._runner = open_runner(
+                description,
+                plan,
+                unpacked.folder,
+                interface=settings.interface,
+                warmup=settings.warmup_for_fmu,
+            )
         except BaseException:
             unpacked.remove()
             raise
@@ -226,64 +236,6 @@ class FmuModel:
     ) -> None:
         """Close the model."""
         self.close()
-
-
-def _runner(
-    settings: FmuSettings, description: FmuDescription, plan: RunPlan, folder: Path
-) -> RestartingRunner:
-    """Load the FMU and choose what drives it."""
-    instance = FmuInstance(description, settings.interface, folder)
-    try:
-        return _restarting(settings, description, plan, instance)
-    except BaseException:
-        instance.close()
-        raise
-
-
-def _restarting(
-    settings: FmuSettings, description: FmuDescription, plan: RunPlan, instance: FmuInstance
-) -> RestartingRunner:
-    """Choose what takes the instance through a row, and how it may be started over."""
-    where = str(settings.path)
-    said = description.interface(settings.interface, where)
-    start = Start(instance, plan, where)
-    if settings.shared_warmup and settings.warmup_theta is not None:
-        _check_shared_warmup(where, settings.interface, said, plan)
-        theta = settings.parameters_for_fmu(settings.warmup_theta)
-        shared = SharedWarmup(CoSimulation(instance, plan, start, where), plan, start, theta)
-        return RestartingRunner(
-            instance, shared, ways=("state",), trusting=True, prepare=shared.prepare, n_ignored=plan.n_warmup
-        )
-    solver: Solver
-    if settings.interface == "co-simulation":
-        solver = CoSimulation(instance, plan, start, where)
-    else:
-        # Here, because it loads CVODE and compiles its callbacks.
-        from simulation.fmu_exchange import ModelExchange
-
-        solver = ModelExchange(instance, plan, start, description=description)
-    once = said.can_be_instantiated_only_once_per_process
-    ways: tuple[Way, ...] = ("reset", "state") if said.can_get_and_set_state else ("reset",)
-    # With one instance there is no second try: the surer way goes first.
-    return RestartingRunner(instance, solver, ways=ways[::-1] if once else ways, trusting=once)
-
-
-def _check_shared_warmup(where: str, interface: Interface, said: FmuInterface, plan: RunPlan) -> None:
-    if interface != "co-simulation" or not said.can_get_and_set_state:
-        raise InputError(
-            f"{where}: shared_warmup = true needs a co-simulation FMU that can get and set its state; "
-            "this one cannot, drop shared_warmup"
-        )
-    if not plan.n_warmup:
-        raise InputError(
-            f"{where}: shared_warmup = true without a warm-up; set start_d or drop shared_warmup"
-        )
-    for variable in plan.calibrated:
-        if variable.causality != "parameter" or variable.variability != "tunable":
-            raise InputError(
-                f"{where}: shared_warmup = true, but {variable.name} can only be set before the warm-up "
-                f"(it is {variable.variability}, not tunable); drop shared_warmup"
-            )
 
 
 def _close(runner: Runner, unpacked: UnpackedFmu) -> None:

@@ -7,7 +7,8 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.fmu_instance import DISCARD, WARNING, FmuInstance, last_message
+from simulation.fmu_instance import DISCARD, WARNING, FmuInstance
+from simulation.fmu_log import last_message
 from simulation.fmu_loop import EARLY, ENDED, FUNCTIONS_2, FUNCTIONS_3, step_through_2, step_through_3
 from simulation.fmu_plan import RunPlan
 from simulation.fmu_start import Start

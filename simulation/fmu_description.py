@@ -8,16 +8,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
-
-import fmpy
 
 from simulation.errors import InputError
+from simulation.fmu_declared import (
+    PLATFORM_FOLDERS,
+    binary_member,
+    declared_interface,
+    declared_unit,
+    declared_variable,
+    declared_version,
+    number_or_none,
+    read_model,
+)
 from simulation.fmu_variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
-from simulation.units import BASE_UNITS, Unit, UnitDefinition
-
-# Folder of this platform's binaries, by FMI version.
-PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
+from simulation.units import UnitDefinition
 
 
 @dataclass(frozen=True)
@@ -167,19 +171,6 @@ class FmuDescription:
         return variable
 
 
-def binary_member(fmi_version: str, model_identifier: str) -> str:
-    """Name the archive member that is the binary for this platform.
-
-    Args:
-        fmi_version: "2.0" or "3.0".
-        model_identifier: Name of the binary.
-
-    Returns:
-        Its path in the FMU.
-    """
-    return f"binaries/{PLATFORM_FOLDERS[fmi_version]}/{model_identifier}{fmpy.sharedLibraryExtension}"
-
-
 def read_description(path: Path) -> FmuDescription:
     """Read the model description of an FMI 2.0 or 3.0 FMU.
 
@@ -205,10 +196,10 @@ def read_description(path: Path) -> FmuDescription:
         raise InputError(f"{path}: not an FMU ({error}); export it again, an FMU is a zip archive") from None
     if "modelDescription.xml" not in members:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
-    model, complaint = _read_model(path, content)
-    version = _version(path, str(model.fmiVersion))
+    model, complaint = read_model(path, content)
+    version = declared_version(path, str(model.fmiVersion))
     declared = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
-    interfaces = {name: _interface(one) for name, one in declared.items() if one is not None}
+    interfaces = {name: declared_interface(one) for name, one in declared.items() if one is not None}
     if not interfaces:
         raise InputError(
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
@@ -233,16 +224,16 @@ def read_description(path: Path) -> FmuDescription:
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
         platforms=tuple(sorted(platforms)),
-        variables={str(variable.name): _variable(variable) for variable in model.modelVariables},
+        variables={str(variable.name): declared_variable(variable) for variable in model.modelVariables},
         fmi_version=version,
         interfaces=runnable,
         default_experiment=DefaultExperiment()
         if experiment is None
         else DefaultExperiment(
-            start_s=_number(experiment.startTime),
-            stop_s=_number(experiment.stopTime),
-            step_s=_number(experiment.stepSize),
-            tolerance=_number(experiment.tolerance),
+            start_s=number_or_none(experiment.startTime),
+            stop_s=number_or_none(experiment.stopTime),
+            step_s=number_or_none(experiment.stepSize),
+            tolerance=number_or_none(experiment.tolerance),
         ),
         states=tuple(str(one.derivative.name) for one in derivatives if one.derivative is not None),
         derivatives=tuple(str(one.name) for one in derivatives if one.derivative is not None),
@@ -251,89 +242,8 @@ def read_description(path: Path) -> FmuDescription:
         else int(model.numberOfEventIndicators),
         description=str(model.description or ""),
         complaint=complaint,
-        units={str(unit.name): _unit(unit) for unit in model.unitDefinitions},
+        units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},
     )
-
-
-def _unit(unit: Any) -> UnitDefinition:
-    base = unit.baseUnit
-    return UnitDefinition(
-        base=None
-        if base is None
-        else Unit.of({name: int(getattr(base, name)) for name in BASE_UNITS}, base.factor, base.offset),
-        displayed={str(shown.name): (shown.factor, shown.offset) for shown in unit.displayUnits},
-    )
-
-
-def _read_model(path: Path, content: bytes) -> tuple[Any, str]:
-    """Read the description; where it breaks rules of the standard but is complete, say which rules."""
-    complaint = ""
-    for validate in (True, False):
-        try:
-            # From memory: fmpy leaves the file open when the description is not valid.
-            return fmpy.read_model_description(io.BytesIO(content), validate=validate), complaint
-        except Exception as error:  # fmpy raises plain exceptions of many kinds
-            complaint = complaint or " ".join(str(error).split())
-    raise InputError(f"{path}: its modelDescription.xml is not valid ({complaint}); export it again")
-
-
-def _version(path: Path, said: str) -> FmiVersion:
-    if said == "2.0":
-        return "2.0"
-    # 3.0.1 and 3.0.2 are corrections of the text.
-    if said.split(".")[:2] == ["3", "0"]:
-        return "3.0"
-    raise InputError(f"{path}: speaks FMI {said}; export it as FMI 2.0 or 3.0")
-
-
-def _interface(declared: Any) -> FmuInterface:
-    return FmuInterface(
-        model_identifier=str(declared.modelIdentifier),
-        can_get_and_set_state=bool(declared.canGetAndSetFMUstate),
-        provides_directional_derivatives=bool(declared.providesDirectionalDerivative),
-        can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
-        needs_execution_tool=bool(declared.needsExecutionTool),
-        can_handle_variable_step=bool(getattr(declared, "canHandleVariableCommunicationStepSize", False)),
-        has_event_mode=bool(getattr(declared, "hasEventMode", False)),
-        internal_step_s=_number(getattr(declared, "fixedInternalStepSize", None)),
-    )
-
-
-def _variable(variable: Any) -> FmuVariable:
-    declared = variable.declaredType
-    causality = str(variable.causality or "local")
-    return FmuVariable(
-        name=str(variable.name),
-        reference=int(variable.valueReference),
-        causality=causality,
-        kind=str(variable.type),
-        unit=str(variable.unit or (declared.unit if declared is not None else None) or ""),
-        start=_number(variable.start),
-        minimum=_number(variable.min or (declared.min if declared is not None else None)),
-        maximum=_number(variable.max or (declared.max if declared is not None else None)),
-        description=str(variable.description or ""),
-        is_difference=bool(
-            declared.relativeQuantity
-            if variable.relativeQuantity is None and declared is not None
-            else variable.relativeQuantity
-        ),
-        variability=str(variable.variability or ("fixed" if causality == "parameter" else "continuous")),
-        initial=str(variable.initial or ""),
-        start_text="" if variable.start is None else str(variable.start),
-        shape=tuple(int(size) for size in variable.shape or ()),
-        items={
-            str(item.name): int(item.value)
-            for item in (declared.items if declared is not None else [])
-            if item.value is not None
-        },
-    )
-
-
-def _number(text: object) -> float | None:
-    try:
-        return float(str(text))
-    except ValueError:
-        return None
 
 
 def _listed(names: tuple[str, ...], most: int = 20) -> str:

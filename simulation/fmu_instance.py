@@ -4,16 +4,16 @@ import contextlib
 import ctypes
 import os
 import threading
-from collections import deque
 from pathlib import Path
 from typing import Any, Final
 
 import fmpy
 import numpy as np
-from fmpy import fmi2, fmi3
 
 from simulation.errors import InputError
-from simulation.fmu_description import FmuDescription, binary_member
+from simulation.fmu_declared import binary_member
+from simulation.fmu_description import FmuDescription
+from simulation.fmu_log import CALLBACKS_2, LOGGER_3, forget_messages, last_message
 from simulation.fmu_runner import NeedsFreshProcess
 from simulation.fmu_variable import Interface
 
@@ -252,7 +252,7 @@ class FmuInstance:
                 _Int(1 if co_simulation else 0),
                 guid,
                 resources.as_uri().encode(),
-                ctypes.byref(_CALLBACKS_2),
+                ctypes.byref(CALLBACKS_2),
                 _Int(0),
                 _Int(0),
             )
@@ -263,7 +263,7 @@ class FmuInstance:
             if co_simulation:
                 # No event mode, no early return, no intermediate variables.
                 arguments += (_Bool(False), _Bool(False), None, _Size(0))
-            arguments += (None, _LOGGER_3)
+            arguments += (None, LOGGER_3)
             if co_simulation:
                 arguments += (None,)
         self.component = int(make(*arguments) or 0)
@@ -292,48 +292,3 @@ class FmuInstance:
         if not self.lost:
             with contextlib.suppress(Exception):
                 fmpy.freeLibrary(handle)
-
-
-# The last message of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one.
-_MESSAGES: deque[str] = deque(maxlen=1)
-
-
-def last_message() -> str:
-    """Return the last line that an FMU of this process complained with, "" for none."""
-    return _MESSAGES[-1] if _MESSAGES else ""
-
-
-def forget_messages() -> None:
-    """Forget what was logged so far."""
-    _MESSAGES.clear()
-
-
-def _remember(status: int, message: bytes | None) -> None:
-    if status > WARNING and message:
-        _MESSAGES.append(" ".join(message.decode("utf-8", "replace").split()))
-
-
-def _remember_2(_environment: object, _name: object, status: int, _category: object, message: bytes) -> None:
-    _remember(status, message)
-
-
-def _remember_3(_environment: object, status: int, _category: object, message: bytes) -> None:
-    _remember(status, message)
-
-
-def _callbacks_2() -> Any:
-    callbacks: Any = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_remember_2)
-    # The C library's own functions, not Python functions around them.
-    callbacks.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
-    callbacks.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
-    # The proxy fills in the message's printf arguments; where there is none, they stay raw.
-    with contextlib.suppress(Exception):
-        from fmpy.logging import addLoggerProxy
-
-        addLoggerProxy(ctypes.byref(callbacks))
-    return callbacks
-
-
-_CALLBACKS_2: Final = _callbacks_2()
-_LOGGER_3: Final = fmi3.fmi3LogMessageCallback(_remember_3)

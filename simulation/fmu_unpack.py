@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 
 from simulation.errors import InputError
-from simulation.fmu_description import PLATFORM_FOLDERS
+from simulation.fmu_declared import PLATFORM_FOLDERS
 
 if sys.platform != "win32":
     import fcntl

@@ -1,0 +1,55 @@
+"""What FMUs complain about: the logger that they are given, and its last line."""
+
+import contextlib
+import ctypes
+from collections import deque
+from typing import Any, Final
+
+import fmpy
+from fmpy import fmi2, fmi3
+
+_WARNING: Final = 1
+
+# The last message of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one.
+_MESSAGES: deque[str] = deque(maxlen=1)
+
+
+def last_message() -> str:
+    """Return the last line that an FMU of this process complained with, "" for none."""
+    return _MESSAGES[-1] if _MESSAGES else ""
+
+
+def forget_messages() -> None:
+    """Forget what was logged so far."""
+    _MESSAGES.clear()
+
+
+def _remember(status: int, message: bytes | None) -> None:
+    if status > _WARNING and message:
+        _MESSAGES.append(" ".join(message.decode("utf-8", "replace").split()))
+
+
+def _remember_2(_environment: object, _name: object, status: int, _category: object, message: bytes) -> None:
+    _remember(status, message)
+
+
+def _remember_3(_environment: object, status: int, _category: object, message: bytes) -> None:
+    _remember(status, message)
+
+
+def _callbacks_2() -> Any:
+    callbacks: Any = fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_remember_2)
+    # The C library's own functions, not Python functions around them.
+    callbacks.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
+    callbacks.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
+    # The proxy fills in the message's printf arguments; where there is none, they stay raw.
+    with contextlib.suppress(Exception):
+        from fmpy.logging import addLoggerProxy
+
+        addLoggerProxy(ctypes.byref(callbacks))
+    return callbacks
+
+
+CALLBACKS_2: Final = _callbacks_2()
+LOGGER_3: Final = fmi3.fmi3LogMessageCallback(_remember_3)
