@@ -1,0 +1,136 @@
+"""Unpacked FMUs: nothing outside the folder, and no folder without a living owner."""
+
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from simulation.errors import InputError
+from simulation.fmu_unpack import UnpackedFmu, remove_orphans
+
+OWNER = """
+import sys, time
+from pathlib import Path
+from simulation.fmu_unpack import UnpackedFmu
+print(UnpackedFmu(Path(sys.argv[1])).folder, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A temporary folder of this test's own."""
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    return folder
+
+
+@pytest.fixture
+def fmu(tmp_path: Path) -> Path:
+    """An archive with what an FMU has, and with what running it does not need."""
+    path = tmp_path / "some.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", "<nothing/>")
+        archive.writestr("binaries/linux64/some.so", "code")
+        archive.writestr("binaries/x86_64-linux/some.so", "code")
+        archive.writestr("binaries/win64/some.dll", "other code")
+        archive.writestr("documentation/index.html", "words")
+        archive.writestr("resources/table.txt", "1 2 3")
+        program = zipfile.ZipInfo("resources/program")
+        program.external_attr = (stat.S_IFREG | 0o755) << 16
+        archive.writestr(program, "#!/bin/sh\n")
+    return path
+
+
+def _link(name: str) -> zipfile.ZipInfo:
+    link = zipfile.ZipInfo(name)
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    return link
+
+
+def test_what_running_needs_is_unpacked_and_gone_after_removal(fmu: Path, folder: Path):
+    unpacked = UnpackedFmu(fmu)
+    held = {str(path.relative_to(unpacked.folder)) for path in unpacked.folder.rglob("*") if path.is_file()}
+    assert {"modelDescription.xml", "resources/table.txt", "resources/program"} <= held
+    assert not any(name.startswith(("documentation", "binaries/win64")) for name in held)
+    assert os.access(unpacked.folder / "resources/program", os.X_OK)
+    assert unpacked.folder.stat().st_mode & 0o077 == 0
+    unpacked.remove()
+    unpacked.remove()
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("name", ["../../escaped.txt", "/escaped.txt", "..\\escaped.txt", "C:/escaped.txt"])
+def test_a_member_that_points_outside_is_refused(fmu: Path, folder: Path, name: str):
+    with zipfile.ZipFile(fmu, "a") as archive:
+        archive.writestr(name, "no")
+    with pytest.raises(InputError, match="points outside; do not trust this FMU"):
+        UnpackedFmu(fmu)
+    assert not list(folder.iterdir())
+    assert not list(folder.parent.parent.glob("**/escaped.txt"))
+
+
+@pytest.mark.parametrize("name", ["resources/link", "binaries/linux64/libother.so"])
+def test_a_link_is_refused_where_it_would_be_used(fmu: Path, folder: Path, name: str):
+    with zipfile.ZipFile(fmu, "a") as archive:
+        archive.writestr(_link(name), "/etc/passwd")
+    with pytest.raises(InputError, match="which is a link; pack the file itself"):
+        UnpackedFmu(fmu)
+    assert not list(folder.iterdir())
+
+
+def test_a_damaged_member_is_named_in_one_line(fmu: Path, folder: Path):
+    content = fmu.read_bytes()
+    fmu.write_bytes(content.replace(b"1 2 3", b"1 2 4", 1))
+    with pytest.raises(InputError, match=r"some\.fmu: cannot be unpacked \(Bad CRC-32 .*export it again"):
+        UnpackedFmu(fmu)
+    assert not list(folder.iterdir())
+
+
+def test_a_full_disk_is_named_in_one_line(fmu: Path, folder: Path):
+    script = (
+        "import resource, sys\nfrom pathlib import Path\nfrom simulation.errors import InputError\n"
+        "from simulation.fmu_unpack import UnpackedFmu\nimport signal\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nresource.setrlimit(resource.RLIMIT_FSIZE, (4, 4))\n"
+        "try:\n    UnpackedFmu(Path(sys.argv[1]))\nexcept InputError as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, fmu], capture_output=True, text=True, check=True)
+    assert done.stdout.strip().endswith(
+        "(File too large); free some space or name another folder in the environment variable TMPDIR"
+    )
+    assert not list(folder.iterdir())
+
+
+def test_the_folder_of_a_killed_process_goes_and_a_living_ones_stays(fmu: Path, folder: Path):
+    alive = UnpackedFmu(fmu)
+    with subprocess.Popen([sys.executable, "-c", OWNER, fmu], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        left = Path(process.stdout.readline().strip())
+        remove_orphans()
+        assert left.exists()
+        process.kill()
+    assert left.exists()
+    remove_orphans()
+    assert not left.exists()
+    assert alive.folder.exists()
+    alive.remove()
+    assert not list(folder.iterdir())
+
+
+def test_many_at_once_neither_lose_a_folder_nor_leave_one(fmu: Path, folder: Path):
+    script = (
+        "import sys\nfrom pathlib import Path\nfrom simulation.fmu_unpack import UnpackedFmu\n"
+        "for _ in range(100):\n    unpacked = UnpackedFmu(Path(sys.argv[1]))\n"
+        "    assert (unpacked.folder / 'resources' / 'table.txt').read_text() == '1 2 3'\n"
+        "    unpacked.remove()"
+    )
+    running = [subprocess.Popen([sys.executable, "-c", script, fmu]) for _ in range(4)]
+    assert [process.wait() for process in running] == [0, 0, 0, 0]
+    assert not list(folder.iterdir())
