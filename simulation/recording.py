@@ -83,8 +83,8 @@ def read_recording(
     """
     if not path.exists():
         remedy = if_missing or "put the recording there or correct `data` and `file`"
-        columns = ", ".join([time_column or TIME_COLUMN, *column_names])
-        raise InputError(f"{path}: no such file (columns {columns}); {remedy}")
+        needed = ", ".join([time_column or TIME_COLUMN, *column_names])
+        raise InputError(f"{path}: no such file (columns {needed}); {remedy}")
     rows, delimiter = _rows(path)
     if not rows or not any(cell.strip() for cell in rows[0]):
         raise InputError(f"{path}: the file is empty; the first line names the columns")

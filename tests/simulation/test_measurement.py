@@ -1,0 +1,170 @@
+"""Measurements: compared at their own times, gaps without residuals, weights, the same numbers on a grid."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulation.measurement import Measurement, Samples
+
+TIME = np.arange(6) * 600.0
+SIGMA = np.array([0.5])
+
+
+def _grid(
+    y: np.ndarray, uncertainty: np.ndarray | None = None, weights: np.ndarray | None = None
+) -> Measurement:
+    names = tuple(f"y{k}" for k in range(y.shape[1]))
+    return Measurement.on_grid(
+        TIME, y, names, np.full(y.shape[1], 0.5) if uncertainty is None else uncertainty, weights
+    )
+
+
+def _rows(n: int, k: int) -> np.ndarray:
+    return np.random.default_rng(3).normal(20.0, 3.0, (n, len(TIME), k))
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_samples_on_all_output_times_give_the_plain_difference_bit_for_bit(k: int):
+    y, sigma = _rows(1, k)[0], np.array([0.5, 3.0, 0.1])[:k]
+    rows = _rows(7, k) + 1.0
+    plain = ((rows - y[None]) * (np.ones(1) if k == 1 else sigma[0] / sigma)).reshape(len(rows), -1)
+    measurement = _grid(y, sigma)
+    np.testing.assert_array_equal(measurement.compared(rows), plain)
+    np.testing.assert_array_equal(measurement.mse(rows), np.mean(plain**2, axis=1))
+    np.testing.assert_array_equal(measurement.y, y)
+    assert measurement.n_samples == plain.shape[1]
+
+
+def test_between_output_times_the_simulated_line_is_compared():
+    line = (2.0 + TIME / 100.0)[None, :, None]
+    at = np.array([0.0, 150.0, 1499.0, 3000.0])
+    measurement = Measurement(TIME, (Samples(at, np.full(4, 5.0)),), ("y",), SIGMA, np.ones(1))
+    np.testing.assert_allclose(measurement.compared(line)[0], 2.0 + at / 100.0 - 5.0, rtol=1e-14)
+    assert np.isnan(measurement.y[1:5]).all()
+    assert measurement.y[[0, 5], 0].tolist() == [5.0, 5.0]
+
+
+def test_a_gap_has_no_residual():
+    y = _rows(1, 2)[0]
+    y[1:4, 0] = np.nan
+    rows = _rows(3, 2)
+    measurement = _grid(y)
+    assert measurement.n_samples == 9
+    assert np.isfinite(measurement.compared(rows)).all()
+    changed = rows.copy()
+    changed[:, 1:4, 0] += 100.0
+    np.testing.assert_array_equal(measurement.compared(rows), measurement.compared(changed))
+
+
+def test_residuals_come_in_the_order_of_time():
+    y = np.zeros((6, 2))
+    y[2, 0] = np.nan
+    measurement = _grid(y)
+    residuals = measurement.compared(np.stack([TIME, TIME], axis=1)[None])[0]
+    at = [(time, k) for time in TIME for k in (0, 1) if (time, k) != (1200.0, 0)]
+    assert residuals.tolist() == [time * measurement.scales[k] for time, k in at]
+
+
+def test_the_mse_is_the_formula():
+    rng = np.random.default_rng(0)
+    sigma, weights = np.array([0.5, 40.0, 2.0]), np.array([1.0, 3.0, 0.5])
+    samples = tuple(Samples(np.sort(rng.uniform(0, 3000, m)), rng.normal(size=m)) for m in (4, 50, 7))
+    measurement = Measurement(TIME, samples, ("a", "b", "c"), sigma, weights)
+    row = _rows(1, 3)
+    expected = 0.0
+    for k, one in enumerate(samples):
+        simulated = np.interp(one.time, TIME, row[0, :, k])
+        expected += (
+            weights[k] / weights.sum() * np.mean((sigma[0] / sigma[k] * (simulated - one.values)) ** 2)
+        )
+    assert measurement.mse(row)[0] == pytest.approx(expected, rel=1e-12)
+    assert np.mean(measurement.compared(row) ** 2) == pytest.approx(expected, rel=1e-12)
+
+
+def test_sampling_one_output_more_often_does_not_give_it_more_say():
+    row = np.zeros((1, 6, 2))
+    often, seldom = np.linspace(0, 3000, 301), np.array([0.0, 3000.0])
+
+    def mse(times: np.ndarray) -> float:
+        samples = (Samples(seldom, np.full(2, 1.0)), Samples(times, np.full(len(times), 3.0)))
+        return float(Measurement(TIME, samples, ("a", "b"), np.ones(2), np.ones(2)).mse(row)[0])
+
+    assert mse(often) == pytest.approx(mse(seldom)) == pytest.approx((1.0 + 9.0) / 2)
+
+
+def test_weights_are_shares_and_only_their_ratios_count():
+    y, row = _rows(1, 2)[0], _rows(2, 2)
+    base = _grid(y, weights=np.array([1.0, 3.0]))
+    np.testing.assert_allclose(base.mse(row), _grid(y, weights=np.array([10.0, 30.0])).mse(row), rtol=1e-14)
+    alone = [_grid(y[:, [k]]).mse(row[:, :, [k]]) for k in (0, 1)]
+    np.testing.assert_allclose(base.mse(row), 0.25 * alone[0] + 0.75 * alone[1], rtol=1e-13)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(0, 3000), min_size=2, max_size=20, unique=True), st.integers(2, 5))
+def test_rows_are_compared_independently(times: list[float], n: int):
+    at = np.unique(np.round(times, 3))
+    samples = (Samples(at, np.sin(at)), Samples(TIME, TIME))
+    measurement = Measurement(TIME, samples, ("a", "b"), np.array([1.0, 2.0]), np.array([1.0, 2.0]))
+    rows = _rows(n, 2)
+    alone = [measurement.mse(rows[[i]])[0] for i in range(n)]
+    assert measurement.mse(rows).tolist() == alone
+
+
+def test_a_sample_that_rounding_moved_off_its_output_time_is_on_it():
+    third = np.arange(7) * 0.1
+    y = _rows(1, 1)[0, :, 0]
+    measurement = Measurement(
+        third[:6], (Samples(np.cumsum(np.full(6, 0.1)) - 0.1, y),), ("y",), SIGMA, np.ones(1)
+    )
+    np.testing.assert_array_equal(measurement.y[:, 0], y)
+
+
+def test_a_failed_row_is_infinitely_wrong():
+    rows = _rows(2, 1)
+    rows[0] = np.nan
+    mse = _grid(_rows(1, 1)[0]).mse(rows)
+    assert mse[0] == np.inf
+    assert np.isfinite(mse[1])
+
+
+def test_the_digest_sees_values_times_weights_and_names():
+    base = _grid(_rows(1, 2)[0])
+    shifted = tuple(Samples(one.time[:-1] + 60.0, one.values[:-1]) for one in base.samples)
+    others = [
+        _grid(_rows(1, 2)[0] + 1e-9),
+        _grid(_rows(1, 2)[0], weights=np.array([1.0, 2.0])),
+        replace(base, uncertainty=np.array([0.5, 0.6])),
+        replace(base, output_names=("a", "b")),
+        replace(base, samples=shifted),
+        replace(base, samples=tuple(Samples(one.time, one.values + 1.0) for one in shifted)),
+    ]
+    # The last two have no sample on an output time but the shifts of each other.
+    assert len({one.digest for one in [base, *others]}) == 7
+    assert _grid(_rows(1, 2)[0]).digest == base.digest
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: _grid(np.zeros((5, 1))), r"y \(5, 1\) does not fit; expected \(6, 1\)"),
+        (lambda: _grid(np.full((6, 1), np.nan)), "without a sample"),
+        (lambda: _grid(np.full((6, 1), np.inf)), "not finite"),
+        (lambda: _grid(np.zeros((6, 2)), SIGMA), "do not fit 2 outputs"),
+        (lambda: _grid(np.zeros((6, 1)), weights=np.ones(2)), "do not fit 1 outputs"),
+        (lambda: Samples(np.array([1.0, 1.0]), np.zeros(2)), "do not rise"),
+        (lambda: Samples(np.array([1.0]), np.zeros(2)), "do not fit"),
+        (
+            lambda: Measurement(
+                TIME, (Samples(np.array([0.0, 3001.0]), np.zeros(2)),), ("y",), SIGMA, np.ones(1)
+            ),
+            "a sample at 3001 s lies outside the output times, 0 to 3000 s",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(make: object, message: str):
+    with pytest.raises(ValueError, match=message):
+        make()  # type: ignore[operator]
