@@ -69,6 +69,11 @@ class FmuSettings:
         if self.shared_warmup and (self.warmup_theta is None or self.warmup_theta.shape != (p,)):
             raise ValueError(f"a shared warm-up needs warmup_theta of shape {(p,)}")
 
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        return self.scenario.time
+
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
         """Convert a row from the declared units to the FMU's. Shape (p,)."""
         if self.parameter_factors is not None:

@@ -15,7 +15,19 @@ from typing import Any, Final
 from simulation.errors import InputError
 from simulation.recipe import Recipe, packed
 from simulation.worker import command
-from simulation.worker_messages import Ended, Fire, Hire, Hired, Limits, Opened, Ran, Ready, Refused, Run
+from simulation.worker_messages import (
+    Ended,
+    Fire,
+    Hire,
+    Hired,
+    Learnt,
+    Limits,
+    Opened,
+    Ran,
+    Ready,
+    Refused,
+    Run,
+)
 
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -87,6 +99,7 @@ class Nursery:
         self._control = Connection(near.detach())
         self._owner = os.getpid()
         self._next = 0
+        self._has_learnt = False
         self.workers: dict[int, Worker] = {}
         try:
             self._control.send((packed(make_model), limits))
@@ -136,7 +149,7 @@ class Nursery:
         for connection in ready:
             if connection is not self._control:
                 worker = connections[connection]
-                events += [(worker, heard) for heard in _all_from(worker.connection)]
+                events += [(worker, heard) for heard in self._all_from(worker.connection)]
         if self._control in ready:
             events += self._from_nursery()
         return events
@@ -160,10 +173,25 @@ class Nursery:
 
     def _bury(self, worker: Worker, ended: Ended) -> list[tuple[Worker, Event]]:
         """Hear what the worker said last, and forget it."""
-        heard: list[Event] = [] if worker.connection.closed else _all_from(worker.connection)
+        heard: list[Event] = self._all_from(worker.connection)
         worker.connection.close()
         del self.workers[worker.number]
         return [(worker, event) for event in (*heard, ended)]
+
+    def _all_from(self, connection: Connection) -> list[Any]:
+        """Receive what lies ready; close the connection where there is nothing more to come."""
+        messages: list[Any] = []
+        try:
+            while not connection.closed and connection.poll():
+                message = connection.recv()
+                if not isinstance(message, Learnt):
+                    messages.append(message)
+                elif not self._has_learnt:
+                    self._has_learnt = True
+                    self._control.send(message)
+        except (EOFError, OSError):
+            connection.close()
+        return messages
 
     @property
     def is_alive(self) -> bool:
@@ -205,14 +233,3 @@ def error_of(refused: Refused) -> Exception:
         refused: What its process said.
     """
     return InputError(refused.line) if refused.is_input_error else RuntimeError(refused.line)
-
-
-def _all_from(connection: Connection) -> list[Any]:
-    """Receive what lies ready; close the connection where there is nothing more to come."""
-    messages: list[Any] = []
-    try:
-        while connection.poll():
-            messages.append(connection.recv())
-    except (EOFError, OSError):
-        connection.close()
-    return messages

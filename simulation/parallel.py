@@ -50,8 +50,7 @@ class ParallelModel:
 
         Args:
             make_model: Recipe for the model; must be picklable. Where it is the bound method of an object
-                that has the model's parameter_space, output_names and time, these are known without a worker;
-                a method prepare() of that object is called once, before workers are forked.
+                that has the model's parameter_space, output_names and time, these are known without a worker.
             n_workers: Most worker processes; None for one per core that this process may use.
             policy: What happens to rows that hang, crash or fail.
             spool: Folder in which finished rows survive the death of this process (see recover_arenas); None

@@ -58,17 +58,6 @@ def subject(recipe: Recipe) -> str:
     return str(getattr(getattr(recipe, "__self__", None), "path", recipe))
 
 
-def prepare(recipe: Recipe) -> None:
-    """Import and compile what every process needs that opens the model, where its owner knows how.
-
-    Args:
-        recipe: The recipe.
-    """
-    ready = getattr(getattr(recipe, "__self__", None), "prepare", None)
-    if ready is not None:
-        ready()
-
-
 def packed(recipe: Recipe) -> bytes:
     """Return a recipe as bytes for another process.
 

@@ -20,10 +20,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from simulation.errors import InputError
-from simulation.recipe import Facts, Recipe, prepare
+from simulation.recipe import Facts, Recipe
 from simulation.row_desk import RowDesk
 from simulation.scratch import ScratchFolder
-from simulation.worker_messages import Ended, Hire, Hired, Limits, Opened, Ready, Refused
+from simulation.warm_code import learnt, remember
+from simulation.worker_messages import Ended, Hire, Hired, Learnt, Limits, Opened, Ready, Refused
 
 SCRATCH_PREFIX: Final = "simulation-workers-"
 _LAST_LINE_BYTES: Final = 4096
@@ -42,7 +43,6 @@ def main(descriptor: int) -> None:
     recipe, limits = control.recv()
     try:
         make_model: Recipe = pickle.loads(recipe)
-        prepare(make_model)
     except Exception as error:
         control.send(_refusal(error))
         return
@@ -77,6 +77,8 @@ class _Nursery:
                     order = self._control.recv()
                     if isinstance(order, Hire):
                         self._hire(order.worker)
+                    elif isinstance(order, Learnt):
+                        remember(order.known)
                     elif order.worker in self._workers:
                         _kill(self._workers[order.worker])
         except (EOFError, OSError):
@@ -144,9 +146,13 @@ def _work(connection: Connection, make_model: Recipe, folder: Path, limits: Limi
     os.chdir(folder)
     connection.send(Opened(facts))
     desk = RowDesk(model, max_growth_mb=limits.max_growth_mb, max_rows=limits.max_rows, log=folder / "log")
+    has_told = False
     while (run := connection.recv()) is not None:
         ran = desk.work_off(run)
         connection.send(ran)
+        if not has_told:
+            has_told = True
+            connection.send(Learnt(learnt()))
         if ran.wants_rest:
             break
     close: Any = getattr(model, "close", None)

@@ -22,7 +22,14 @@ class Fire:
 
 @dataclass(frozen=True)
 class Ready:
-    """From the nursery: everything is imported; with the process ids of nobody yet."""
+    """From the nursery: everything is imported."""
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """From a worker after its first rows, and to the nursery: what later workers need not find out."""
+
+    known: bytes
 
 
 @dataclass(frozen=True)
