@@ -11,9 +11,8 @@ import numpy as np
 
 from simulation.arena import recover_arenas
 from simulation.arrays import BoolArray, FloatArray
-from simulation.forward_model import ForwardModel
 from simulation.store_catalog import Catalog
-from simulation.store_folder import StoreFolder
+from simulation.store_folder import StoreFolder, read_layout
 from simulation.store_rows import Layout, Rows
 from simulation.trajectories import Trajectories
 
@@ -62,28 +61,23 @@ class SimulationStore:
         self.n_recovered = self._recover()
 
     @classmethod
-    def for_model(
-        cls,
-        model: ForwardModel,
-        folder: Path,
-        *,
-        model_digest: str,
-        on_warning: Callable[[str], None] | None = None,
-    ) -> "SimulationStore":
-        """Open the store of a model.
+    def at(cls, folder: Path, *, on_warning: Callable[[str], None] | None = None) -> "SimulationStore":
+        """Open a store that exists.
 
         Args:
-            model: The model, for its names and times; it is not asked.
             folder: Where the parts lie.
-            model_digest: Digest of all that decides its answers.
             on_warning: Told in one line of what was lost or set aside.
+
+        Raises:
+            InputError: If there is none.
         """
+        found = read_layout(folder)
         return cls(
             folder,
-            model_digest=model_digest,
-            parameter_names=model.parameter_space.names,
-            output_names=model.output_names,
-            time=model.time,
+            model_digest=found.model_digest,
+            parameter_names=found.parameter_names,
+            output_names=found.output_names,
+            time=found.time,
             on_warning=on_warning,
         )
 

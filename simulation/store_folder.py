@@ -29,6 +29,7 @@ _PREFIX, _SUFFIX, _PARTIAL = "part-", ".parquet", ".tmp"
 # Parts of a tier are at most 16 times larger than those of the tier below; 16 of a tier become one part.
 _TIERS: Final = (64 * 2**10, 2**20, 16 * 2**20)
 _MERGED: Final = 16
+_UNREADABLE: Final = "not readable; remove the file, the simulations beside it stay"
 _README_TEXT: Final = """\
 Every simulation of one model, one row each, in Parquet files. Read all of them with pandas:
 
@@ -161,18 +162,47 @@ class StoreFolder:
             with whole_file(path, synced=True) as file:
                 file.write(json.dumps(described, indent=1).encode())
             return
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
-            found = None
-        if not isinstance(found, dict):
-            raise InputError(f"{path}: not readable; remove the file, the simulations beside it are checked")
+        found = _manifest(path)
         for key, value in described.items():
             if found.get(key) != value:
                 told, wanted = _short(found.get(key)), _short(value)
                 raise InputError(
                     f"{path}: {key} is {told}, this model has {wanted}; remove the folder or name another one"
                 )
+
+
+def read_layout(folder: Path) -> Layout:
+    """Read what the rows of an existing store have in common.
+
+    Args:
+        folder: The store's folder.
+
+    Raises:
+        InputError: If it is not there or not readable.
+    """
+    path = Path(folder) / MANIFEST
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; simulate first")
+    found = _manifest(path)
+    try:
+        return Layout(
+            str(found["model_digest"]),
+            tuple(found["parameters"]),
+            tuple(found["outputs"]),
+            np.array(found["time_s"], dtype=np.float64),
+        )
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: {_UNREADABLE}") from None
+
+
+def _manifest(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: {_UNREADABLE}")
+    return found
 
 
 def groups_to_merge(sizes: dict[str, int]) -> list[list[str]]:

@@ -89,9 +89,20 @@ class StoredModel(WrappedModel):
         """
         theta = np.array(theta, dtype=np.float64)
         self.complete(theta, on_progress=on_progress)
+        yield from self.stored(theta)
+
+    def stored(self, theta: FloatArray) -> Iterator[Trajectories]:
+        """Read rows that are complete, block by block; one that turns out to be damaged is simulated again.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Yields:
+            Consecutive blocks of rows, in order.
+        """
         size = self._store.rows_per_block
         for start in range(0, len(theta), size):
-            yield self._read(theta[start : start + size])
+            yield self._read(np.array(theta[start : start + size], dtype=np.float64))
 
     def complete(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> None:
         """Simulate and store the rows that are not stored, in bounded memory.

@@ -30,7 +30,11 @@ class StreamingModel(Protocol):
 
 
 def streamed(
-    model: ForwardModel, theta: FloatArray, *, on_progress: OnRows | None = None
+    model: ForwardModel,
+    theta: FloatArray,
+    *,
+    on_progress: OnRows | None = None,
+    block_rows: int = BLOCK_ROWS,
 ) -> Generator[Trajectories]:
     """Simulate every row and yield consecutive blocks, also of a model that does not stream.
 
@@ -38,6 +42,7 @@ def streamed(
         model: The model to ask.
         theta: Parameters. Shape (n, p). [per parameter]
         on_progress: Called with the number of rows finished so far.
+        block_rows: Rows at a time that a model is asked for that does not stream.
 
     Yields:
         Blocks of rows, in order; a block may be overwritten when the next is asked for.
@@ -45,8 +50,8 @@ def streamed(
     if isinstance(model, StreamingModel):
         yield from model.stream(theta, on_progress=on_progress)
         return
-    for start in range(0, len(theta), BLOCK_ROWS):
-        block = model.simulate(theta[start : start + BLOCK_ROWS])
+    for start in range(0, len(theta), block_rows):
+        block = model.simulate(theta[start : start + block_rows])
         if on_progress is not None:
             on_progress(start + block.n)
         yield block

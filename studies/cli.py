@@ -1,18 +1,18 @@
 """The command line `studies`: its words, its help, its exit codes. Imports nothing heavy."""
 
 import argparse
-import re
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from simulation.errors import InputError
-from studies import cli_help
+from studies import cli_help, cli_values
 from studies.console import Console
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+SIMULATING = ("simulate", "sensitivity", "tune", "calibrate", "run")
 
 DESCRIPTION = """\
 Calibrate a simulation model (an FMU) with a PELS-VAE surrogate.
@@ -110,6 +110,8 @@ def build_parser() -> argparse.ArgumentParser:
         )
         if with_case:
             _add_case_options(command)
+        if name in SIMULATING:
+            _add_simulation_options(command)
         _add_output_options(command)
         return command
 
@@ -129,7 +131,10 @@ def build_parser() -> argparse.ArgumentParser:
     add("report", "put tables and figures of all results on one page", cli_help.REPORT)
     ui = add("ui", "open MLflow's user interface on this project's runs", cli_help.UI, with_case=False)
     ui.add_argument(
-        "--port", type=_port, metavar="N", help="port on 127.0.0.1; default: 5000 or the next free one"
+        "--port",
+        type=cli_values.port,
+        metavar="N",
+        help="port on 127.0.0.1; default: 5000 or the next free one",
     )
     ui.add_argument("--dry-run", action="store_true", help="print what would be started and stop there")
     recording = add(
@@ -160,15 +165,30 @@ def _add_case_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--window",
-        type=_window,
+        type=cli_values.window,
         metavar="A-B",
         help="days of the recording, e.g. 8-16; default: the case's own",
     )
     command.add_argument(
-        "--seed", type=_whole(0, 2**32 - 1), metavar="N", help="seed of every draw; default: the profile's"
+        "--seed",
+        type=cli_values.whole(0, 2**32 - 1),
+        metavar="N",
+        help="seed of every draw; default: the profile's",
     )
     command.add_argument(
-        "--jobs", type=_whole(1), metavar="N", help="processes; default: as many as there are cores"
+        "--jobs", type=cli_values.whole(1), metavar="N", help="processes; default: as many as there are cores"
+    )
+
+
+def _add_simulation_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--retry-failed", action="store_true", help="ask simulations again that failed before"
+    )
+    command.add_argument(
+        "--dask",
+        type=cli_values.address,
+        metavar="ADDRESS",
+        help="simulate on a Dask cluster, e.g. tcp://scheduler:8786; default: processes of this machine",
     )
 
 
@@ -202,25 +222,28 @@ def _add_output_options(command: argparse.ArgumentParser) -> None:
 
 
 def _add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
-    command.add_argument("--n-train", nargs="+", type=_whole(4), metavar="N", help=help_line)
+    command.add_argument("--n-train", nargs="+", type=cli_values.whole(4), metavar="N", help=help_line)
 
 
 def _add_tuning_options(command: argparse.ArgumentParser) -> None:
     _add_sizes(command, "training-set sizes; default: the profile's")
     command.add_argument(
-        "--trials", type=_whole(1), metavar="N", help="trials per size in total; default: the profile's"
+        "--trials",
+        type=cli_values.whole(1),
+        metavar="N",
+        help="trials per size in total; default: the profile's",
     )
 
 
 def _add_calibration_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--max-calls",
-        type=_whole(1),
+        type=cli_values.whole(1),
         metavar="N",
         help="most FMU calls of one polish; default: the profile's",
     )
     command.add_argument(
-        "--target", type=_positive, metavar="MSE", help="also say how many calls reached this error"
+        "--target", type=cli_values.positive, metavar="MSE", help="also say how many calls reached this error"
     )
     command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
 
@@ -238,40 +261,6 @@ class _Version(argparse.Action):
             found = "(not installed)"
         print(f"studies {found}")
         parser.exit()
-
-
-def _window(text: str) -> tuple[float, float]:
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)", text)
-    if found is None or float(found[1]) >= float(found[2]):
-        raise argparse.ArgumentTypeError(f"{text!r} is no window; give two ascending days, e.g. 0-10")
-    return float(found[1]), float(found[2])
-
-
-def _whole(least: int, most: int = 1_000_000) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        if not re.fullmatch(r"\d+", text) or int(text) < least:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
-        if int(text) > most:
-            raise argparse.ArgumentTypeError(f"{text!r} is too large; give {most} at most")
-        return int(text)
-
-    return read
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
-
-
-def _port(text: str) -> int:
-    if not re.fullmatch(r"\d+", text) or not 1024 <= int(text) <= 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is no port; give a number from 1024 to 65535")
-    return int(text)
 
 
 def _bad_input(console: Console, line: str) -> int:

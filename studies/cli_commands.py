@@ -198,6 +198,8 @@ def open_study(options: argparse.Namespace, console: Console) -> Study:
         n_jobs=options.jobs or available_cores(),
         label=f"{case.name}-{profile.name}{label_end}",
         command=_command(options),
+        retry_failed=given.get("retry_failed", False),
+        dask=given.get("dask"),
     )
 
 

@@ -25,12 +25,17 @@ examples:
 """
 SIMULATE = """\
 what happens: one training design (its first n rows are the training set of size n), a validation and a
-test set that every study shares. Chunks land in data/<case>/generated/; a chunk that is there is never
-simulated again. Failed simulations are kept as such, counted, and left out of training.
+test set that every study shares. Every simulated row is stored in data/<case>/generated/simulations/, a
+folder of Parquet files whose _README.txt says how to read them, and is never simulated again, whatever asks
+for it: sampling, Sobol indices, screening checks or polishing. Failed simulations are kept as such, counted,
+and left out of training; --retry-failed asks them again. When too many fail, the campaign stops with exit
+code 1 (simulation.max_failed_share in the case file).
 
 examples:
   studies simulate --profile paper
   studies simulate my-case/ --jobs 8
+  studies simulate my-case/ --dask tcp://scheduler:8786
+  studies simulate --retry-failed          after the licence server is back
 """
 SENSITIVITY = """\
 what happens: Saltelli's sample on the FMU itself, indices with bootstrapped confidence intervals at

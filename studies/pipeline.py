@@ -43,6 +43,8 @@ class Study:
         n_jobs: processes for simulations and trainings.
         label: what a user sees of case, profile, window and seed.
         command: the end of the command line that names this study, for messages and the report.
+        retry_failed: whether simulations that failed before are asked again.
+        dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
     """
 
     case: "Case"
@@ -52,6 +54,8 @@ class Study:
     n_jobs: int
     label: str
     command: str
+    retry_failed: bool = False
+    dask: str | None = None
 
     @property
     def results(self) -> Path:

@@ -13,6 +13,7 @@ from scipy.stats import norm
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
+from simulation.streaming import streamed
 from simulation.whole_file import whole_file
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
@@ -165,14 +166,18 @@ def sobol_indices(
 
 
 def _simulate(model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None) -> FloatArray:
-    """Ask the model chunk by chunk. Shape (n, t*k). [output's unit]."""
-    answers: list[FloatArray] = []
-    for start in range(0, len(theta), CHUNK):
-        y = model.simulate(theta[start : start + CHUNK]).y
-        answers.append(y.reshape(len(y), -1))
+    """Ask the model block by block. Shape (n, t*k). [output's unit]."""
+
+    def advance(n_done: int) -> None:
         if on_progress is not None:
-            on_progress(min(start + CHUNK, len(theta)), len(theta))
-    return np.concatenate(answers)
+            on_progress(n_done, len(theta))
+
+    y = np.empty((len(theta), len(model.time) * len(model.output_names)))
+    n_done = 0
+    for block in streamed(model, theta, on_progress=advance, block_rows=CHUNK):
+        y[n_done : n_done + block.n] = block.y.reshape(block.n, -1)
+        n_done += block.n
+    return y
 
 
 def _estimate(

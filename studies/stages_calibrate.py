@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from simulation.errors import InputError
-from simulation.parallel import ParallelModel
 from simulation.whole_file import whole_file
 from studies.champion import CHAMPION_FILE, load_champion, read_champion, restore_champion
 from studies.console import Column
 from studies.paths import size_name
+from studies.physical_model import open_physical_model
 from studies.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.report.wording import difference_unit, squared
 from studies.stages_results import StoredCalibration, calibration_files, read_arrays
+from studies.stages_simulate import say_reused
 from studies.stages_tracking import log_calibration, tracker_of
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
@@ -112,7 +113,7 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
         study.paths.champion(study.label, n_train), case_digest=study.case.digest, device="cpu"
     )
     measurement, profile = study.case.measurement, study.profile
-    with ParallelModel(study.case.make_model, study.n_jobs) as physical, study.console.bars() as bars:
+    with open_physical_model(study) as physical, study.console.bars() as bars:
         result = calibrate_two_phase(
             SurrogateModel(surrogate, study.case.parameter_space, measurement.output_names, measurement.time),
             physical,
@@ -125,6 +126,7 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
             n_test=profile.data.n_test,
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
+    say_reused(study, f"calibrate-{size_name(n_train)}", physical)
     numbers = result.to_dict()
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
     arrays = {

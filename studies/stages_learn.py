@@ -20,6 +20,8 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     budget, sizes = study.profile.tuning, study.profile.data.n_train
     inputs = {
         "simulate": simulated.digest,
+        # Rows that were asked again after a failure are other data.
+        "data": simulated.summary["digests"],
         "is_log": study.case.parameter_space.is_log.tolist(),
         "sizes": list(sizes),
         "tuning": asdict(budget),

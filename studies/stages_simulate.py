@@ -8,63 +8,34 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
-from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.generate import generate
-from simulation.parallel import ParallelModel
-from simulation.trajectories import Trajectories
+from simulation.errors import InputError
+from simulation.row_set import RowSet, SetContent, content_of
+from simulation.store import SimulationStore
+from simulation.stored_model import StoredModel
 from studies.console import Column, OnProgress
-from studies.pipeline import Outcome, Study, Summary, digest_of, run_stage
+from studies.physical_model import open_physical_model, store_folder
+from studies.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
 """Validation and test sets are the same for every profile and seed, so that all errors can be compared."""
 TRAIN_SEED_BASE = 1_000
-CHUNK_SIZE = 64
 
 
 @dataclass(frozen=True)
-class SetFile:
-    """A simulated set on disk.
+class SimulatedSet:
+    """A set whose rows are all stored.
 
     Args:
-        name: train, validation or test.
-        file: its trajectories.
-        n: rows, failed ones included.
-        n_failed: rows without a result.
-        n_reused: rows that were simulated before.
+        rows: which rows they are.
+        content: what they came to.
     """
 
-    name: str
-    file: Path
-    n: int
-    n_failed: int
-    n_reused: int
+    rows: RowSet
+    content: SetContent
 
-
-class StoredModel(WrappedModel):
-    """A model whose answers are kept in a folder: a batch asked again is read, an interrupted one completed.
-
-    Args:
-        model: the model to ask.
-        folder: where its answers lie.
-        model_digest: digest of the model.
-    """
-
-    def __init__(self, model: ForwardModel, folder: Path, *, model_digest: str) -> None:
-        super().__init__(model)
-        self._folder = folder
-        self._model_digest = model_digest
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        """Read the rows that are known and simulate the others.
-
-        Args:
-            theta: parameters. Shape (n, p). [per parameter]
-        """
-        rows = np.ascontiguousarray(theta, dtype="<f8")
-        folder = self._folder / digest_of({"rows": rows.tobytes().hex()})[:12]
-        return generate(
-            self._model, theta, folder, chunk_size=CHUNK_SIZE, model_digest=self._model_digest
-        ).trajectories
+    def n_failed(self, n: int | None = None) -> int:
+        """Return the failed rows, those of the first n where asked."""
+        return sum(reason != "" for reason in self.content.failures[:n])
 
 
 def train_seed(seed: int) -> int:
@@ -88,24 +59,24 @@ def simulate_stage(study: Study) -> Outcome:
     }
     inputs = {"case": study.case.digest, "n": sizes, "seeds": seeds, "design": "uniform"}
     total = sum(sizes.values())
+    designs = {name: uniform_design(space, n, seeds[name]) for name, n in sizes.items()}
 
     def work() -> tuple[Summary, list[Path]]:
-        sets = []
+        sets, done = {}, 0
         with (
-            ParallelModel(study.case.make_model, study.n_jobs) as model,
+            open_physical_model(study) as model,
             study.console.progress("simulations", total) as advance,
         ):
-            done = 0
-            for name, n in sizes.items():
-                theta = uniform_design(space, n, seeds[name])
-                sets.append(
-                    _generate_set(study, model, name, theta, on_progress=_after(done, total, advance))
-                )
-                done += n
-        summary = _summary(study, sets)
-        _say_sets(study, summary)
-        return summary, [found.file for found in sets]
+            for name, theta in designs.items():
+                sets[name] = _simulated(study, model, name, theta, on_progress=_after(done, total, advance))
+                done += len(theta)
+            summary = _summary(study, sets) | {"n_reused": model.n_reused}
+        say_reused(study, "simulate", model)
+        _say_failed(study, summary)
+        return summary, [found.rows.file for found in sets.values()]
 
+    if not _is_complete(study, designs):
+        (study.results / "simulate.json").unlink(missing_ok=True)
     return run_stage(
         study,
         "simulate",
@@ -116,6 +87,13 @@ def simulate_stage(study: Study) -> Outcome:
     )
 
 
+def say_reused(study: Study, stage: str, model: StoredModel) -> None:
+    """Say how many of a stage's rows were simulated before."""
+    if model.n_reused:
+        n_asked = model.n_reused + model.n_simulated
+        study.console.say(f"{stage}: {model.n_reused} of {n_asked} simulations reused")
+
+
 def show_sets(study: Study, outcome: Outcome) -> None:
     """Print the simulated sets."""
     found = outcome.summary
@@ -124,10 +102,11 @@ def show_sets(study: Study, outcome: Outcome) -> None:
         [Column("set"), Column("rows", True), Column("failed", True), Column("file")],
         [[name, found["n"][name], found["n_failed"][name], found["files"][name]] for name in found["files"]],
     )
+    study.console.result(f"all simulations: {found['store']} (its _README.txt says how to read them)")
 
 
 def set_files(study: Study, summary: Summary) -> dict[str, Path]:
-    """Return the trajectory files of a finished simulate stage by set."""
+    """Return the files of a finished simulate stage's sets."""
     return {name: study.paths.root / file for name, file in summary["files"].items()}
 
 
@@ -148,18 +127,18 @@ def sensitivity_stage(study: Study) -> Outcome:
         from studies.stages_tracking import log_sensitivity
 
         started = time.perf_counter()
-        folder = study.paths.generated(study.case.name) / f"sobol-{study.case.digest[:12]}"
         with (
-            ParallelModel(study.case.make_model, study.n_jobs) as model,
+            open_physical_model(study) as model,
             study.console.progress("simulations", n_rows) as advance,
         ):
             indices = sobol_indices(
-                StoredModel(model, folder, model_digest=study.case.digest),
+                model,
                 n_base=budget.n_base,
                 seed=study.profile.seed,
                 n_resamples=budget.n_resamples,
                 on_progress=advance,
             )
+        say_reused(study, "sensitivity", model)
         indices.save(file)
         first, total = indices.mean_first_order()[0], indices.mean_total_order()[0]
         order = indices.order()
@@ -174,6 +153,9 @@ def sensitivity_stage(study: Study) -> Outcome:
         log_sensitivity(study, summary, digest_of(inputs), file=file, wall_s=time.perf_counter() - started)
         return summary, [file]
 
+    manifest = read_json(study.results / "sensitivity.json")
+    if study.retry_failed and manifest is not None and manifest["summary"]["n_dropped_blocks"]:
+        (study.results / "sensitivity.json").unlink()
     return run_stage(
         study,
         "sensitivity",
@@ -195,43 +177,56 @@ def show_sensitivity(study: Study, outcome: Outcome) -> None:
     )
 
 
-def _generate_set(
-    study: Study, model: ForwardModel, name: str, theta: FloatArray, *, on_progress: OnProgress
-) -> SetFile:
-    """Simulate one set; a longer design of the same seed goes on in the same folder."""
-    identity = digest_of({"case": study.case.digest, "set": name, "first_row": theta[0].tolist()})
-    folder = study.paths.generated(study.case.name) / f"{name}-{identity[:12]}"
-    result = generate(
-        model, theta, folder, chunk_size=CHUNK_SIZE, model_digest=study.case.digest, on_progress=on_progress
-    )
-    file = folder / f"rows-{len(theta):05d}.npz"
-    result.trajectories.save(file)
-    failed = int(result.trajectories.failed.sum())
-    return SetFile(name, file, len(theta), failed, result.n_reused)
+def _is_complete(study: Study, designs: dict[str, FloatArray]) -> bool:
+    """Say whether all rows are stored and none of them shall be asked again."""
+    manifest = read_json(study.results / "simulate.json")
+    if manifest is None:
+        return True
+    n_failed = sum(manifest.get("summary", {}).get("n_failed", {}).values())
+    if study.retry_failed and n_failed:
+        return False
+    try:
+        with SimulationStore.at(
+            store_folder(study.paths, study.case), on_warning=study.console.warn
+        ) as store:
+            return all(bool(store.find(theta).all()) for theta in designs.values())
+    except InputError:
+        return False
 
 
-def _summary(study: Study, sets: list[SetFile]) -> Summary:
-    train = Trajectories.load(sets[0].file)
+def _simulated(
+    study: Study, model: StoredModel, name: str, theta: FloatArray, *, on_progress: OnProgress
+) -> SimulatedSet:
+    """Simulate what is not stored of a set; a longer design of the same seed begins with the same rows."""
+    identity = digest_of({"case": study.case.digest, "set": name, "theta": theta.tobytes().hex()})
+    file = study.paths.generated(study.case.name) / "sets" / f"{name}-n{len(theta):05d}-{identity[:12]}.npz"
+    model.complete(theta, on_progress=lambda n_done: on_progress(n_done, len(theta)))
+    rows = RowSet(theta, model.store.folder, file)
+    rows.save()
+    return SimulatedSet(rows, content_of(model.stored(theta)))
+
+
+def _summary(study: Study, sets: dict[str, SimulatedSet]) -> Summary:
+    reasons = {reason for found in sets.values() for reason in found.content.failures if reason}
     return {
-        "n": {found.name: found.n for found in sets},
-        "n_simulations": sum(found.n for found in sets),
-        "n_reused": sum(found.n_reused for found in sets),
-        "n_failed": {found.name: found.n_failed for found in sets},
-        "n_failed_of_training_size": {
-            str(n): int(train.failed[:n].sum()) for n in study.profile.data.n_train
-        },
-        "first_failures": sorted({reason for reason in train.failures if reason})[:3],
-        "files": {found.name: study.paths.relative(found.file) for found in sets},
+        "n": {name: found.rows.n for name, found in sets.items()},
+        "n_simulations": sum(found.rows.n for found in sets.values()),
+        "n_failed": {name: found.n_failed() for name, found in sets.items()},
+        "n_failed_of_training_size": {str(n): sets["train"].n_failed(n) for n in study.profile.data.n_train},
+        "first_failures": sorted(reasons)[:3],
+        "files": {name: study.paths.relative(found.rows.file) for name, found in sets.items()},
+        "digests": {name: found.content.digest for name, found in sets.items()},
+        "store": study.paths.relative(store_folder(study.paths, study.case)),
     }
 
 
-def _say_sets(study: Study, summary: Summary) -> None:
-    if summary["n_reused"]:
-        study.console.say(f"simulate: {summary['n_reused']} of {summary['n_simulations']} simulations reused")
+def _say_failed(study: Study, summary: Summary) -> None:
     n_failed = sum(summary["n_failed"].values())
     if n_failed:
-        reasons = "; ".join(summary["first_failures"]) or "see the trajectory files"
-        study.console.warn(f"{n_failed} simulations failed and are left out: {reasons}")
+        study.console.warn(
+            f"{n_failed} simulations failed and are left out: {'; '.join(summary['first_failures'])} "
+            "(--retry-failed asks them again)"
+        )
 
 
 def _after(done: int, total: int, advance: OnProgress) -> OnProgress:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
-from simulation.trajectories import Trajectories
+from simulation.row_set import RowSet
 from studies.study_spec import StudySpec
 
 _Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -27,14 +27,14 @@ def load_data(spec: StudySpec) -> StudyData:
     Raises:
         InputError: a file does not hold what the study was declared with, or no good row is left.
     """
-    train = Trajectories.load(spec.train_file)
     sets = [
-        (spec.train_file, train.take(np.arange(min(spec.n_train, train.n))), spec.train_digest),
-        (spec.validation_file, Trajectories.load(spec.validation_file), spec.validation_digest),
-        (spec.test_file, Trajectories.load(spec.test_file), spec.test_digest),
+        (spec.train_file, spec.n_train, spec.train_digest),
+        (spec.validation_file, None, spec.validation_digest),
+        (spec.test_file, None, spec.test_digest),
     ]
     pairs = []
-    for file, rows, digest in sets:
+    for file, n, digest in sets:
+        rows = RowSet.load(file).read(n)
         if rows.digest != digest:
             raise InputError(f"{file} has changed since the study was set up; start the command again")
         good = rows.take(~rows.failed)

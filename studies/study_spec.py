@@ -8,12 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
-from simulation.trajectories import Trajectories
+from simulation.row_set import RowSet
 from studies.paths import size_name
 from studies.profile import SearchRanges
 
@@ -34,9 +32,9 @@ class StudySpec:
         parameter_space: physical parameters; the surrogate is told which ones are logarithmic.
         output_names: simulated outputs.
         output_unit: unit of the outputs and so of the errors.
-        train_file: training trajectories, at least `n_train` rows.
-        validation_file: trajectories that choose epochs and hyperparameters.
-        test_file: trajectories that only judge.
+        train_file: training set, at least `n_train` rows.
+        validation_file: set that chooses epochs and hyperparameters.
+        test_file: set that only judges.
         train_digest: sha256 of the first `n_train` rows.
         validation_digest: sha256 of the validation trajectories.
         test_digest: sha256 of the test trajectories.
@@ -78,18 +76,18 @@ class StudySpec:
         parameter_space: ParameterSpace,
         **declared: Any,
     ) -> "StudySpec":
-        """Build a study from trajectory files, taking digests and output names from their content.
+        """Build a study from sets of simulations, taking digests and output names from their content.
 
         Raises:
             InputError: a file is missing, has fewer than `n_train` rows, or the parameters differ.
         """
-        train = Trajectories.load(train_file)
-        validation = Trajectories.load(validation_file)
-        test = Trajectories.load(test_file)
-        if train.n < n_train:
+        train_set = RowSet.load(train_file)
+        if train_set.n < n_train:
             raise InputError(
-                f"{train_file} has {train.n} rows, n_train is {n_train}; simulate more or ask for less"
+                f"{train_file} has {train_set.n} rows, n_train is {n_train}; simulate more or ask for less"
             )
+        train = train_set.read(n_train)
+        validation, test = RowSet.load(validation_file).read(), RowSet.load(test_file).read()
         for file, rows in ((train_file, train), (validation_file, validation), (test_file, test)):
             if tuple(rows.parameter_names) != parameter_space.names:
                 raise InputError(f"{file} has other parameters than the case; simulate it again")
@@ -100,7 +98,7 @@ class StudySpec:
             train_file=train_file,
             validation_file=validation_file,
             test_file=test_file,
-            train_digest=train.take(np.arange(n_train)).digest,
+            train_digest=train.digest,
             validation_digest=validation.digest,
             test_digest=test.digest,
             **declared,

@@ -35,7 +35,14 @@ def design(n: int, seed: int = 0) -> np.ndarray:
 
 def open_store(folder: Path, warnings: Warnings | None = None, *, digest: str = "abc") -> SimulationStore:
     say = warnings.append if warnings is not None else pytest.fail
-    return SimulationStore.for_model(MODEL, folder, model_digest=digest, on_warning=say)
+    return SimulationStore(
+        folder,
+        model_digest=digest,
+        parameter_names=MODEL.parameter_space.names,
+        output_names=MODEL.output_names,
+        time=MODEL.time,
+        on_warning=say,
+    )
 
 
 def parts(folder: Path) -> list[Path]:
@@ -172,6 +179,10 @@ def test_a_store_of_another_model_is_refused_in_one_line(tmp_path: Path) -> None
     manifest.write_text("{")
     with pytest.raises(InputError, match="not readable; remove the file"):
         open_store(tmp_path)
+    with pytest.raises(InputError, match="not readable; remove the file"):
+        SimulationStore.at(tmp_path)
+    with pytest.raises(InputError, match="no such file; simulate first"):
+        SimulationStore.at(tmp_path / "none")
     with pytest.raises(InputError, match="'R' names two columns"):
         SimulationStore(
             tmp_path, model_digest="a", parameter_names=("R",), output_names=("R",), time=MODEL.time
@@ -297,7 +308,13 @@ from simulation.stored_model import StoredModel
 from simulation.toy import ToyRC
 
 model = ToyRC()
-store = SimulationStore.for_model(model, Path({folder!r}), model_digest="abc")
+store = SimulationStore(
+    Path({folder!r}),
+    model_digest="abc",
+    parameter_names=model.parameter_space.names,
+    output_names=model.output_names,
+    time=model.time,
+)
 stored = StoredModel(model, store)
 theta = uniform_design(model.parameter_space, 400, 0)
 stored.simulate(theta[:20])
@@ -320,7 +337,7 @@ def test_a_full_disk_is_one_error_and_loses_nothing(tmp_path: Path) -> None:
     assert (int(number), reason.strip()) == (27, "File too large")
     assert not list(tmp_path.glob(".*.tmp"))
     model, theta = ToyRC(), uniform_design(ToyRC().parameter_space, 400, 0)
-    with SimulationStore.for_model(model, tmp_path, model_digest="abc", on_warning=pytest.fail) as store:
+    with SimulationStore.at(tmp_path, on_warning=pytest.fail) as store:
         assert store.find(theta[: int(n_stored)]).all()
         assert store.read(theta[: int(n_stored)]).digest == model.simulate(theta[: int(n_stored)]).digest
         assert not store.find(theta[int(n_stored) :]).any()

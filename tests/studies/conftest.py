@@ -9,7 +9,10 @@ from typing import Any
 import pytest
 
 from simulation.design import uniform_design
+from simulation.row_set import RowSet
+from simulation.store import SimulationStore
 from simulation.toy import ToyRC
+from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
 from studies.profile import SearchRanges
 from studies.study_spec import StudySpec
@@ -21,13 +24,25 @@ SMALL_TRAINING = {"max_epochs": 20, "validate_every": 1, "patience": 20, "device
 
 @pytest.fixture(scope="session")
 def toy_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with train, validation and test trajectories of a two-parameter RC network."""
+    """Folder with train, validation and test set of a two-parameter RC network, and their simulations."""
     folder = tmp_path_factory.mktemp("toy-data")
     model = ToyRC()
     for seed, (name, n) in enumerate({"train": 32, "validation": 24, "test": 24}.items()):
-        theta = uniform_design(model.parameter_space, n, seed)
-        model.simulate(theta).save(folder / f"{name}.npz")
+        store_set(model.simulate(uniform_design(model.parameter_space, n, seed)), folder / f"{name}.npz")
     return folder
+
+
+def store_set(rows: Trajectories, file: Path) -> None:
+    """Store rows beside a file, and write the set to it."""
+    with SimulationStore(
+        file.parent / "simulations",
+        model_digest="toy",
+        parameter_names=rows.parameter_names,
+        output_names=rows.output_names,
+        time=rows.time,
+    ) as store:
+        store.append(rows.take(~store.find(rows.theta)))
+        RowSet(rows.theta, store.folder, file).save()
 
 
 @pytest.fixture(scope="session")

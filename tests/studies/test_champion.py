@@ -14,7 +14,7 @@ import pytest
 from tuning_checks import ignore
 
 from simulation.errors import InputError
-from simulation.trajectories import Trajectories
+from simulation.row_set import RowSet
 from studies.champion import ChampionInfo, load_champion, read_champion, restore_champion, write_champion
 from studies.mlflow_registry import model_name
 from studies.mlflow_tracker import MlflowTracker
@@ -55,7 +55,7 @@ def test_champion_predicts_the_same_at_any_path(
     original: tuple[StudySpec, Path, Path], champion: Path
 ) -> None:
     spec, _, folder = original
-    theta = Trajectories.load(spec.test_file).theta
+    theta = RowSet.load(spec.test_file).theta
     first, info = load_champion(folder, case_digest=CASE, device="cpu")
     second, copied = load_champion(champion, case_digest=CASE, device="cpu")
     assert info == copied
@@ -184,7 +184,7 @@ def test_registered_champion_loads_where_this_project_is_not(
     spec, _, folder = original
     tracker.start_study(spec, n_trials=3)
     tracker.register_champion(spec, folder)
-    theta = Trajectories.load(spec.test_file).theta[:3]
+    theta = RowSet.load(spec.test_file).theta[:3]
     np.save(tmp_path / "theta.npy", theta)
     stranger = f"""
 import sys

@@ -1,0 +1,60 @@
+"""The physical model of a study as everybody asks it: supervised, spread over processes, and never twice."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from simulation.case import Case
+from simulation.execution import CampaignStopped, ExecutionPolicy
+from simulation.parallel import ParallelModel
+from simulation.store import SimulationStore
+from simulation.stored_model import StoredModel
+from studies.paths import ProjectPaths
+from studies.pipeline import StageError, Study
+
+
+def store_folder(paths: ProjectPaths, case: Case) -> Path:
+    """Return the folder of a case's simulations; cases that simulate the same share it."""
+    return paths.generated(case.name) / "simulations" / case.model_digest[:16]
+
+
+@contextmanager
+def open_physical_model(
+    study: Study, *, case: Case | None = None, policy: ExecutionPolicy | None = None
+) -> Iterator[StoredModel]:
+    """Open the model of a study's case with the store of its simulations.
+
+    Args:
+        study: the study.
+        case: another case instead of the study's.
+        policy: another patience instead of the case's.
+
+    Yields:
+        the model. Rows that are stored are not simulated; `unstored` asks it anew and keeps nothing.
+
+    Raises:
+        StageError: too many simulations fail; those that are finished are kept.
+    """
+    case = case or study.case
+    console = study.console
+    with SimulationStore(
+        store_folder(study.paths, case),
+        model_digest=case.model_digest,
+        parameter_names=case.parameter_space.names,
+        output_names=case.measurement.output_names,
+        time=case.scenario.time,
+        on_warning=console.warn,
+    ) as store:
+        if store.n_recovered:
+            console.say(f"{store.n_recovered} simulations of an interrupted run are kept")
+        with ParallelModel(
+            case.make_model,
+            study.n_jobs,
+            policy=policy or case.policy,
+            spool=store.spool,
+            on_warning=console.warn,
+        ) as model:
+            try:
+                yield StoredModel(model, store, retry_failed=study.retry_failed)
+            except CampaignStopped as stopped:
+                raise StageError(f"{stopped}; the finished simulations are kept") from stopped
