@@ -241,16 +241,18 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         output_every=output_every,
         n_warmup=n_warmup,
     )
+    accepted = accepted_bands(path, file.outputs)
+    measurement = measured(file, data, scenario.time, period)
     settings = FmuSettings(
         path=fmu.path,
         parameter_space=space,
         scenario=scenario,
-        output_names=tuple(table.name for table in file.outputs),
+        output_names=measurement.output_names,
         output_offsets=np.array([one.offset for one in outputs]),
         fixed=fixed_values(path, file, fmu, data, float(edges[0])),
         interface=file.interface,
         relative_tolerance=file.relative_tolerance,
-        accepted=accepted_bands(path, file.outputs),
+        accepted=accepted,
         shared_warmup=file.time.shared_warmup,
         warmup_theta=_expected(space) if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
@@ -265,7 +267,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         fmu=fmu,
         parameter_space=space,
         scenario=scenario,
-        measurement=measured(file, data, scenario.time, period),
+        measurement=measurement,
         outputs=tuple(
             Output(table.name, table.unit, table.uncertainty, data.recordings[table.file].path, table.column)
             for table in file.outputs
@@ -285,13 +287,8 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
 
 def _expected(space: ParameterSpace) -> FloatArray:
     """Return the estimates, the middle of the box where there is none. Shape (p,)."""
-    middle = space.from_unit(np.full(space.n_parameters, 0.5))
-    return np.array(
-        [
-            value if one.estimate is None else one.estimate
-            for one, value in zip(space.parameters, middle, strict=True)
-        ]
-    )
+    estimates = np.array([np.nan if one.estimate is None else one.estimate for one in space.parameters])
+    return np.where(np.isnan(estimates), space.from_unit(np.full(space.n_parameters, 0.5)), estimates)
 
 
 def _unless(usual: float, values: list[float]) -> FloatArray | None:

@@ -1,0 +1,315 @@
+"""Recordings as loggers write them: own times, gaps, other separators, timestamps, clocks set back."""
+
+import re
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError
+from simulation.recording import read_recording
+
+DAY = 86400
+
+
+def edit(folder: Path, *pairs: tuple[str, str]) -> None:
+    """Replace text in the case file."""
+    text = (folder / "case.toml").read_text()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "case.toml").write_text(text)
+
+
+def write(folder: Path, name: str, header: str, rows: list[str], encoding: str = "utf-8") -> None:
+    (folder / "data" / name).write_bytes(("\n".join([header, *rows]) + "\n").encode(encoding))
+
+
+def own_file(folder: Path, rows: list[str], header: str = "time_s,T_degC") -> None:
+    """Give the output a file of its own; the input keeps the old one."""
+    write(folder, "room.csv", header, rows)
+    edit(folder, ('file = "recording.csv"\ncolumn = "T_degC"', 'file = "room.csv"\ncolumn = "T_degC"'))
+
+
+def test_an_output_is_compared_at_its_own_uneven_times(decay_case: Path):
+    # The window is from 21600 to 64800 s.
+    times = [0, 20000, 21599, 21600, 22222, 30000, 30001, 64800, 64801, 90000]
+    own_file(decay_case, [f"{t},{20 + t / 1e5}" for t in times])
+    measurement = load_case(decay_case).measurement
+    assert measurement.samples[0].time.tolist() == [21600, 22222, 30000, 30001, 64800]
+    np.testing.assert_array_equal(
+        measurement.samples[0].values, [float(f"{20 + t / 1e5}") for t in times[3:8]]
+    )
+    assert np.flatnonzero(~np.isnan(measurement.y[:, 0])).tolist() == [0, 24]
+
+
+def test_samples_on_output_times_are_the_same_as_from_an_even_file(decay_case: Path):
+    before = load_case(decay_case)
+    path = decay_case / "data" / "recording.csv"
+    text = path.read_text()
+    # A row outside the window is missing, so the file is uneven.
+    path.write_text(re.sub(r"(?m)^1800,.*\n", "", text))
+    assert load_case(decay_case).measurement.digest == before.measurement.digest
+
+
+@pytest.mark.parametrize("empty", ["", "NaN", "nan", " ", "NA", "n/a", "null"])
+def test_an_empty_cell_of_an_output_is_a_gap(decay_case: Path, empty: str):
+    before = load_case(decay_case).measurement
+    path = decay_case / "data" / "recording.csv"
+    path.write_text(re.sub(r"(?m)^36000,[^,]*,", f"36000,{empty},", path.read_text()))
+    after = load_case(decay_case).measurement
+    assert after.n_samples == before.n_samples - 1
+    assert np.flatnonzero(np.isnan(after.y[:, 0])).tolist() == [8]
+    rows = np.random.default_rng(0).normal(20, 1, (3, 25, 1))
+    kept = np.arange(25) != 8
+    np.testing.assert_array_equal(after.compared(rows), before.compared(rows)[:, kept])
+
+
+def test_an_input_may_bridge_a_gap_that_is_declared(decay_case: Path):
+    path = decay_case / "data" / "recording.csv"
+    full = load_case(decay_case).scenario.inputs
+    path.write_text(re.sub(r"(?m)^36000,.*\n", "", path.read_text()))
+    edit(decay_case, ('"linear"', '"linear"\nmax_gap_s = 3600'))
+    bridged = load_case(decay_case)
+    # Only the six steps of the hour around the missing sample can differ, and the output lost a sample.
+    differs = np.flatnonzero(np.abs(bridged.scenario.inputs - full)[:, 0] > 1e-12)
+    assert differs.min() >= 21
+    assert differs.max() <= 26
+    assert bridged.measurement.n_samples == 24
+
+
+def test_a_gap_of_an_input_outside_the_simulated_days_is_none(decay_case: Path):
+    path = decay_case / "data" / "recording.csv"
+    before = load_case(decay_case)
+    path.write_text(re.sub(r"(?m)^(3600,[^,]*),.*$", r"\1,", path.read_text()))
+    np.testing.assert_allclose(load_case(decay_case).scenario.inputs, before.scenario.inputs, rtol=1e-12)
+
+
+def test_sampling_that_jitters_is_no_gap(decay_case: Path):
+    rng = np.random.default_rng(0)
+    times = np.arange(0, DAY + 1, 600) + np.concatenate([[0], rng.uniform(-120, 120, 143), [0]])
+    write(
+        decay_case,
+        "recording.csv",
+        "time_s,T_degC,heating",
+        [f"{t:.3f},{20 + t / 1e5},{t / 1e9}" for t in times],
+    )
+    case = load_case(decay_case)
+    middles = case.scenario.time_communication[:-1] + 300
+    np.testing.assert_allclose(case.scenario.inputs[:, 0], middles / 1e9, rtol=1e-6)
+
+
+def test_a_german_export_is_read(decay_case: Path):
+    before = load_case(decay_case)
+    path = decay_case / "data" / "recording.csv"
+    text = path.read_text().replace(",", ";").replace(".", ",").replace("T_degC", "T_°C")
+    path.write_bytes(text.encode("cp1252"))
+    edit(decay_case, ('column = "T_degC"', 'column = "T_°C"'))
+    after = load_case(decay_case)
+    assert after.digest == before.digest
+    assert after.measurement.digest == before.measurement.digest
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_tabs_and_other_encodings_are_read(decay_case: Path, encoding: str):
+    before = load_case(decay_case)
+    path = decay_case / "data" / "recording.csv"
+    path.write_bytes(path.read_text().replace(",", "\t").encode(encoding))
+    assert load_case(decay_case).measurement.digest == before.measurement.digest
+
+
+START = datetime(2018, 2, 21)
+
+
+def stamped(folder: Path, stamps: list[str], header: str = "time,T_degC,heating") -> None:
+    """Give the recording's 49 half-hourly rows timestamps."""
+    lines = (folder / "data" / "recording.csv").read_text().splitlines()[1:]
+    rows = [",".join([stamp, *line.split(",")[1:]]) for stamp, line in zip(stamps, lines, strict=True)]
+    write(folder, "recording.csv", header, rows)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "%Y-%m-%d %H:%M",
+        "%Y-%m-%dT%H:%M:%S",
+        "%Y-%m-%dT%H:%M:%SZ",
+        "%d.%m.%Y %H:%M",
+        "%Y-%m-%d %H:%M:%S+01:00",
+    ],
+)
+def test_timestamps_count_from_the_first_row(decay_case: Path, form: str):
+    before = load_case(decay_case)
+    stamped(decay_case, [(START + timedelta(minutes=30 * i)).strftime(form) for i in range(49)])
+    after = load_case(decay_case)
+    assert after.digest == before.digest
+    assert after.measurement.digest == before.measurement.digest
+
+
+def test_the_model_s_time_zero_can_be_declared(decay_case: Path):
+    stamped(decay_case, [(START + timedelta(minutes=30 * i)).isoformat() for i in range(49)])
+    edit(
+        decay_case,
+        ("[time]\nwindow_d = [0.25, 0.75]", '[time]\nwindow_d = [51.25, 51.75]\nzero = "2018-01-01"'),
+    )
+    case = load_case(decay_case)
+    assert case.scenario.time_communication[0] == 51.25 * DAY
+    assert case.measurement.n_samples == 25
+
+
+def test_a_clock_that_is_set_back_is_followed_where_the_time_zone_is_known(decay_case: Path):
+    moments = [datetime(2018, 10, 27, 22, tzinfo=UTC) + timedelta(minutes=30 * i) for i in range(49)]
+    # 02:00 to 02:30 stands twice: clocks in Berlin went back at 03:00.
+    local = [
+        (moment + timedelta(hours=2 if moment < datetime(2018, 10, 28, 1, tzinfo=UTC) else 1)).strftime(
+            "%Y-%m-%d %H:%M"
+        )
+        for moment in moments
+    ]
+    assert len(set(local)) == 47
+    before = load_case(decay_case)
+    stamped(decay_case, local)
+    with pytest.raises(
+        InputError, match=r"column time = 2018-10-28 02:00 comes before .*clocks were set back"
+    ):
+        load_case(decay_case)
+    edit(decay_case, ("schema = 1", 'schema = 1\ntimezone = "Europe/Berlin"'))
+    assert load_case(decay_case).measurement.digest == before.measurement.digest
+
+
+def test_without_a_time_zone_every_day_has_24_hours(tmp_path: Path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,T\n2018-03-25 00:00,1\n2018-03-26 00:00,2\n")
+    assert read_recording(path, ["T"]).step_s == DAY
+    assert read_recording(path, ["T"], timezone="Europe/Berlin").step_s == DAY - 3600
+
+
+def test_a_time_column_of_another_name(decay_case: Path):
+    before = load_case(decay_case)
+    path = decay_case / "data" / "recording.csv"
+    path.write_text(path.read_text().replace("time_s", "Zeit [s]"))
+    with pytest.raises(
+        InputError, match=r"no column time_s or time is there; found Zeit \[s\], T_degC, heating"
+    ):
+        load_case(decay_case)
+    edit(decay_case, ("schema = 1", 'schema = 1\ntime_column = "Zeit [s]"'))
+    assert load_case(decay_case).digest == before.digest
+
+
+def test_the_first_measured_value_is_the_nearest_to_the_start(decay_case: Path):
+    own_file(decay_case, [f"{t},{20 + t / 1e5}" for t in range(0, DAY, 1000)])
+    # 21600 s lies between 21000 and 22000 s.
+    assert load_case(decay_case).fixed["x0"] == pytest.approx(20.22 + 273.15, abs=1e-12)
+
+
+def wrong(decay_case: Path, stamps: list[str], message: str) -> None:
+    stamped(decay_case, stamps)
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(decay_case)
+    assert "\n" not in str(caught.value)
+
+
+GOOD = [(START + timedelta(minutes=30 * i)).strftime("%Y-%m-%d %H:%M") for i in range(49)]
+
+
+@pytest.mark.parametrize(
+    ("row", "stamp", "message"),
+    [
+        (
+            5,
+            "21/02/2018 02:30",
+            r"line 7, column time: '21/02/2018 02:30' is no timestamp; write 2018-02-21T00:30",
+        ),
+        (5, "", r"line 7, column time: '' is no timestamp"),
+        (5, "2018-02-30 02:30", r"line 7, column time: '2018-02-30 02:30' is no timestamp"),
+        (5, "9000", r"line 7, column time: '9000' is no timestamp"),
+        (
+            5,
+            GOOD[4],
+            r"line 7: column time = 2018-02-21 02:00 repeats the line above \(2018-02-21 02:00\); sort",
+        ),
+        (5, "2018-02-20 23:00", r"line 7: column time = 2018-02-20 23:00 comes before .* drop duplicates$"),
+        (5, GOOD[5] + "Z", r"line 7, column time: 2018-02-21 02:30Z is not written like the first"),
+    ],
+)
+def test_a_wrong_timestamp_is_one_line(decay_case: Path, row: int, stamp: str, message: str):
+    wrong(decay_case, [*GOOD[:row], stamp, *GOOD[row + 1 :]], message)
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        (('zero = "2018"', ""), r'time\.zero = "2018" is no timestamp'),
+        (
+            ('zero = "2018-01-01T00:00Z"', ""),
+            r"time\.zero = .* the recordings have no offset from UTC; drop it",
+        ),
+        (('zero = "2018-01-01"', 'timezone = "Mars/Olympus"'), r'timezone = "Mars/Olympus" is not known'),
+        (('zero = "2018-03-01"', ""), r"(window_d|has 0 values|ends after|covers)"),
+    ],
+)
+def test_a_wrong_zero_or_time_zone_is_one_line(decay_case: Path, pair: tuple[str, str], message: str):
+    stamped(decay_case, GOOD)
+    edit(decay_case, ("[time]\n", f"[time]\n{pair[0]}\n"), ("schema = 1", f"schema = 1\n{pair[1]}"))
+    with pytest.raises(InputError, match=message):
+        load_case(decay_case)
+
+
+def test_a_zero_for_seconds_is_refused(decay_case: Path):
+    edit(decay_case, ("[time]\n", '[time]\nzero = "2018-01-01"\n'))
+    with pytest.raises(InputError, match="the recordings count seconds, which have a zero; drop the key"):
+        load_case(decay_case)
+
+
+def test_files_with_different_clocks_are_refused(decay_case: Path):
+    own_file(decay_case, [f"{stamp},20" for stamp in GOOD], header="time,T_degC")
+    with pytest.raises(
+        InputError, match=r"recording\.csv counts seconds and .*room\.csv has timestamps without"
+    ):
+        load_case(decay_case)
+
+
+@pytest.mark.parametrize(
+    ("rows", "header", "message"),
+    [
+        (
+            ["0;1,5", "1800;1.5"],
+            "time_s;T_degC",
+            r"column T_degC has a comma in '1,5' \(line 2\) and a point",
+        ),
+        (["0;1.234,5", "1800;2"], "time_s;T_degC", r"line 2, column T_degC: '1\.234,5' is not a number"),
+        (['0,"1,5"', "1800,2"], "time_s,T_degC", r"line 2, column T_degC: '1,5' is not a number"),
+        (["0,1", "1800,x"], "time_s,T_degC", r"line 3, column T_degC: 'x' is not a number"),
+        ([f"{t}," for t in range(0, DAY, 1800)], "time_s,T_degC", r"outputs\[y\]: .* has 0 values of T_degC"),
+        (
+            ["0,1", "22000,2", "86400,3"],
+            "time_s,T_degC",
+            r"outputs\[y\]: .* has 1 values of T_degC from day 0.25",
+        ),
+        (
+            ["50000,1", "50600,1", "60000,2", "86400,3"],
+            "time_s,T_degC",
+            r"window_d|no value of T_degC near|covers",
+        ),
+    ],
+)
+def test_a_wrong_recording_of_an_output_is_one_line(
+    decay_case: Path, rows: list[str], header: str, message: str
+):
+    own_file(decay_case, rows, header)
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(decay_case)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_start_without_a_measured_value_needs_a_number(decay_case: Path):
+    times = [t for t in range(0, DAY, 1800) if not 18000 <= t <= 27000]
+    own_file(decay_case, [f"{t},20" for t in times])
+    with pytest.raises(
+        InputError, match=r"fixed\.x0: .* has no value of T_degC near the start, 21600 s; give a"
+    ):
+        load_case(decay_case)
+    edit(decay_case, ('{ first_measured = "y" }', "{ value = 20.0, unit = 'degC' }"))
+    assert load_case(decay_case).fixed["x0"] == pytest.approx(293.15)
