@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 HERE: Final = Path(__file__).parent
 SEED: Final = 1883
 TRUTH: Final = {
-    "C": 7.5e5, "CWall": 6.0e6, "G": 16.0, "GWall": 110.0, "GOut": 25.0, "PHeat": 2800.0,
-    "TSet": 294.15, "band": 1.2, "TStart": 294.15, "TWallStart": 290.15,
+    "C": 1.5e6, "CWall": 6.0e6, "G": 16.0, "GWall": 110.0, "GOut": 25.0, "PHeat": 2800.0,
+    "TSet": 294.15, "band": 1.6, "TStart": 294.15, "TWallStart": 290.15,
 }  # fmt: skip
 NOISE_K: Final = 0.05
 METER_KWH: Final = 0.01
 KELVIN: Final = 273.15
 JOULE_PER_KWH: Final = 3.6e6
-DAYS: Final = 3
-STEP_S: Final = 600.0
+DAYS: Final = 2
+STEP_S: Final = 300.0
 # A crossing is looked for between points this far apart.
 _LOOK_S: Final = 30.0
 
@@ -85,7 +85,7 @@ def main() -> None:
     rng = np.random.default_rng(SEED)
     time = STEP_S * np.arange(DAYS * 86400 / STEP_S + 1)
     day = time / 86400.0
-    slow = np.cumsum(rng.standard_normal(len(time))) * 0.06
+    slow = np.cumsum(rng.standard_normal(len(time))) * 0.04
     outside = np.round(2.0 + 4.0 * np.sin(2.0 * np.pi * (day - 0.4)) + slow - np.mean(slow), 2)
     truth, _ = answer(outside[:-1] + KELVIN, STEP_S, TRUTH)
     air = truth[:, 0] - KELVIN + NOISE_K * rng.standard_normal(len(time))

@@ -17,8 +17,8 @@ HERE: Final = Path(__file__).parent
 SEED: Final = 1926
 TRUTH: Final = {"mu": 2.3, "period": 8640.0, "amplitude": 3.2, "xStart": -0.6}
 NOISE_V: Final = 0.15
-STEP_S: Final = 600.0
-DAYS: Final = 2
+STEP_S: Final = 300.0
+DAYS: Final = 1
 
 
 def voltage(time: Array, *, mu: float, period: float, amplitude: float, xStart: float) -> Array:
