@@ -1,6 +1,7 @@
 """Every row as if it were the first: how an FMU is started over, and what is believed about that."""
 
 import ctypes
+import math
 import time
 from collections.abc import Callable
 from typing import Final, Literal
@@ -118,7 +119,7 @@ class RestartingRunner:
         self._untouched = False
         reason = self._solver.solve(values, y)
         # Not every FMU can be started over out of an error, or out of numbers that are none.
-        self._instance.damaged = reason != "" or not np.isfinite(y[self._n_ignored :]).all()
+        self._instance.damaged = reason != "" or not math.isfinite(y[self._n_ignored :].sum())
         return reason
 
     def _start_over(self) -> str:

@@ -57,18 +57,19 @@ class Start:
         structural = [one for one in plan.fixed if one[0].causality == "structuralParameter"]
         others = [one for one in plan.fixed if one[0].causality != "structuralParameter"]
         self._structural = [
-            _Fixed(instance, setter, variables, where)
+            _fixed_setting(instance, setter, variables, where)
             for setter, variables in _by_setter(instance, structural)
         ]
         self._fixed = [
-            _Fixed(instance, setter, variables, where) for setter, variables in _by_setter(instance, others)
+            _fixed_setting(instance, setter, variables, where)
+            for setter, variables in _by_setter(instance, others)
         ]
         self.parameters: Final = [
             _Calibrated(instance, kind, plan.calibrated)
             for kind in dict.fromkeys(variable.kind for variable in plan.calibrated)
         ]
-        self._first_inputs = plan.inputs[0].copy()
-        self._set_inputs = "SetReal" if instance.prefix == "fmi2" else "SetFloat64"
+        set_inputs = "SetReal" if instance.prefix == "fmi2" else "SetFloat64"
+        self._first_inputs = _Setting(instance, set_inputs, plan.input_variables, plan.inputs[0].copy())
 
     def begin(self, values: FloatArray) -> str:
         """Take the instance from "as if just instantiated" to the first step.
@@ -98,7 +99,7 @@ class Start:
         if status > WARNING:
             return instance.failure("EnterInitializationMode", status, start)
         # Inputs of the first step are set here too: initial values may depend on them.
-        if failure := self._set_first_inputs(start):
+        if plan.input_variables and (failure := self._first_inputs.set(start)):
             return failure
         status = instance.call("ExitInitializationMode")
         if status > WARNING:
@@ -134,47 +135,56 @@ class Start:
                         return failure
         return ""
 
-    def _set_first_inputs(self, time: float) -> str:
-        references, values = self._plan.input_references, self._first_inputs
-        if not len(references):
-            return ""
-        return _set(self._instance, self._set_inputs, references, values, time)
+
+class _Setting:
+    """Some variables that one function sets, and the buffer that their values are in."""
+
+    def __init__(
+        self, instance: FmuInstance, function: str, variables: Sequence[FmuVariable], values: Any
+    ) -> None:
+        self._instance = instance
+        self._function = function
+        self._references = np.array([variable.reference for variable in variables], dtype=np.uint32)
+        self.values = values
+        address = values.ctypes.data if isinstance(values, np.ndarray) else ctypes.addressof(values)
+        n = len(variables)
+        # Addresses are reckoned once: a row may take no longer than a few of these calls.
+        self._arguments: tuple[int, ...] = (self._references.ctypes.data, n, address)
+        if instance.prefix == "fmi3":
+            self._arguments += (n,)
+
+    def set(self, time: float) -> str:
+        status = self._instance.call(self._function, *self._arguments)
+        return self._instance.failure(self._function, status, time) if status > WARNING else ""
 
 
 class _Calibrated:
-    """The calibrated parameters of one kind; the values are copied into a buffer of its C type."""
+    """The calibrated parameters of one kind; a row's values are copied into a buffer of its C type."""
 
     def __init__(self, instance: FmuInstance, kind: str, calibrated: Sequence[FmuVariable]) -> None:
-        self._instance = instance
-        self._function, dtype = _SETTERS[instance.prefix][kind]
+        function, dtype = _SETTERS[instance.prefix][kind]
         self._columns = np.array([i for i, one in enumerate(calibrated) if one.kind == kind], dtype=np.intp)
-        self._references = _references([calibrated[i] for i in self._columns])
-        self._values = np.zeros(len(self._columns), dtype=dtype)
-
-    def set(self, values: FloatArray, time: float) -> str:
-        self._values[:] = values[self._columns]
-        return _set(self._instance, self._function, self._references, self._values, time)
-
-
-class _Fixed:
-    """The fixed parameters that one function sets."""
-
-    def __init__(
-        self, instance: FmuInstance, setter: str, fixed: Sequence[tuple[FmuVariable, _Value]], where: str
-    ) -> None:
-        self._instance = instance
-        self._function = setter
-        self._references = _references([variable for variable, _ in fixed])
-        dtype = _SETTERS[instance.prefix][fixed[0][0].kind][1]
-        checked = [_checked(variable, value, dtype, where) for variable, value in fixed]
-        self._values: Any = (
-            (ctypes.c_char_p * len(checked))(*(str(value).encode() for value in checked))
-            if dtype is None
-            else np.array(checked, dtype=dtype)
+        self._setting = _Setting(
+            instance, function, [calibrated[i] for i in self._columns], np.zeros(len(self._columns), dtype)
         )
 
-    def set(self, time: float) -> str:
-        return _set(self._instance, self._function, self._references, self._values, time)
+    def set(self, values: FloatArray, time: float) -> str:
+        self._setting.values[:] = values[self._columns]
+        return self._setting.set(time)
+
+
+def _fixed_setting(
+    instance: FmuInstance, setter: str, fixed: Sequence[tuple[FmuVariable, _Value]], where: str
+) -> _Setting:
+    """Check the fixed parameters that one function sets."""
+    dtype = _SETTERS[instance.prefix][fixed[0][0].kind][1]
+    checked = [_checked(variable, value, dtype, where) for variable, value in fixed]
+    values: Any = (
+        (ctypes.c_char_p * len(checked))(*(str(value).encode() for value in checked))
+        if dtype is None
+        else np.array(checked, dtype=dtype)
+    )
+    return _Setting(instance, setter, [variable for variable, _ in fixed], values)
 
 
 def _by_setter(
@@ -217,15 +227,3 @@ def _checked(variable: FmuVariable, value: _Value, dtype: Any, where: str) -> _V
             f"{wrong} is no {kind}; give a whole number from {int(limits.min)} to {int(limits.max)}"
         )
     return int(value)
-
-
-def _references(variables: Sequence[FmuVariable]) -> Any:
-    return np.array([variable.reference for variable in variables], dtype=np.uint32)
-
-
-def _set(instance: FmuInstance, function: str, references: Any, values: Any, time: float) -> str:
-    address = values.ctypes.data if isinstance(values, np.ndarray) else ctypes.addressof(values)
-    n = len(references)
-    counts = (n, address) if instance.prefix == "fmi2" else (n, address, n)
-    status = instance.call(function, references.ctypes.data, *counts)
-    return instance.failure(function, status, time) if status > WARNING else ""

@@ -1,6 +1,8 @@
-"""What our runner adds to the bare FMI calls, and what all cores add to one.
+"""What our runner adds to the bare FMI calls, what it saves against FMPy, and what all cores add to one.
 
-Run `python tests/benchmarks/runner_speed.py`; it prints one JSON document. Needs fmus/office/Office.fmu.
+Run `python tests/benchmarks/runner_speed.py`; it prints one JSON document. Needs fmus/office/Office.fmu; for
+the office as FMI 3.0 also gcc and the `modelica` extra. Everything is measured alternately and in CPU time,
+so that a busy machine disturbs all alike; ratios are of the least times.
 """
 
 import ctypes
@@ -13,39 +15,51 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import fmpy
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from simulation.case import load_case  # noqa: E402
 from simulation.case_file import read_case_file  # noqa: E402
 from simulation.fmu import FmuModel, FmuSettings  # noqa: E402
-from simulation.fmu_loop import FUNCTIONS  # noqa: E402
 from simulation.parallel import ParallelModel  # noqa: E402
 from simulation.parameters import Parameter, ParameterSpace  # noqa: E402
 from simulation.scenario import Scenario  # noqa: E402
 
+FUNCTIONS = ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "DoStep")
+N_FMPY = 4
 BARE_LOOP = """
+#include <stdbool.h>
 #include <stddef.h>
 typedef int (*one)(void *);
 typedef int (*setup)(void *, int, double, double, int, double);
-typedef int (*reals)(void *, const unsigned *, size_t, double *);
-typedef int (*step)(void *, double, double, int);
-int bare(void **f, void *c, int n, const unsigned *pr, size_t np, double *p, const unsigned *ur, size_t nu,
-         double *u, const unsigned *yr, size_t ny, const double *t, int m, double *y) {
+typedef int (*reals_2)(void *, const unsigned *, size_t, double *);
+typedef int (*reals_3)(void *, const unsigned *, size_t, double *, size_t);
+typedef int (*step_2)(void *, double, double, int);
+typedef int (*enter_3)(void *, bool, double, double, bool, double);
+typedef int (*step_3)(void *, double, double, bool, bool *, bool *, bool *, double *);
+int bare(void **f, void *c, int fmi, int n, const unsigned *pr, size_t np, double *p, const unsigned *ur,
+         size_t nu, double *u, const unsigned *yr, size_t ny, const double *t, int m, double *y) {
   int bad = 0;
+  bool b[3];
+  double last;
+#define REALS(F, R, N, V) (fmi == 2 ? ((reals_2)F)(c, R, N, V) : ((reals_3)F)(c, R, N, V, N))
   for (int i = 0; i < n; i++) {
+    double *out = y + (size_t)i * (m + 1) * ny;
     bad |= ((one)f[0])(c) > 1;
-    bad |= ((setup)f[1])(c, 0, 0.0, t[0], 1, t[m]) > 1;
-    bad |= ((reals)f[2])(c, pr, np, p + i * np) > 1;
+    if (fmi == 2) bad |= ((setup)f[1])(c, 0, 0.0, t[0], 1, t[m]) > 1;
+    bad |= REALS(f[5], pr, np, p + i * np) > 1;
+    bad |= (fmi == 2 ? ((one)f[2])(c) : ((enter_3)f[2])(c, false, 0.0, t[0], true, t[m])) > 1;
+    bad |= REALS(f[5], ur, nu, u) > 1;
     bad |= ((one)f[3])(c) > 1;
-    bad |= ((reals)f[2])(c, ur, nu, u) > 1;
-    bad |= ((one)f[4])(c) > 1;
-    bad |= ((reals)f[6])(c, yr, ny, y) > 1;
+    bad |= REALS(f[6], yr, ny, out) > 1;
     for (int k = 0; k < m; k++) {
-      bad |= ((reals)f[2])(c, ur, nu, u + k * nu) > 1;
-      bad |= ((step)f[5])(c, t[k], t[k + 1] - t[k], 1) > 1;
-      bad |= ((reals)f[6])(c, yr, ny, y + ((size_t)i * (m + 1) + k + 1) * ny) > 1;
+      bad |= REALS(f[5], ur, nu, u + k * nu) > 1;
+      bad |= (fmi == 2 ? ((step_2)f[4])(c, t[k], t[k + 1] - t[k], 1)
+                       : ((step_3)f[4])(c, t[k], t[k + 1] - t[k], true, b, b + 1, b + 2, &last)) > 1;
+      bad |= REALS(f[6], yr, ny, out + (k + 1) * ny) > 1;
     }
   }
   return bad;
@@ -53,11 +67,14 @@ int bare(void **f, void *c, int n, const unsigned *pr, size_t np, double *p, con
 """
 
 
-def settings() -> FmuSettings:
+def office(fmu: Path) -> FmuSettings:
     """The office for 21 days at 1800 s with weather and schedules made up of sines and switches."""
-    folder = ROOT / "fmus" / "office"
+    tables = read_case_file(ROOT / "fmus" / "office" / "case.toml").parameters
     space = ParameterSpace(
-        tuple(Parameter(**table.model_dump()) for table in read_case_file(folder / "case.toml").parameters)
+        tuple(
+            Parameter(table.name, table.lower, table.upper, unit=table.unit, scale=table.scale)
+            for table in tables
+        )
     )
     edges = np.arange(21 * 48 + 1) * 1800.0
     day = np.sin(2 * np.pi * edges[:-1] / 86400.0)
@@ -73,95 +90,170 @@ def settings() -> FmuSettings:
         "occ": on,
     }
     scenario = Scenario(edges, np.column_stack(list(signals.values())), tuple(signals), 1)
-    return FmuSettings(folder / "Office.fmu", space, scenario, ("TAir",), np.array([-273.15]))
+    return FmuSettings(fmu, space, scenario, ("TAir",), np.array([-273.15]))
 
 
-def best_s(work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Least time of some repeats: the others were disturbed."""
-    times = []
+def office_3(folder: Path) -> Path:
+    """Build the office as an FMU of FMI 3.0."""
+    for name in ("Office.mo", "build.toml"):
+        shutil.copy(ROOT / "fmus" / "office" / name, folder)
+    build = folder / "build.toml"
+    build.write_text('fmi_version = "3.0"\n' + build.read_text())
+    subprocess.run([sys.executable, "-m", "fmus.compiler", folder], cwd=ROOT, check=True, capture_output=True)
+    return folder / "Office.fmu"
+
+
+def least_s(*works: Callable[[], object], repeats: int = 15) -> list[float]:
+    """Least CPU time of each work, in turns: the others were disturbed. [s]"""
+    times: list[list[float]] = [[] for _ in works]
     for _ in range(repeats):
-        before = clock()
-        work()
-        times.append(clock() - before)
-    return min(times)
+        for work, mine in zip(works, times, strict=True):
+            before = time.process_time()
+            work()
+            mine.append(time.process_time() - before)
+    return [min(mine) for mine in times]
 
 
-def bare_loop(folder: Path) -> "ctypes._NamedFuncPointer":
-    """Compile the C loop."""
+def simulated_by_fmpy(settings: FmuSettings, row: np.ndarray) -> Callable[[], object]:
+    """The same simulation as everyone would write it: one call with the FMU's path."""
+    scenario = settings.scenario
+    edges = scenario.time_communication
+    columns = [("time", np.float64), *((name, np.float64) for name in scenario.input_names)]
+    signals = np.zeros(len(edges) - 1, dtype=columns)
+    signals["time"] = edges[:-1]
+    for index, name in enumerate(scenario.input_names):
+        signals[name] = scenario.inputs[:, index]
+    step = float(edges[1] - edges[0])
+    start_values = dict(zip(settings.parameter_space.names, row.tolist(), strict=True)) | dict(settings.fixed)
+    return lambda: fmpy.simulate_fmu(
+        str(settings.path),
+        start_time=float(edges[0]),
+        stop_time=float(edges[-1]),
+        step_size=step,
+        output_interval=step * scenario.output_every,
+        start_values=start_values,
+        input=signals if scenario.input_names else None,
+        output=list(settings.output_names),
+        relative_tolerance=settings.relative_tolerance,
+        fmi_type="CoSimulation" if settings.interface == "co-simulation" else "ModelExchange",
+    )
+
+
+def simulated_by_c(model: FmuModel, rows: np.ndarray, folder: Path) -> tuple[Callable[[], None], np.ndarray]:
+    """The same simulations by a C loop around the same functions of the same instance, and where they go."""
     (folder / "bare.c").write_text(BARE_LOOP)
     subprocess.run(
         ["gcc", "-O2", "-shared", "-fPIC", "-o", folder / "bare.so", folder / "bare.c"], check=True
     )
-    return ctypes.CDLL(str(folder / "bare.so")).bare
+    bare = ctypes.CDLL(str(folder / "bare.so")).bare
+    runner = model._runner
+    instance, plan = runner._instance, runner._solver._plan
+    two = instance.prefix == "fmi2"
+    kind = "Real" if two else "Float64"
+    addresses = np.zeros(7, dtype=np.intp)
+    for index, name in enumerate((*FUNCTIONS, f"Set{kind}", f"Get{kind}")):
+        if two or name != "SetupExperiment":
+            addresses[index] = instance.addresses(name)[0]
+    references = np.array([one.reference for one in plan.calibrated], dtype=np.uint32)
+    y = np.empty((len(rows), plan.n_steps + 1, len(plan.outputs)))
+
+    def address(array: np.ndarray) -> ctypes.c_void_p:
+        return ctypes.c_void_p(array.ctypes.data)
+
+    def run() -> None:
+        bad = bare(
+            address(addresses),
+            ctypes.c_void_p(instance.component),
+            2 if two else 3,
+            len(rows),
+            address(references),
+            ctypes.c_size_t(rows.shape[1]),
+            address(rows),
+            address(plan.input_references),
+            ctypes.c_size_t(plan.inputs.shape[1]),
+            address(plan.inputs),
+            address(plan.output_references),
+            ctypes.c_size_t(len(plan.outputs)),
+            address(plan.edges),
+            plan.n_steps,
+            address(y),
+        )
+        assert not bad
+
+    return run, y
+
+
+def measured(settings: FmuSettings, folder: Path, n_rows: int, *, c_loop: bool = False) -> dict[str, object]:
+    """Our runner beside FMPy and, if asked for, a C loop."""
+    rows = settings.parameter_space.from_unit(
+        np.random.default_rng(0).random((n_rows, settings.parameter_space.n_parameters))
+    )
+    began = time.perf_counter()
+    with FmuModel(settings) as model:
+        result: dict[str, object] = {"steps": len(settings.scenario.inputs)}
+        result["open_s"] = round(time.perf_counter() - began, 4)
+        began = time.perf_counter()
+        model.simulate(rows[:1])
+        result["first_row_s"] = round(time.perf_counter() - began, 4)
+        model.simulate(rows[:2])
+        result["started_over_by"] = model.way
+        # FMPy takes a few of the rows only, and ours the same few beside it: rows differ in what they cost.
+        few = rows[:N_FMPY]
+        works = [
+            lambda: model.simulate(rows),
+            lambda: [model.simulate(few) for _ in range(n_rows // N_FMPY)],
+            lambda: [simulated_by_fmpy(settings, row)() for row in few],
+        ]
+        if c_loop:
+            by_c, y = simulated_by_c(model, rows, folder)
+            works.append(by_c)
+        ours_s, few_s, fmpy_s, *c_s = least_s(*works)
+        result["ours_us"] = round(ours_s / n_rows * 1e6, 1)
+        result["fmpy_us"] = round(fmpy_s / N_FMPY * 1e6, 1)
+        result["times_fmpy"] = round(fmpy_s / N_FMPY / (few_s / n_rows), 1)
+        if c_s:
+            assert np.abs(model.simulate(rows).y - settings.output_offsets - y).max() < 1e-9
+            result["c_us"] = round(c_s[0] / n_rows * 1e6, 1)
+            result["share_of_c_speed"] = round(c_s[0] / ours_s, 3)
+    return result
+
+
+def on_all_cores(settings: FmuSettings) -> dict[str, object]:
+    """Many rows in one process and in all of them, by the clock."""
+    rng = np.random.default_rng(0)
+    large = settings.parameter_space.from_unit(rng.random((20_000, settings.parameter_space.n_parameters)))
+    with FmuModel(settings) as model, ParallelModel(settings.open) as parallel:
+        parallel.simulate(large[: 100 * parallel.n_workers])
+        model.simulate(large[:100])
+        alone_s, together_s = [], []
+        for _ in range(3):
+            for work, times in ((model.simulate, alone_s), (parallel.simulate, together_s)):
+                before = time.perf_counter()
+                work(large)
+                times.append(time.perf_counter() - before)
+        return {
+            "rows": len(large),
+            "workers": parallel.n_workers,
+            "alone_s": round(min(alone_s), 3),
+            "together_s": round(min(together_s), 3),
+            "speedup": round(min(alone_s) / min(together_s), 2),
+        }
 
 
 def main() -> None:
     """Measure and print."""
-    chosen = settings()
-    rows = chosen.parameter_space.from_unit(
-        np.random.default_rng(0).random((200, chosen.parameter_space.n_parameters))
-    )
-    result: dict[str, object] = {"steps": len(chosen.scenario.inputs), "rows": len(rows)}
-    before = time.perf_counter()
-    model = FmuModel(chosen)
-    result["open_s"] = time.perf_counter() - before
-    before = time.perf_counter()
-    model.simulate(rows[:1])
-    result["first_row_s"] = time.perf_counter() - before
-    if shutil.which("gcc"):
-        instance = model._instance
-        y = np.empty((len(rows), len(chosen.scenario.time), 1))
-        arrays = {
-            "p": rows,
-            "u": np.ascontiguousarray(chosen.scenario.inputs),
-            "t": chosen.scenario.time_communication,
-        }
-
-        def pointer(array: np.ndarray) -> ctypes.c_void_p:
-            return ctypes.c_void_p(array.ctypes.data)
-
-        with tempfile.TemporaryDirectory() as folder:
-            bare = bare_loop(Path(folder))
-
-            def run_bare() -> None:
-                bad = bare(
-                    pointer(instance.functions),
-                    ctypes.c_void_p(instance.component),
-                    len(rows),
-                    pointer(model._parameter_references),
-                    ctypes.c_size_t(rows.shape[1]),
-                    pointer(arrays["p"]),
-                    pointer(model._input_references),
-                    ctypes.c_size_t(arrays["u"].shape[1]),
-                    pointer(arrays["u"]),
-                    pointer(model._output_references),
-                    ctypes.c_size_t(1),
-                    pointer(arrays["t"]),
-                    len(arrays["u"]),
-                    pointer(y),
-                )
-                assert not bad
-
-            # Alternating and in CPU time, so that a busy machine disturbs both alike.
-            bare_times, ours_times = [], []
-            for _ in range(25):
-                bare_times.append(best_s(run_bare, 1, time.process_time))
-                ours_times.append(best_s(lambda: model.simulate(rows), 1, time.process_time))
-            assert FUNCTIONS[5] == "fmi2DoStep"
-            answer = model.simulate(rows).y[:, 1:] + 273.15
-            assert np.abs(answer - y[:, 1:]).max() < 1e-9
-        result["bare_cpu_us_per_row"] = min(bare_times) / len(rows) * 1e6
-        result["ours_cpu_us_per_row"] = min(ours_times) / len(rows) * 1e6
-        result["ratio"] = min(ours_times) / min(bare_times)
-    large = np.tile(rows, (100, 1))
-    result["batch_rows"] = len(large)
-    result["batch_serial_s"] = best_s(lambda: model.simulate(large), 3)
-    with ParallelModel(chosen.open) as parallel:
-        parallel.simulate(large[: 20 * parallel.n_workers])
-        result["n_workers"] = parallel.n_workers
-        result["batch_parallel_s"] = best_s(lambda: parallel.simulate(large), 3)
-    result["parallel_speedup"] = float(str(result["batch_serial_s"])) / float(str(result["batch_parallel_s"]))
-    model.close()
+    result: dict[str, object] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        chosen = office(ROOT / "fmus" / "office" / "Office.fmu")
+        can_compile = shutil.which("gcc") is not None
+        result["office, FMI 2.0"] = measured(chosen, folder, 200, c_loop=can_compile)
+        if can_compile:
+            result["office, FMI 3.0"] = measured(office(office_3(folder)), folder, 200, c_loop=True)
+        for name in ("thermostat", "vanderpol"):
+            case = load_case(ROOT / "fmus" / name)
+            result[f"{name}, {case.settings.interface}, integrating"] = measured(case.settings, folder, 20)
+        result["office, all cores"] = on_all_cores(chosen)
     print(json.dumps(result, indent=1))
 
 
