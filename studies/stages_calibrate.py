@@ -19,6 +19,7 @@ from studies.report.wording import difference_unit, squared
 from studies.stages_results import StoredCalibration, calibration_files, read_arrays
 from studies.stages_simulate import say_reused
 from studies.stages_tracking import log_calibration, tracker_of
+from studies.validation import show_validation, validate_calibration, validation_inputs
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
@@ -74,6 +75,7 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         "n_validation": profile.data.n_validation,
         "n_test": profile.data.n_test,
         "seed": profile.seed,
+        **validation_inputs(study.case),
     }
     files = calibration_files(study, n_train)
     stage = f"calibrate-{size_name(n_train)}"
@@ -127,7 +129,10 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
-    numbers = result.to_dict()
+    validated, simulated = validate_calibration(
+        study, theta_screened=result.theta_screened, theta=result.theta
+    )
+    numbers = result.to_dict() | validated
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
     arrays = {
         "time": measurement.time,
@@ -139,6 +144,7 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
         "y_polished": result.y_polished,
         "history_calls": result.polish_history.n_calls,
         "history_mse": result.polish_history.best_mse,
+        **simulated,
     }
     head = {
         "label": study.label,
@@ -199,6 +205,7 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
     unit = difference_unit(study.case.outputs[0].unit)
     title = f"{study.label}: calibration (MAE of the surrogate in {unit}; MSE in {squared(unit)},"
     study.console.table(f"{title} screened and final by the FMU)", columns, rows)
+    show_validation(study, outcomes)
     if study.case.note:
         study.console.result(f"Note: {study.case.note}")
 

@@ -138,12 +138,12 @@ def test_simulations_are_the_same_where_the_model_digest_is(
 
 
 def test_a_row_outside_the_accepted_band_has_failed(decay_case: Path):
-    edit(decay_case, ("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [19.0, 200.0]"))
+    edit(decay_case, ("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [0.0, 200.0]"))
     with load_case(decay_case).open_model() as model:
         answer = model.simulate(np.array([[1e-9, 0.0], [1e-4, 0.0]]))
     assert answer.failures == (
         "",
-        "output y is -26.8883 at 23400 s, outside the accepted 19 to 200",
+        "output y is -26.8883 at 23400 s, outside the accepted 0 to 200",
     )
     assert np.isnan(answer.y[1]).all()
 
