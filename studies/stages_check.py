@@ -6,10 +6,10 @@ from pathlib import Path
 
 from simulation.case import load_case
 from simulation.execution import ExecutionPolicy
-from simulation.forward_model import ForwardModel
-from simulation.parallel import ParallelModel
 from studies.doctor import Diagnosis, Finding, examine
 from studies.doctor.examination import Surgery
+from studies.doctor.keeping import KeepingModel
+from studies.physical_model import open_physical_model
 from studies.pipeline import Outcome, Study, Summary, run_stage
 
 
@@ -18,9 +18,9 @@ def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
     case = study.case
 
     @contextmanager
-    def open_model(policy: ExecutionPolicy) -> Iterator[ForwardModel]:
-        with ParallelModel(case.make_model, study.n_jobs, policy=policy) as model:
-            yield model
+    def open_model(policy: ExecutionPolicy) -> Iterator[KeepingModel]:
+        with open_physical_model(study, policy=policy) as model:
+            yield KeepingModel(model)
 
     surgery = Surgery(
         case=case,

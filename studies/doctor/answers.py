@@ -11,6 +11,7 @@ from simulation.design import uniform_design
 from simulation.trajectories import Trajectories
 from studies.doctor.declared import temperature_doubt
 from studies.doctor.finding import Finding
+from studies.doctor.keeping import STOPPED
 
 N_CORNERS, N_COVERAGE = 32, 64
 DOCTOR_SEED = 12_345
@@ -20,6 +21,15 @@ UNSEEN_SHARE = 0.01
 """A parameter that moves the output by less than this share of the uncertainty cannot be identified."""
 COVERED_SHARE = 0.9
 """Part of the measurement that should lie within the simulated envelope."""
+
+
+_REMEDIES = {
+    "accepted": "widen accepted of that output, or correct the estimates",
+    STOPPED: "say how long one simulation may take: [simulation] timeout_s; or wait: --thorough",
+    "licen": "see that the licence can be reached from here; how many at once: [simulation] max_workers",
+    "shared object": "install the system library that it names, or export the FMU with its libraries inside",
+}
+"""What to do, by a sign in the reason of a failure."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +45,11 @@ class Estimates:
     nominal: Trajectories
 
 
+def with_unit(unit: str) -> str:
+    """Return a unit as it stands behind a number."""
+    return "" if unit in ("", "1") else f" {unit}"
+
+
 def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     """Judge the answer to the estimates."""
     if nominal.failed[0]:
@@ -43,9 +58,10 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
         )
         return
     mse = float(case.measurement.mse(nominal.y)[0])
+    spans = [(series.min(), series.max()) for series in nominal.y[0].T]
     ranges = ", ".join(
-        f"{output.name} from {nominal.y[0, :, k].min():.4g} to {nominal.y[0, :, k].max():.4g} {output.unit}"
-        for k, output in enumerate(case.outputs)
+        f"{output.name} from {low:.4g} to {high:.4g}{with_unit(output.unit)}"
+        for output, (low, high) in zip(case.outputs, spans, strict=True)
     )
     yield Finding("estimates", "ok", f"MSE {mse:.4g}, {ranges}")
     still = [output.name for k, output in enumerate(case.outputs) if np.ptp(nominal.y[0, :, k]) <= SAME]
@@ -210,14 +226,13 @@ def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Traject
     return Finding(what, "ok", f"all {len(names)} do" if len(names) > 1 else f"{names[0]} does")
 
 
+def cannot_open(reason: str) -> Finding:
+    """Say what to do about an FMU that cannot be opened."""
+    return Finding("opening the FMU", "fail", reason, _remedy(reason))
+
+
 def _remedy(reason: str) -> str:
-    text = reason.lower()
-    if "accepted" in text:
-        return "widen accepted of that output, or correct the estimates"
-    if "time-out" in text or "timeout" in text or "timed out" in text:
-        return (
-            "say how long one simulation may take: [simulation] timeout_s; or wait: studies check --thorough"
-        )
-    if "licen" in text:
-        return "see that the licence can be reached from here; how many at once: [simulation] max_workers"
-    return "correct the estimates or the FMU; try the FMU in another tool"
+    for sign, remedy in _REMEDIES.items():
+        if sign in reason.lower():
+            return remedy
+    return "try the FMU in another tool; correct the estimates, or have its exporter corrected"

@@ -112,10 +112,18 @@ def _fmu(case: Case) -> Finding:
         return Finding(
             "FMU",
             "warn",
-            f"{found}; its description breaks the standard: {fmu.complaint[:160]}",
+            f"{found}; its description breaks the standard: {_first(fmu.complaint)}",
             "it is used as it is; have its exporter corrected if names or units look wrong",
         )
     return Finding("FMU", "ok", found)
+
+
+def _first(complaint: str) -> str:
+    """Return the first of several complaints, and how many there are."""
+    each = complaint.removeprefix("Failed to validate modelDescription.xml:").split(" - ")
+    each = [one.strip(" -.") for one in each if one.strip(" -.")]
+    more = f" (and {len(each) - 1} more)" if len(each) > 1 else ""
+    return (each[0] if each else complaint)[:200] + more
 
 
 def _no_unit(case: Case) -> Iterator[Finding]:

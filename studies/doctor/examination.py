@@ -20,6 +20,7 @@ from studies.doctor.answers import (
     N_COVERAGE,
     SAME,
     Estimates,
+    cannot_open,
     corner_points,
     coverage_points,
     influence,
@@ -33,14 +34,15 @@ from studies.doctor.answers import (
 from studies.doctor.cost import planned_simulations, tell_cost, tell_timeout
 from studies.doctor.declared import base_point, look_at_data, look_at_declaration
 from studies.doctor.finding import Diagnosis, Finding
+from studies.doctor.keeping import KeepingModel
 from studies.doctor.patience import Patience
 from studies.doctor.repeats import MEMORY_S, N_MEMORY, look_at_memory, look_at_repeats, memory_in_use
 from studies.doctor.variants import circumstances, look_at_halving
 from studies.profile import Profile
 
 N_STEPS = 7
-OpenModel = Callable[[ExecutionPolicy], AbstractContextManager[ForwardModel]]
-"""Opens the case's model for batches, with all workers; what it is asked may be stored."""
+OpenModel = Callable[[ExecutionPolicy], AbstractContextManager[KeepingModel]]
+"""Opens the case's model for batches, with all workers; what it is asked is stored."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +89,12 @@ def examine(surgery: Surgery, *, is_thorough: bool = False) -> Diagnosis:
 def _simulated(surgery: Surgery, patience: Patience) -> Iterator[list[Finding]]:
     """Simulate, and judge what comes; ends early where the estimates fail."""
     case, base = surgery.case, base_point(surgery.case.parameter_space)
-    with ParallelModel(case.make_model, 1, policy=_policy(case, patience.first_timeout_s)) as alone:
+    policy, warn = _policy(case, patience.first_timeout_s), surgery.console.warn
+    with ParallelModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
         try:
             nominal, patience.simulation_s = _timed(alone, base)
         except InputError as error:
-            yield [
-                Finding("opening the FMU", "fail", _in_short(error, case), "see that it runs in another tool")
-            ]
+            yield [cannot_open(_in_short(error, case))]
             return
         yield list(look_at_estimates(case, nominal))
         if nominal.failed[0]:
@@ -114,6 +115,7 @@ def _in_the_box(surgery: Surgery, patience: Patience, estimates: Estimates) -> I
     """Move the parameters, and keep what is simulated."""
     case, p = surgery.case, surgery.case.parameter_space.n_parameters
     with surgery.open_model(_policy(case, patience.row_timeout_s)) as model:
+        model.keep(estimates.nominal)
         if n := patience.rows("influence of the parameters", 2 * p, 2):
             yield [_influence(case, model, estimates, n - n % 2)]
         if n := patience.rows("corners of the box", N_CORNERS, 2):

@@ -9,7 +9,7 @@ from simulation.case import Case
 from simulation.fmu import FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.doctor.answers import Estimates
+from studies.doctor.answers import Estimates, with_unit
 from studies.doctor.finding import Finding
 
 STEP_SHARE = 0.2
@@ -96,7 +96,7 @@ def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Traj
     return Finding(
         what,
         "ok" if good else "warn",
-        f"changes {output.name} by {change[worst]:.3g} {output.unit} at most, "
+        f"changes {output.name} by {change[worst]:.3g}{with_unit(output.unit)} at most, "
         f"{shares[worst]:.2g} times the sensor's uncertainty",
         "" if good else "lower communication_step_s in the case file, or choose another interpolation",
     )

@@ -1,0 +1,43 @@
+"""The doctor's own door to the store: what it simulates is kept, except what only its impatience stopped."""
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.forward_model import WrappedModel
+from simulation.stored_model import StoredModel
+from simulation.trajectories import Trajectories
+
+STOPPED = "was stopped"
+"""What the reason of a row says that ran into a time-out."""
+
+
+class KeepingModel(WrappedModel):
+    """A stored model that forgets which rows took too long, as others may wait longer for them."""
+
+    def __init__(self, model: StoredModel) -> None:
+        """Wrap a stored model.
+
+        Args:
+            model: The model to ask.
+        """
+        super().__init__(model)
+        self._stored = model
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Read the rows that are stored and simulate the others.
+
+        Args:
+            theta: Parameters, no row twice. Shape (n, p). [per parameter]
+        """
+        missing = self._stored.missing(theta)
+        known, new = np.flatnonzero(~missing), np.flatnonzero(missing)
+        parts = [self._stored.store.read(theta[known])] if len(known) else []
+        if len(new):
+            parts.append(self._stored.unstored.simulate(theta[new]))
+            self.keep(parts[-1])
+        return Trajectories.concatenate(parts).take(np.argsort(np.concatenate([known, new])))
+
+    def keep(self, rows: Trajectories) -> None:
+        """Store rows that were simulated elsewhere, unless they are stored."""
+        finished = np.array([STOPPED not in reason for reason in rows.failures], dtype=np.bool_)
+        self._stored.store.append(rows.take(finished & ~self._stored.store.find(rows.theta)))
