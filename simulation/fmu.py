@@ -1,10 +1,12 @@
 """FmuModel: an FMU as a forward model, run in this process."""
 
+import math
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.fmu_choice import open_runner
 from simulation.fmu_description import read_description
+from simulation.fmu_numbers import wrong_number, wrong_output
 from simulation.fmu_plan import run_plan
 from simulation.fmu_runner import Runner
 from simulation.fmu_unpack import UnpackedFmu
@@ -19,6 +22,9 @@ from simulation.fmu_variable import Interface
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from simulation.fmu_sensitivity import TrajectorySensitivities
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +116,7 @@ class FmuModel:
             InputError: If the FMU cannot be opened or does not have the variables.
         """
         self._settings = settings
+        self._sensitivities: TrajectorySensitivities | None = None
         scenario = settings.scenario
         description = read_description(settings.path)
         description.interface(settings.interface, str(settings.path))
@@ -135,6 +142,7 @@ class FmuModel:
         except BaseException:
             unpacked.remove()
             raise
+        self._opened = (description, plan, unpacked.folder)
         # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
         self._finalizer = weakref.finalize(self, _close, self._runner, unpacked)
 
@@ -211,7 +219,7 @@ class FmuModel:
     def _simulate_row(self, row: FloatArray, y: FloatArray) -> str:
         """Fill y with one row's outputs; return why it failed, "" when it did not."""
         settings = self._settings
-        reason = _wrong_number(settings.parameter_space.names, row)
+        reason = wrong_number(settings.parameter_space.names, row)
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
             reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)
@@ -220,13 +228,51 @@ class FmuModel:
             if settings.output_factors is not None:
                 simulated = np.multiply(simulated, settings.output_factors, out=y)
             np.add(simulated, settings.output_offsets, out=y)
-            reason = _wrong_output(settings, y)
+            reason = wrong_output(self.output_names, self.time, y, accepted=settings.accepted)
         if reason:
             y[:] = np.nan
         return reason
 
+    @property
+    def provides_sensitivities(self) -> bool:
+        """Whether sensitivities() can answer: directional derivatives in model exchange, no state events."""
+        from simulation.fmu_sensitivity import why_no_sensitivities
+
+        return not self._settings.shared_warmup and not why_no_sensitivities(*self._opened[:2])
+
+    def sensitivities(self, theta: FloatArray) -> tuple[Trajectories, FloatArray]:
+        """Simulate every row, and differentiate its outputs by the FMU's own derivatives.
+
+        Args:
+            theta: Parameters. Shape (n, p). [model's units]
+
+        Returns:
+            The trajectories, and dy/dtheta, NaN in failed rows. Shape (n, t, k, p). [declared units]
+
+        Raises:
+            InputError: If the FMU does not provide them, or its derivatives contradict finite differences.
+            NeedsFreshProcess: If the FMU cannot go on in this process; the answers so far are lost.
+        """
+        # Here, because it loads CVODE and compiles its callbacks.
+        from simulation.fmu_sensitivity import TrajectorySensitivities
+
+        settings, answer = self._settings, self.simulate(theta)
+        if self._sensitivities is None:
+            self._sensitivities = TrajectorySensitivities(*self._opened, shared_warmup=settings.shared_warmup)
+            weakref.finalize(self, self._sensitivities.close)
+        return self._sensitivities.differentiate(
+            answer,
+            settings.parameters_for_fmu(answer.theta),
+            output_factors=settings.output_factors,
+            output_offsets=settings.output_offsets,
+            parameter_factors=settings.parameter_factors,
+            simulate=self._runner.run,
+        )
+
     def close(self) -> None:
         """Free the instance and remove the unpacked folder; closing twice does no harm."""
+        if self._sensitivities is not None:
+            self._sensitivities.close()
         self._finalizer()
 
     def __enter__(self) -> "FmuModel":
@@ -250,27 +296,3 @@ def _close(runner: Runner, unpacked: UnpackedFmu) -> None:
 
 def _nothing(_row: int) -> None:
     """Nobody is told."""
-
-
-def _wrong_number(names: tuple[str, ...], row: FloatArray) -> str:
-    finite = np.isfinite(row)
-    if finite.all():
-        return ""
-    column = int(np.argmin(finite))
-    return f"parameter {names[column]} is {row[column]}"
-
-
-def _wrong_output(settings: FmuSettings, y: FloatArray) -> str:
-    """Say which output is no number or outside its band first, "" for none. y of shape (t, k)."""
-    wrong = ~np.isfinite(y)
-    outside = np.zeros_like(wrong)
-    if settings.accepted is not None:
-        outside = (y < settings.accepted[:, 0]) | (y > settings.accepted[:, 1])
-    if not (wrong.any() or outside.any()):
-        return ""
-    step, column = np.argwhere(wrong | outside)[0]
-    name, value, time = settings.output_names[column], y[step, column], settings.scenario.time[step]
-    if wrong[step, column] or settings.accepted is None:
-        return f"output {name} is {value} at {time:g} s"
-    low, high = settings.accepted[column]
-    return f"output {name} is {value:.6g} at {time:g} s, outside the accepted {low:g} to {high:g}"

@@ -57,15 +57,21 @@ class ModelExchange:
                     "model exchange reads Float64 only, choose another output or co-simulation"
                 )
         self._instance = instance
-        self._plan = plan
+        self.plan = plan
         self._start = start
         self._states = description.states
+        self.state_references = tuple(
+            np.array([description.variables[name].reference for name in names], dtype=np.uint32)
+            for names in (description.states, description.derivatives)
+        )
         self._functions = FUNCTIONS[instance.prefix]
         self.tolerance = SHARE_OF_TOLERANCE * (
             plan.tolerance if plan.tolerance is not None and plan.tolerance > 0.0 else DEFAULT_TOLERANCE
         )
         self.table: IntArray = np.zeros(SLOT.SIZE, dtype=np.int64)
         self.table[: len(self._functions)] = instance.addresses(*self._functions)
+        if instance.has("GetDirectionalDerivative"):
+            self.table[SLOT.DIRECTIONAL] = instance.addresses("GetDirectionalDerivative")[0]
         self.table[SLOT.IS_FMI3] = instance.prefix == "fmi3"
         self.table[SLOT.N_STATES] = len(description.states)
         self.table[SLOT.N_INDICATORS] = description.n_event_indicators
@@ -79,7 +85,7 @@ class ModelExchange:
         """Simulate one row; see Solver."""
         if failure := self._start.begin(values):
             return failure
-        plan, cvode = self._plan, self.cvode
+        plan, cvode = self.plan, self.cvode
         self.table[SLOT.COMPONENT] = self._instance.component
         kind, detail, stage, time = simulate_row(
             self.table,
@@ -110,7 +116,8 @@ class ModelExchange:
         """
         at = f"at {time:g} s"
         if kind == BAD_CALL:
-            return self._instance.failure(self._functions[stage], detail, time)
+            name = "GetDirectionalDerivative" if stage == SLOT.DIRECTIONAL else self._functions[stage]
+            return self._instance.failure(name, detail, time)
         if kind == BAD_STEP:
             return f"{flag_in_words(detail)} {at}{self._fault(time)}"
         if kind == STUCK:

@@ -42,9 +42,9 @@ MOST_ITERATIONS: Final = 1_000
 # Successive steps too small to move the time.
 MOST_STUCK: Final = 100
 
-_ONE_STEP: Final = 2
+ONE_STEP: Final = 2
 _ROOT_RETURN: Final = 2
-_EPSILON: Final = 2.0**-52
+EPSILON: Final = 2.0**-52
 
 
 @compiled
@@ -64,7 +64,17 @@ def _iterate(table: Any, info: FloatArray) -> tuple[int, int, bool, bool, float]
 
 
 @compiled
-def _restart(
+def begin(table: Any, info: FloatArray) -> tuple[int, int, int, float]:
+    """Go from the end of the initialization to continuous time; kind, detail, stage, next time event."""
+    kind, detail, _, _, later = _iterate(table, info)
+    if kind != GOOD:
+        return kind, detail, SLOT.UPDATE_DISCRETE, later
+    status = call_status(table[SLOT.ENTER_CONTINUOUS], (table[SLOT.COMPONENT],))
+    return (BAD_CALL if status > WARNING else GOOD), status, SLOT.ENTER_CONTINUOUS, later
+
+
+@compiled
+def restart(
     table: Any, time: float, x: FloatArray, absolute: FloatArray, rtol: float, nominals: bool
 ) -> tuple[int, int, int]:
     """Take the states, and the nominal values where they changed, from the FMU and start CVODE anew."""
@@ -88,7 +98,7 @@ def _restart(
 
 
 @compiled
-def _event(
+def go_through_event(
     table: Any, info: FloatArray, references: Any, n_inputs: int, inputs: Any
 ) -> tuple[int, int, int, bool, float]:
     """Go through an event and set n inputs; kind, detail, stage, nominals changed, next time event."""
@@ -149,16 +159,10 @@ def simulate_row(
     info, reached = np.zeros(4), np.zeros(1)
     # Without states and indicators there is nothing to integrate and nothing to look for between events.
     integrates = table[SLOT.N_STATES] + table[SLOT.N_INDICATORS] > 0
-    time, stage = edges[0], SLOT.UPDATE_DISCRETE
-    kind, detail, _, _, later = _iterate(table, info)
-    if kind == GOOD:
-        stage, detail = (
-            SLOT.ENTER_CONTINUOUS,
-            call_status(table[SLOT.ENTER_CONTINUOUS], (table[SLOT.COMPONENT],)),
-        )
-        kind = BAD_CALL if detail > WARNING else GOOD
+    time = edges[0]
+    kind, detail, stage, later = begin(table, info)
     if kind == GOOD and integrates:
-        kind, detail, stage = _restart(table, time, x, absolute, rtol, True)
+        kind, detail, stage = restart(table, time, x, absolute, rtol, True)
     if kind != GOOD:
         return kind, detail, stage, time
     status = get_real(table, output_list, n_outputs, y_address)
@@ -173,7 +177,7 @@ def simulate_row(
                 stop_edge += 1
         target = min(edges[stop_edge], max(later, time))
         is_root = False
-        if target - time > 100.0 * _EPSILON * max(abs(time), abs(target)) and integrates:
+        if target - time > 100.0 * EPSILON * max(abs(time), abs(target)) and integrates:
             if n_internal == 0:
                 table[SLOT.FAILED_STATUS] = 0
                 table[SLOT.NOT_FINITE] = 0
@@ -185,7 +189,7 @@ def simulate_row(
                     target,
                     table[SLOT.X],
                     np.intp(reached.ctypes.data),
-                    np.int32(_ONE_STEP),
+                    np.int32(ONE_STEP),
                 ),
             )
             if flag < 0:
@@ -231,9 +235,11 @@ def simulate_row(
             n_events += 1
             if n_events > MOST_EVENTS:
                 return TOO_MANY_EVENTS, n_events, SLOT.UPDATE_DISCRETE, time
-            kind, detail, stage, nominals, later = _event(table, info, input_list, 0, inputs_address)
+            kind, detail, stage, nominals, later = go_through_event(
+                table, info, input_list, 0, inputs_address
+            )
             if kind == GOOD and integrates:
-                kind, detail, stage = _restart(table, time, x, absolute, rtol, nominals)
+                kind, detail, stage = restart(table, time, x, absolute, rtol, nominals)
             if kind != GOOD:
                 return kind, detail, stage, time
         # Another event may be due at the same time: only then is the edge passed.
@@ -249,9 +255,9 @@ def simulate_row(
                 return BAD_CALL, status, SLOT.GET_REAL, time
         if passed == stop_edge and passed < n_steps:
             values = inputs_address + passed * inputs_stride
-            kind, detail, stage, nominals, later = _event(table, info, input_list, n_inputs, values)
+            kind, detail, stage, nominals, later = go_through_event(table, info, input_list, n_inputs, values)
             if kind == GOOD and integrates:
-                kind, detail, stage = _restart(table, time, x, absolute, rtol, nominals)
+                kind, detail, stage = restart(table, time, x, absolute, rtol, nominals)
             if kind != GOOD:
                 return kind, detail, stage, time
     return GOOD, 0, SLOT.GET_REAL, time
