@@ -74,7 +74,6 @@ class Arena:
         started: When each row began, on the monotonic clock. Shape (capacity,). [s]
         wall_s: How long each finished row took. Shape (capacity,). [s]
         path: Its file; None in memory.
-        is_kept: Whether its owner will load other rows into it.
     """
 
     def __init__(self, descriptor: int, path: Path | None = None) -> None:
@@ -89,7 +88,7 @@ class Arena:
         """
         self._descriptor = descriptor
         self.path = path
-        self.is_kept = False
+        self._owner = os.getpid()
         size = os.fstat(descriptor).st_size
         if size < HEADER_BYTES:
             raise ValueError("the file is too short for an arena")
@@ -235,13 +234,13 @@ class Arena:
 
     def remove(self) -> None:
         """Give the memory or the file back; arrays taken from it stay valid. Twice does no harm."""
-        if self.path is not None and self._descriptor >= 0:
+        if self.path is not None and self._descriptor >= 0 and os.getpid() == self._owner:
             self.path.unlink(missing_ok=True)
         self.release()
 
     def release(self) -> None:
         """Let go of a file but leave it, for recover_arenas to find its finished rows."""
-        if self._descriptor >= 0:
+        if self._descriptor >= 0 and os.getpid() == self._owner:
             # The mapping holds a duplicate of the descriptor, and with it the lock.
             with contextlib.suppress(OSError):
                 fcntl.flock(self._descriptor, fcntl.LOCK_UN)

@@ -1,51 +1,36 @@
 """One arena's rows over the workers: who gets which, what became of each, and when to stop."""
 
-import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from simulation.arena import Arena, RowState
-from simulation.execution import MIN_ROWS_TO_STOP, CampaignStopped, ExecutionPolicy
+from simulation.execution import CampaignStopped, ExecutionPolicy
 from simulation.nursery import Worker
 from simulation.row_queue import RowQueue
+from simulation.tally import Speed, Tally
 from simulation.worker_messages import Ended, Ran, Why
 from simulation.workforce import Workforce, how_it_ended
 
+# A run this long hides the message that hands it out, and this short keeps all workers busy to the end.
+_RUN_S: Final = 0.02
+_MIN_RUN_S: Final = 0.002
 # Rows shorter than this are handed out before the last run is over, so that nobody waits for a message.
 _QUEUE_BELOW_S: Final = 0.05
 # Who is at one row for this long has what it was given besides taken away. [s]
 _STUCK_S: Final = 0.5
 # Another process must have this much to do to be worth opening the model once more.
 START_PAYS_S: Final = 0.3
+# A first row that is still running may be compiling or loading something, but not for this long. [s]
+_SURELY_SLOW_S: Final = 2.0
 _TICK_S: Final = 0.1
 _LOOK_S: Final = 0.05
 _SLOW_FACTOR: Final = 20.0
 _SLOW_S: Final = 60.0
 _MAX_IDLE_DEATHS: Final = 5
-
-
-@dataclass
-class Record:
-    """What a campaign has learnt, over all its arenas.
-
-    Attributes:
-        row_s: Recent time per row; None before the first. [s]
-        n_finished: Rows finished in earlier arenas.
-        n_failed: Those of them that failed.
-        reasons: How often each reason occurred in earlier arenas.
-        has_warned: Whether a slow row was reported.
-    """
-
-    row_s: float | None = None
-    n_finished: int = 0
-    n_failed: int = 0
-    reasons: Counter[str] = field(default_factory=Counter)
-    has_warned: bool = False
 
 
 class Campaign:
@@ -58,8 +43,8 @@ class Campaign:
         workforce: Workforce,
         *,
         policy: ExecutionPolicy,
-        record: Record,
-        on_progress: Callable[[int], None] | None,
+        tally: Tally,
+        speed: Speed,
         on_warning: Callable[[str], None],
     ) -> None:
         """Take over an arena whose rows wait.
@@ -69,22 +54,21 @@ class Campaign:
             number: A number that no other load of an arena has.
             workforce: Who simulates them.
             policy: How patiently.
-            record: What is known from earlier arenas; kept up to date.
-            on_progress: Told how many rows have finished, those of earlier arenas included.
+            tally: What has finished; kept up to date.
+            speed: How long rows take; kept up to date.
             on_warning: Told, in one line, what a user should know at once.
         """
         self._arena = arena
         self._workforce = workforce
         self._policy = policy
-        self._record = record
-        self._on_progress = on_progress
+        self._tally = tally
+        self._speed = speed
         self._on_warning = on_warning
         self._n = arena.n
-        self._queue = RowQueue(arena, number)
+        self._queue = RowQueue(arena, number, run_s=_RUN_S, min_run_s=_MIN_RUN_S)
         self._n_crashes: Counter[int] = Counter()
         self._n_timeouts: Counter[int] = Counter()
         self._n_idle_deaths = 0
-        self._reported = -1
         self._looked = self._watched = 0.0
         self._longest_s = 0.0
         self._timed_out: dict[int, int] = {}
@@ -97,7 +81,7 @@ class Campaign:
             CampaignStopped: If too many fail.
             InputError: If the model cannot be opened.
         """
-        while not self._look_at_progress():
+        while not self._is_over():
             self._hire()
             self._hand_out()
             for worker, event in self._workforce.wait(self._patience()):
@@ -106,43 +90,14 @@ class Campaign:
                 else:
                     self._ended(worker, event)
             self._watch_the_clock()
-        self._record.n_finished += self._n
-        failed = np.flatnonzero(self._arena.states[: self._n] == RowState.FAILED)
-        self._record.n_failed += len(failed)
-        self._record.reasons.update(self._arena.reason(row) for row in failed.tolist())
 
-    def _look_at_progress(self) -> bool:
-        """Report what has finished; return whether all has, and every worker is free again."""
+    def _is_over(self) -> bool:
+        """Look at what has finished; return whether all has, and every worker is free again."""
         now = time.monotonic()
         if self._queue.n_waiting and now - self._looked < _LOOK_S:
             return False
         self._looked = now
-        states = self._arena.states[: self._n]
-        n_failed = int(np.count_nonzero(states == RowState.FAILED))
-        n_done = n_failed + int(np.count_nonzero(states == RowState.GOOD))
-        if n_done != self._reported:
-            self._reported = n_done
-            if self._on_progress is not None:
-                self._on_progress(self._record.n_finished + n_done)
-            self._stop_if_hopeless(n_done + self._record.n_finished, n_failed + self._record.n_failed)
-        return n_done == self._n and not any(worker.runs for worker in self._workforce.workers)
-
-    def _stop_if_hopeless(self, n_finished: int, n_failed: int) -> None:
-        allowed = self._policy.max_failed_share
-        # Bad luck at the beginning, within two standard deviations, is no reason.
-        surely = allowed * n_finished + 2.0 * math.sqrt(allowed * (1.0 - allowed) * n_finished)
-        if n_finished < MIN_ROWS_TO_STOP or n_failed <= surely:
-            return
-        reasons = self._record.reasons + Counter(
-            self._arena.reason(row)
-            for row in np.flatnonzero(self._arena.states[: self._n] == RowState.FAILED).tolist()
-        )
-        commonest, n_times = reasons.most_common(1)[0]
-        raise CampaignStopped(
-            f"{n_failed} of {n_finished} simulations failed, more than simulation.max_failed_share = "
-            f"{self._policy.max_failed_share:g} allows; the commonest reason ({n_times} times): {commonest}; "
-            "narrow the bounds, mend the model or raise the share"
-        )
+        return self._tally.look_at(self._arena) and not any(worker.runs for worker in self._workforce.workers)
 
     # Who works
 
@@ -154,14 +109,16 @@ class Campaign:
         if n == 0:
             self._workforce.ask_for(1)
         elif self._workforce.workers and not self._workforce.is_opening:
-            row_s = max(self._record.row_s or 0.0, self._longest_s)
+            row_s = self._speed.row_s or 0.0
+            if self._longest_s > _SURELY_SLOW_S:
+                row_s = max(row_s, self._longest_s)
             left_s = self._queue.n_waiting * row_s
             worth = n + min(self._queue.n_waiting, int(left_s / (n * START_PAYS_S)))
             if worth > n:
                 self._workforce.ask_for(worth)
 
     def _hand_out(self) -> None:
-        row_s = self._record.row_s
+        row_s = self._speed.row_s
         depth = 2 if row_s is not None and row_s < _QUEUE_BELOW_S else 1
         for level in range(depth):
             for worker in self._workforce.workers:
@@ -175,10 +132,7 @@ class Campaign:
         self._quiet_since.pop(worker.number, None)
         if ran.n_rows:
             self._n_idle_deaths = 0
-            row_s = ran.spent_s / ran.n_rows
-            old = self._record.row_s
-            # The first row may compile or load something.
-            self._record.row_s = row_s if old is None else min(row_s, 0.5 * (old + row_s))
+            self._speed.saw(ran.n_rows, ran.spent_s)
         elif ran.why is Why.FRESH:
             self._ended_between_rows("asked for another process")
         self._queue.give_back(run)
@@ -255,7 +209,7 @@ class Campaign:
             if timeout_s is not None and spent_s > timeout_s:
                 self._timed_out[worker.number] = row
                 self._workforce.fire(worker)
-            elif spent_s > _SLOW_S and not self._record.has_warned:
+            elif spent_s > _SLOW_S and not self._tally.has_warned:
                 self._warn_of_slow_row(row, spent_s)
         self._stop_what_hangs_between_rows({worker.number for worker, _, _ in running}, now)
 
@@ -274,15 +228,15 @@ class Campaign:
         finished = self._arena.wall_s[: self._n][self._arena.states[: self._n] >= RowState.GOOD]
         if not len(finished) or spent_s < _SLOW_FACTOR * (median_s := float(np.median(finished))):
             return
-        self._record.has_warned = True
+        self._tally.has_warned = True
         advice = (
             "a time-out is set with simulation.timeout_s"
             if self._policy.timeout_s is None
             else f"it will be stopped after {self._policy.timeout_s:g} s"
         )
         self._on_warning(
-            f"row {self._record.n_finished + row} has been running for {duration(spent_s)}, the median is "
-            f"{duration(median_s)}; {advice}"
+            f"row {self._tally.n_finished + row} has been running for {duration(spent_s)}, the median "
+            f"is {duration(median_s)}; {advice}"
         )
 
 

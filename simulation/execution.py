@@ -2,12 +2,8 @@
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 from simulation.errors import InputError
-
-# Below this many finished rows a share of failed ones says nothing.
-MIN_ROWS_TO_STOP: Final = 20
 
 
 class CampaignStopped(InputError):  # noqa: N818 - the end of a campaign is an event

@@ -9,9 +9,6 @@ import numpy as np
 from simulation.arena import Arena, RowState
 from simulation.worker_messages import Run
 
-# A run this long hides the message that hands it out, and this short keeps all workers busy to the end.
-RUN_S: Final = 0.02
-MIN_RUN_S: Final = 0.002
 _MAX_OVERRUN: Final = 4.0
 
 
@@ -22,21 +19,25 @@ class RowQueue:
         n_waiting: Rows that are in nobody's hands.
     """
 
-    def __init__(self, arena: Arena, number: int) -> None:
+    def __init__(self, arena: Arena, number: int = 0, *, run_s: float, min_run_s: float) -> None:
         """Let all rows of an arena wait.
 
         Args:
             arena: The arena.
             number: A number that no other load of an arena has.
+            run_s: Longest time that a run should take. [s]
+            min_run_s: Shortest time for which a run is worth handing out. [s]
         """
         self._arena = arena
         self._number = number
+        self._run_s = run_s
+        self._min_run_s = min_run_s
         self._waiting: deque[tuple[int, int]] = deque([(0, arena.n)] if arena.n else [])
         self._n_runs = 0
         self.n_waiting = arena.n
 
     def take(self, row_s: float | None, n_workers: int) -> Run:
-        """Hand out the next rows: one where nothing is known of their time, else a few milliseconds' worth.
+        """Hand out the next rows: one where nothing is known of their time, else as much as is worth a run.
 
         Args:
             row_s: Expected time per row; None before the first. [s]
@@ -49,12 +50,12 @@ class RowQueue:
         self.n_waiting -= stop - start
         self._n_runs += 1
         self._arena.owners[start:stop] = self._n_runs
-        budget_s = _MAX_OVERRUN * max(RUN_S, (stop - start) * (row_s or 0.0))
+        budget_s = _MAX_OVERRUN * max(self._run_s, (stop - start) * (row_s or 0.0))
         return Run(self._n_runs, self._arena.address, self._number, start, stop, budget_s)
 
     def _length(self, row_s: float, n_workers: int) -> int:
         fair = math.ceil(self.n_waiting / (2 * max(1, n_workers)))
-        return max(1, min(int(RUN_S / row_s), max(fair, int(MIN_RUN_S / row_s))))
+        return max(1, min(int(self._run_s / row_s), max(fair, int(self._min_run_s / row_s))))
 
     def rows(self, run: Run, state: RowState) -> list[int]:
         """Return the rows in some state that a run still owns."""

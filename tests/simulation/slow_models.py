@@ -104,6 +104,20 @@ class LeakingToy(SlowToy):
 
 
 @dataclass(frozen=True, eq=False)
+class WarmingToy(SlowToy):
+    """Takes long over its first row in a process, like a model that compiles something."""
+
+    row_s: float = 0.0
+    used: list[bool] = field(default_factory=list)
+
+    def simulate(self, theta: np.ndarray) -> Trajectories:
+        if not self.used:
+            time.sleep(0.6)
+            self.used.append(True)
+        return super().simulate(theta)
+
+
+@dataclass(frozen=True, eq=False)
 class OncePerProcessToy(SlowToy):
     """Answers one row, and then only in another process."""
 

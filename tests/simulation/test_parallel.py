@@ -19,7 +19,7 @@ from simulation.toy import ToyRC
 
 # Workers import the models by name, from this folder.
 sys.path.insert(0, str(Path(__file__).parent))
-from slow_models import PickyToy, SlowToy
+from slow_models import PickyToy, SlowToy, WarmingToy
 
 ROOT = Path(__file__).parents[2]
 
@@ -53,6 +53,12 @@ def test_little_work_gets_one_worker():
         assert model.n_processes == 1
 
 
+def test_a_slow_start_hires_nobody():
+    with ParallelModel(WarmingToy().open, 4) as model:
+        model.simulate(_rows(30))
+        assert model.n_processes == 1
+
+
 def test_a_described_recipe_is_known_without_a_process():
     toy = SlowToy()
     with ParallelModel(toy.open, 2) as model:
@@ -64,7 +70,7 @@ def test_a_described_recipe_is_known_without_a_process():
 
 
 def test_a_large_batch_comes_in_blocks(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.parallel.BLOCK_BYTES", 20_000)
+    monkeypatch.setattr("simulation.spooled_model.BLOCK_BYTES", 20_000)
     rows, seen = _rows(350), []
     with ParallelModel(ToyRC, 2) as model:
         blocks = list(model.stream(rows, on_progress=seen.append))
@@ -82,7 +88,7 @@ def test_batches_of_all_sizes_do_not_touch_each_other():
 
 
 def test_a_model_can_be_asked_between_two_blocks_of_a_stream(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.parallel.BLOCK_BYTES", 2_000)
+    monkeypatch.setattr("simulation.spooled_model.BLOCK_BYTES", 2_000)
     rows = _rows(25)
     with ParallelModel(ToyRC, 2) as model:
         for start, block in zip((0, 10, 20), model.stream(rows), strict=True):
