@@ -1,7 +1,7 @@
 """What was measured, when, and how simulated outputs are compared with it."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -113,6 +113,13 @@ class Measurement:
     @cached_property
     def _places(self) -> "tuple[_Place, ...]":
         return tuple(_place(self.time, one.time) for one in self.samples)
+
+    @property
+    def from_first_sample(self) -> "Measurement":
+        """The same, without the output times that lie before the first sample."""
+        first_s = min(float(one.time[0]) for one in self.samples)
+        first = int(np.searchsorted(self.time, first_s, side="right")) - 1
+        return replace(self, time=self.time[max(first, 0) :])
 
     @property
     def n_samples(self) -> int:

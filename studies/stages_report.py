@@ -18,6 +18,7 @@ from studies.stages_results import (
     stored_calibrations,
     trials_record,
     tuned_trials,
+    validation_record,
 )
 from studies.stages_tracking import log_report
 
@@ -77,6 +78,11 @@ def _report_data(study: Study) -> ReportData:
         calibrations=tuple(calibration_record(stored) for stored in stored_calibrations(study)),
         coverage=coverage_set(study),
         sensitivity=sensitivity_record(study),
+        validations=tuple(
+            record
+            for stored in stored_calibrations(study)
+            if (record := validation_record(case, stored)) is not None
+        ),
         trials=trials_record(trials),
         learning_curves=learning_curves(trials),
         references=tuple(Reference(**vars(known)) for known in case.references),

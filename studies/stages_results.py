@@ -3,7 +3,7 @@
 import zipfile
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from studies.report.records import (
     SensitivityRecord,
     TrialsRecord,
 )
+from studies.report.validation import FitRecord, PointRecord, ValidationRecord
 from studies.trial_record import TrialRecord, best_record, read_history, read_records
 
 N_COVERAGE = 256
@@ -138,6 +139,33 @@ def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
     )
 
 
+def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord | None:
+    """Return a calibration on the validation period, None where the case has none."""
+    if case.validation is None:
+        return None
+    numbers, arrays = stored.numbers["validation"], stored.arrays
+    measured = replace(measured_series(case), measurement=case.validation.measurement.from_first_sample)
+    return ValidationRecord(
+        n_train=stored.numbers["n_train"],
+        period_d=case.validation.window_d,
+        measurement=measured,
+        y_screened=arrays["validation_y_screened"],
+        y_polished=arrays["validation_y_polished"],
+        points=tuple(
+            PointRecord(
+                name=name,
+                mse_window=_unknown(point["mse_window"]),
+                mse=_number(point["mse"]),
+                fits=tuple(
+                    FitRecord(output, **{key: _unknown(value) for key, value in fit.items()})
+                    for output, fit in point["outputs"].items()
+                ),
+            )
+            for name, point in numbers["points"].items()
+        ),
+    )
+
+
 def sensitivity_record(study: Study) -> SensitivityRecord | None:
     """Return the Sobol indices of this case, None where there are none."""
     from studies.sensitivity import SobolIndices
@@ -223,6 +251,10 @@ def learning_curves(trials: dict[int, tuple[Path, list[TrialRecord]]]) -> tuple[
             )
         )
     return tuple(curves)
+
+
+def _unknown(value: float | None) -> Any:
+    return float("nan") if value is None else value
 
 
 def _number(value: float | None) -> float:

@@ -105,7 +105,7 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
     has_window = np.array_equal(measurement.time[:n_window], case.measurement.time)
     mse = measurement.mse(answer.y)
     mse_window = case.measurement.mse(answer.y[:, :n_window]) if has_window else np.full(len(points), np.inf)
-    shown = only_compared(measurement)
+    shown = measurement.from_first_sample
     return Validation(
         period_d=case.validation.window_d,
         points={
@@ -119,19 +119,6 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
         },
         time=shown.time,
         y=answer.y[:, len(measurement.time) - len(shown.time) :],
-    )
-
-
-def only_compared(measurement: Measurement) -> Measurement:
-    """Return a measurement without the output times before its first sample."""
-    first_s = min(samples.time[0] for samples in measurement.samples)
-    first = int(np.searchsorted(measurement.time, first_s, side="right")) - 1
-    return Measurement(
-        measurement.time[first:],
-        measurement.samples,
-        measurement.output_names,
-        measurement.uncertainty,
-        measurement.weights,
     )
 
 

@@ -65,14 +65,14 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
         return tuple(contents.tables[name] for name in names if name in contents.tables)
 
     headline = data.headline
-    of_headline = tables(f"parameters-n{headline.n_train:04d}") if headline else ()
+    of_headline = tables(*_names(headline.n_train)) if headline else ()
     folded = tuple(
         Section(
             f"n{c.n_train:04d}",
             f"n = {c.n_train}: final MSE {quantity(c.mse_polished, captions.mse_unit(data.measurement))} "
             f"in {count(c.calls_paper, 'call')}",
             place(pictures),
-            tables(f"parameters-n{c.n_train:04d}"),
+            tables(*_names(c.n_train)),
         )
         for c, pictures in contents.others
     )
@@ -82,6 +82,11 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
         Section("surrogate", "Surrogates", place(contents.surrogate), tables("tuning")),
         Section("model", "The model and its parameters", place(contents.model), tables("sensitivity")),
     ]
+
+
+def _names(n_train: int) -> tuple[str, str]:
+    """Name the tables of one calibration."""
+    return f"parameters-n{n_train:04d}", f"validation-n{n_train:04d}"
 
 
 def _cards(data: ReportData) -> list[Card]:
@@ -98,6 +103,11 @@ def _cards(data: ReportData) -> list[Card]:
         Card(count(c.calls_paper), "model calls: training, screening check and polish"),
         Card(count(c.calls_honest), "simulations in all, validation and test sets included"),
     ]
+    validation = data.validation_of(c)
+    if validation is not None:
+        days = f"days {validation.period_d[0]:g} to {validation.period_d[1]:g}"
+        meaning = f"MSE on {days}, which the calibration did not see"
+        cards.append(Card(quantity(validation.points[-1].mse, mse_unit), meaning))
     known = [r for r in data.references if not r.is_target and r.mse > 0]
     if known:
         best = min(known, key=lambda r: r.mse)

@@ -67,6 +67,18 @@ def headline_sentence(data: ReportData) -> str:
     return f"{sentence}; with the validation and test sets {count(c.calls_honest, 'simulation')} were run."
 
 
+def calibration_title(measurement: MeasuredSeries, calibration: CalibrationRecord) -> str:
+    """Say how well a calibration went."""
+    unit = mse_unit(measurement)
+    polished = quantity(calibration.mse_polished, unit)
+    screened = quantity(calibration.mse_screened, unit)
+    if not math.isfinite(calibration.mse_polished):
+        return "No simulation of the model succeeded, neither as screened nor during the polish"
+    if calibration.mse_polished < calibration.mse_screened:
+        return f"Polished, the model follows the measurement: MSE {polished} (as screened: {screened})"
+    return f"The polish kept the screened point: its MSE against the measurement is {screened}"
+
+
 def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRecord) -> str:
     """Say how well the polished model follows the measurement."""
     parts = []

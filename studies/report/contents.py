@@ -19,7 +19,9 @@ from studies.report.tables import (
     parameters_table,
     sensitivity_table,
     tuning_table,
+    validation_table,
 )
+from studies.report.validation import validation_caption
 from studies.report.wording import difference_unit
 
 
@@ -68,6 +70,7 @@ def contents_of(data: ReportData) -> Contents:
         for t in (
             calibrations_table(data) if data.calibrations else None,
             *(parameters_table(data.parameters, c) for c in data.by_size),
+            *(validation_table(validation) for validation in data.validations),
             tuning_table(data),
             sensitivity_table(data),
         )
@@ -97,6 +100,23 @@ def contents_of(data: ReportData) -> Contents:
 
 def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Picture, ...]:
     mse_unit = captions.mse_unit(data.measurement)
+    validation = data.validation_of(c)
+    validated: tuple[Picture, ...] = ()
+    if validation is not None:
+        validated = (
+            Picture(
+                f"validation-n{c.n_train:04d}",
+                f"The days that were not calibrated (n = {c.n_train})",
+                validation_caption(validation),
+                lambda path: calibration_figure(
+                    validation.measurement,
+                    validation.shown_as(c),
+                    path,
+                    title=validation.sentence,
+                    footnote=foot,
+                ),
+            ),
+        )
     return (
         Picture(
             f"calibration-n{c.n_train:04d}",
@@ -110,6 +130,7 @@ def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Pic
             captions.polish_caption(c, mse_unit),
             lambda path: polish_figure(c, data.references, path, mse_unit=mse_unit, footnote=foot),
         ),
+        *validated,
     )
 
 

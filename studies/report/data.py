@@ -14,6 +14,7 @@ from studies.report.records import (
     TrialsRecord,
     require_shape,
 )
+from studies.report.validation import ValidationRecord
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class ReportData:
         sensitivity: Sobol indices, if they were asked for.
         trials: Every trial of the studies.
         learning_curves: One per training worth showing.
+        validations: The calibrations on the validation period, one per training-set size; empty without one.
         references: Known MSEs.
         provenance: How to do it again.
         headline_n_train: The size the headline speaks of; None takes the lowest final MSE.
@@ -80,6 +82,7 @@ class ReportData:
     sensitivity: SensitivityRecord | None = None
     trials: TrialsRecord | None = None
     learning_curves: tuple[LearningCurves, ...] = ()
+    validations: tuple[ValidationRecord, ...] = ()
     references: tuple[Reference, ...] = ()
     provenance: Provenance = Provenance()
     headline_n_train: int | None = None
@@ -105,6 +108,10 @@ class ReportData:
         if self.headline_n_train is not None:
             return next(c for c in self.calibrations if c.n_train == self.headline_n_train)
         return min(self.calibrations, key=lambda c: (c.mse_polished, c.calls_paper))
+
+    def validation_of(self, calibration: CalibrationRecord) -> ValidationRecord | None:
+        """Return how a calibration did on the validation period, None where there is none."""
+        return next((v for v in self.validations if v.n_train == calibration.n_train), None)
 
     @property
     def by_size(self) -> tuple[CalibrationRecord, ...]:

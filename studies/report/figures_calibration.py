@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from studies.report.captions import calibration_title
 from studies.report.data import Reference
 from studies.report.drawing import (
     FAINT,
@@ -37,12 +38,16 @@ from studies.report.wording import (
     quantity,
     shown_unit,
     significant,
-    squared,
 )
 
 
 def calibration_figure(
-    measurement: MeasuredSeries, calibration: CalibrationRecord, path: Path, *, footnote: str = ""
+    measurement: MeasuredSeries,
+    calibration: CalibrationRecord,
+    path: Path,
+    *,
+    title: str = "",
+    footnote: str = "",
 ) -> Path:
     """Draw measured, screened and polished outputs over days, and the residual of the polished below.
 
@@ -50,21 +55,14 @@ def calibration_figure(
         measurement: What was calibrated against.
         calibration: The calibration to show.
         path: Where the PNG goes.
+        title: What it shows; "" says how well the calibration went.
         footnote: Small print.
 
     Returns:
         The path.
     """
-    unit = squared(difference_unit(measurement.units[0]))
-    polished = quantity(calibration.mse_polished, unit)
-    screened = quantity(calibration.mse_screened, unit)
-    if not math.isfinite(calibration.mse_polished):
-        title = "No simulation of the model succeeded, neither as screened nor during the polish"
-    elif calibration.mse_polished < calibration.mse_screened:
-        title = f"Polished, the model follows the measurement: MSE {polished} (as screened: {screened})"
-    else:
-        title = f"The polish kept the screened point: its MSE against the measurement is {screened}"
     n_outputs = len(measurement.output_names)
+    title = title or calibration_title(measurement, calibration)
     with drawing(path, title=title, height_in=0.7 + 3.9 * n_outputs, footnote=footnote) as figure:
         panels = figure.subplots(
             2 * n_outputs, 1, sharex=True, height_ratios=[2.1, 1.0] * n_outputs, squeeze=False

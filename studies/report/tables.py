@@ -14,7 +14,17 @@ import numpy as np
 from studies.report.data import ReportData
 from studies.report.findings import at_bound, mean_over_time, ranking
 from studies.report.records import CalibrationRecord, ParameterBox
-from studies.report.wording import MISSING, count, declared, difference_unit, shown_unit, significant, squared
+from studies.report.validation import ValidationRecord
+from studies.report.wording import (
+    MISSING,
+    count,
+    declared,
+    difference_unit,
+    percent,
+    shown_unit,
+    significant,
+    squared,
+)
 
 Cell = float | int | str | None
 
@@ -236,6 +246,41 @@ def sensitivity_table(data: ReportData) -> Table | None:
             for i in ranking(sensitivity, k)
         ]
     return Table("sensitivity", "Sobol indices, averaged over time", columns, tuple(rows))
+
+
+def validation_table(record: ValidationRecord) -> Table:
+    """Tabulate the parameter sets on the validation period, one row per set and output."""
+    unit = squared(difference_unit(record.measurement.units[0]))
+    columns = (
+        Column("parameters", "parameters"),
+        Column("mse_window", "MSE, calibrated days", unit),
+        Column("mse", "MSE, validation", unit),
+        Column("output", "output"),
+        Column("unit", "unit"),
+        Column("n_samples", "samples", "", count),
+        Column("rmse", "RMSE"),
+        Column("bias", "bias"),
+        Column("cv_rmse", "CV(RMSE)", "", percent),
+        Column("nmbe", "NMBE", "", percent),
+    )
+    units = dict(
+        zip(record.measurement.output_names, map(difference_unit, record.measurement.units), strict=True)
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for point in record.points:
+        errors: tuple[Cell, Cell] = (point.mse_window, point.mse)
+        for number, fit in enumerate(point.fits):
+            rows.append(
+                (
+                    point.name, *(errors if number == 0 else (None, None)), fit.output, units[fit.output],
+                    fit.n_samples, fit.rmse, fit.bias, fit.cv_rmse, fit.nmbe,
+                )
+            )  # fmt: skip
+        if not point.fits:
+            rows.append((point.name, *errors, "failed", "", None, None, None, None, None))
+    days = f"days {record.period_d[0]:g} to {record.period_d[1]:g}"
+    title = f"Validation on {days} (bias: simulated minus measured)"
+    return Table(f"validation-n{record.n_train:04d}", title, columns, tuple(rows))
 
 
 def _index(value: float) -> str:
