@@ -130,6 +130,14 @@ def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
         above = case.measurement.differences(good, k)
         n_inside += int(np.sum((above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0)))
     inside = n_inside / case.measurement.n_samples
+    if n_failed > case.policy.max_failed_share * answer.n:
+        reason = next(reason for reason in answer.failures if reason)
+        return Finding(
+            "box",
+            "fail",
+            f"{n_failed} of {answer.n} failed, so a campaign would be stopped; the first one: {reason}",
+            "narrow the bounds where the model breaks; or allow more: [simulation] max_failed_share",
+        )
     failed = f", {n_failed} of {answer.n} failed" if n_failed else ""
     return Finding(
         "box covers the measurement",
@@ -158,12 +166,12 @@ def influence(case: Case, estimates: Estimates, answer: Trajectories) -> FloatAr
         answer: the answers to `moved_points`, or to the first of them.
 
     Returns:
-        Largest change, infinite where both bounds failed. Shape (p,). [uncertainties]
+        Largest change, infinite where a bound failed. Shape (p,). [uncertainties]
     """
     p = answer.n // 2
     moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=1) / case.measurement.uncertainty
     moved = moved.max(axis=1).reshape(p, 2)
-    return np.where(np.isnan(moved).all(axis=1), np.inf, np.nan_to_num(moved).max(axis=1))
+    return np.where(np.isnan(moved).any(axis=1), np.inf, np.nan_to_num(moved).max(axis=1))
 
 
 def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | None) -> Finding:

@@ -3,8 +3,11 @@
 from simulation.case import Case
 from studies.console import format_seconds
 from studies.doctor.finding import Finding
-from studies.doctor.patience import LEAST_S, SLOWER
+from studies.doctor.patience import SLOWER
 from studies.profile import Profile
+
+LEAST_TIMEOUT_S = 30.0
+"""A time-out below this would stop simulations on a machine that is merely busy. [s]"""
 
 
 def planned_simulations(case: Case, profile: Profile) -> dict[str, int]:
@@ -34,7 +37,7 @@ def tell_cost(case: Case, profile: Profile, simulation_s: float, n_workers: int)
     return Finding(
         f"cost of profile {profile.name}",
         "ok",
-        f"{_milliseconds(simulation_s)} per simulation; at most {total} simulations, "
+        f"{_duration(simulation_s)} per simulation; at most {total} simulations, "
         f"{format_seconds(seconds)} with {workers}; {trainings} trainings",
     )
 
@@ -46,10 +49,10 @@ def tell_timeout(case: Case, simulation_s: float) -> Finding:
         return Finding(
             "time-out",
             "warn" if tight else "ok",
-            f"{case.policy.timeout_s:g} s; the estimates take {format_seconds(simulation_s)}",
+            f"{case.policy.timeout_s:g} s; the estimates take {_duration(simulation_s)}",
             "raise [simulation] timeout_s: other parameters may take longer" if tight else "",
         )
-    proposed = max(LEAST_S, float(f"{SLOWER * simulation_s:.1g}"))
+    proposed = max(LEAST_TIMEOUT_S, float(f"{SLOWER * simulation_s:.1g}"))
     return Finding(
         "time-out",
         "ok",
@@ -57,5 +60,5 @@ def tell_timeout(case: Case, simulation_s: float) -> Finding:
     )
 
 
-def _milliseconds(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     return f"{1000.0 * seconds:.3g} ms" if seconds < 1.0 else format_seconds(seconds)

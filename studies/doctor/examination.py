@@ -41,6 +41,8 @@ from studies.doctor.variants import circumstances, look_at_halving
 from studies.profile import Profile
 
 N_STEPS = 7
+PIECE = 8
+"""Simulations of each worker between two looks at the clock."""
 OpenModel = Callable[[ExecutionPolicy], AbstractContextManager[KeepingModel]]
 """Opens the case's model for batches, with all workers; what it is asked is stored."""
 
@@ -118,10 +120,24 @@ def _in_the_box(surgery: Surgery, patience: Patience, estimates: Estimates) -> I
         model.keep(estimates.nominal)
         if n := patience.rows("influence of the parameters", 2 * p, 2):
             yield [_influence(case, model, estimates, n - n % 2)]
-        if n := patience.rows("corners of the box", N_CORNERS, 2):
-            yield [look_at_corners(model.simulate(corner_points(case, n)))]
-        if n := patience.rows("coverage of the measurement", N_COVERAGE, 8):
-            yield [look_at_coverage(case, model.simulate(coverage_points(case, n)))]
+        what = "corners of the box"
+        if n := patience.rows(what, N_CORNERS, 2):
+            yield [look_at_corners(_in_pieces(model, corner_points(case, n), what, patience))]
+        what = "coverage of the measurement"
+        if n := patience.rows(what, N_COVERAGE, 8):
+            yield [look_at_coverage(case, _in_pieces(model, coverage_points(case, n), what, patience))]
+
+
+def _in_pieces(model: ForwardModel, theta: FloatArray, what: str, patience: Patience) -> Trajectories:
+    """Simulate until patience ends, at least one piece: rows that hang must not eat up hours."""
+    size = PIECE * patience.n_workers
+    parts = [model.simulate(theta[:size])]
+    for start in range(size, len(theta), size):
+        if patience.is_over:
+            patience.left_out.append(f"{what} ({start} of {len(theta)} simulations)")
+            break
+        parts.append(model.simulate(theta[start : start + size]))
+    return Trajectories.concatenate(parts)
 
 
 def _influence(case: Case, model: ForwardModel, estimates: Estimates, n: int) -> Finding:

@@ -8,8 +8,8 @@ EXAMINATION_S = 120.0
 FIRST_S = 600.0
 """Longest that the first simulation may take where the case names no time-out. [s]"""
 SLOWER = 20.0
-"""A row may take this many times the estimates' time; corners are harder for a solver."""
-LEAST_S = 30.0
+"""A row may take so many times what the estimates take, and LEAST_S more: corners are harder for a solver."""
+LEAST_S = 5.0
 
 
 @dataclass
@@ -32,6 +32,11 @@ class Patience:
     _started: float = field(default_factory=time.perf_counter)
 
     @property
+    def is_over(self) -> bool:
+        """Whether no further simulation should start."""
+        return not self.is_thorough and time.perf_counter() - self._started > EXAMINATION_S
+
+    @property
     def first_timeout_s(self) -> float | None:
         """Time-out of the first simulation. [s]."""
         return self.timeout_s if self.timeout_s is not None or self.is_thorough else FIRST_S
@@ -41,7 +46,7 @@ class Patience:
         """Time-out of the other simulations. [s]."""
         if self.timeout_s is not None or self.is_thorough:
             return self.timeout_s
-        return max(LEAST_S, SLOWER * self.simulation_s)
+        return LEAST_S + SLOWER * self.simulation_s
 
     def rows(self, what: str, wanted: int, least: int = 1, *, at_once: bool = True) -> int:
         """Return how many simulations an examination may have, and remember what it has to do without.

@@ -1,13 +1,12 @@
 """The same FMU in other circumstances: each input changed, half the communication step."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.fmu import FmuSettings
-from simulation.parameters import Parameter, ParameterSpace
+from simulation.circumstances import CircumstanceModel
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import Estimates, with_unit
 from studies.doctor.finding import Finding
@@ -16,60 +15,6 @@ STEP_SHARE = 0.2
 """Halving the communication step may change the output by this share of the sensor's uncertainty."""
 INPUT_SHARE = 0.1
 """A constant input is changed by this share of its size."""
-
-
-@dataclass(frozen=True, eq=False)
-class CircumstanceModel:
-    """One parameter row asked in different circumstances, whose number is the only parameter.
-
-    Attributes:
-        settings: The circumstances; all with the same outputs and output times.
-        row: Parameters of the FMU. Shape (p,). [per parameter]
-    """
-
-    settings: tuple[FmuSettings, ...]
-    row: FloatArray
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The number of the circumstance."""
-        return ParameterSpace((Parameter("circumstance", -1.0, float(len(self.settings))),))
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The outputs."""
-        return self.settings[0].output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """Output times. Shape (t,). [s]."""
-        return self.settings[0].scenario.time
-
-    def open(self) -> "CircumstanceModel":
-        """Return the model: the recipe that worker processes are given."""
-        return self
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        """Simulate the row in each circumstance asked for, on an FMU opened for it.
-
-        Args:
-            theta: Numbers of circumstances. Shape (n, 1). [1]
-
-        Returns:
-            The trajectories.
-        """
-        answers = []
-        for number in theta[:, 0]:
-            with self.settings[round(number)].open() as model:
-                answers.append(model.simulate(self.row[None]))
-        return Trajectories.checked(
-            theta,
-            np.concatenate([answer.y for answer in answers]),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-            failures=[answer.failures[0] for answer in answers],
-        )
 
 
 def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceModel:
