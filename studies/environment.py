@@ -8,6 +8,7 @@ _REMEDIES = {
     errno.EROFS: "allow reading and writing there",
     errno.ENOSPC: "free some space",
     errno.EDQUOT: "free some space",
+    errno.EFBIG: "allow larger files (ulimit -f)",
     errno.ENOTDIR: "move away the file that stands where a folder should be",
     errno.EISDIR: "move away the folder that stands where a file should be",
     errno.EMFILE: "raise the limit of open files (ulimit -n)",

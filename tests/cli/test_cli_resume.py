@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet
 import pytest
 from project_for_tests import REPOSITORY, make_project
 
@@ -61,14 +62,20 @@ def said(words: str) -> Callable[[Path, str], bool]:
     return lambda project, text: words in text
 
 
+def there_are_rows(n: int) -> Callable[[Path, str], bool]:
+    return lambda project, text: len(stored_rows(project)) >= n
+
+
 def there_is(pattern: str) -> Callable[[Path, str], bool]:
     return lambda project, text: any(project.glob(pattern))
 
 
 MOMENTS = {
     "check": said("check: examining"),
-    "simulate": there_is("data/office/generated/train-*/chunk-*.npz"),
-    "sensitivity": there_is("data/office/generated/sobol-*/*/chunk-*.npz"),
+    "simulate, at its start": said("simulate: 96"),
+    "simulate": there_are_rows(1),
+    "sensitivity, at its start": said("sensitivity: Sobol"),
+    "sensitivity": there_are_rows(97),
     "tune, at its start": said("tune: "),
     "tune, after a trial": there_is(f"mlruns/trials/{LABEL}/*/t000/trial.json"),
     "calibrate": said("calibrate-n0016: differential"),
@@ -93,15 +100,28 @@ def results(project: Path) -> dict[str, Any]:
     return found
 
 
-def finished_work(project: Path) -> dict[str, tuple[int, int]]:
-    """Return the identity of every finished simulation chunk and trial; redone ones are other files."""
-    patterns = ("data/office/generated/**/chunk-*.npz", "mlruns/trials/**/trial.json")
-    files = [file for pattern in patterns for file in project.glob(pattern)]
-    return {
+def stored_rows(project: Path) -> dict[str, int]:
+    """Return when each stored simulation was written; one that is done again is written later."""
+    written = {}
+    for file in project.glob("data/office/generated/simulations/*/part-*.parquet"):
+        try:
+            rows = pyarrow.parquet.read_table(file).to_pandas()
+        except FileNotFoundError:
+            continue
+        moments = rows.pop("_written").astype("int64")
+        keys = rows.drop(columns=["TAir", "_failure", "_check"]).itertuples(index=False, name=None)
+        written |= {f"{file.parent.name}: {key}": moment for key, moment in zip(keys, moments, strict=True)}
+    return written
+
+
+def finished_work(project: Path) -> dict[str, object]:
+    """Return the identity of every finished simulation and trial; redone ones are others."""
+    trials = {
         str(f.relative_to(project)): (f.stat().st_ino, f.stat().st_mtime_ns)
-        for f in files
+        for f in project.glob("mlruns/trials/**/trial.json")
         if not f.parent.name.startswith(".")
     }
+    return trials | stored_rows(project)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,130 @@
+"""The command line and the store: what is asked again, what stops a campaign, what a full disk does."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+from project_for_tests import REPOSITORY, Run
+
+SIMULATE = ("simulate", "--profile", "smoke", "--json")
+
+
+def store_of(project: Path) -> Path:
+    (folder,) = (project / "data" / "office" / "generated" / "simulations").iterdir()
+    return folder
+
+
+def accept(project: Path, low: float, high: float) -> None:
+    """Let simulations outside a band count as failed."""
+    case = project / "fmus" / "office" / "case.toml"
+    text = case.read_text()
+    assert text.count("uncertainty =") == 1
+    case.write_text(text.replace("uncertainty =", f"accepted = [{low}, {high}]\nuncertainty ="))
+
+
+def test_every_simulation_can_be_read_by_pandas(project: Path, studies: Run) -> None:
+    answer = studies(*SIMULATE)
+    (stage,) = answer.document["stages"]
+    rows = pandas.read_parquet(project / stage["store"])
+    assert len(rows) == 96
+    assert np.isfinite(np.stack(rows["TAir"])).all()
+
+
+def test_simulations_are_shared_by_studies_of_other_bounds(project: Path, studies: Run) -> None:
+    studies("sensitivity", "--profile", "smoke", "--json")
+    n_sobol = len(pandas.read_parquet(store_of(project)))
+    assert n_sobol > 100
+    case = project / "fmus" / "office" / "case.toml"
+    case.write_text(case.read_text().replace("title =", "title = 'Another title' #", 1))
+    again = studies("sensitivity", "--profile", "smoke", "--seed", "0", "--json")
+    assert again.document["stages"][0]["finished_before"]
+    (project / "mlruns" / "results" / "office-smoke" / "sensitivity.json").unlink()
+    again = studies("sensitivity", "--profile", "smoke", "--json")
+    assert f"sensitivity: {n_sobol} of {n_sobol} simulations reused" in again.err
+    assert len(pandas.read_parquet(store_of(project))) == n_sobol
+
+
+def test_failed_simulations_are_asked_again_on_request_alone(project: Path, studies: Run) -> None:
+    accept(project, 0.0, 26.0)
+    first = studies(*SIMULATE)
+    (stage,) = first.document["stages"]
+    n_failed = sum(stage["n_failed"].values())
+    assert 0 < n_failed < 48
+    assert "--retry-failed asks them again" in first.err
+    before = pandas.read_parquet(store_of(project)).set_index("_check")["_written"]
+    assert studies(*SIMULATE).document["stages"][0]["finished_before"]
+    again = studies(*SIMULATE, "--retry-failed")
+    (retried,) = again.document["stages"]
+    assert retried["n_reused"] == 96 - n_failed
+    assert {name: retried[name] for name in ("n_failed", "digests")} == {
+        name: stage[name] for name in ("n_failed", "digests")
+    }
+    after = pandas.read_parquet(store_of(project))
+    assert len(after) == 96 + n_failed
+    assert set(before.index) < set(after["_check"])
+    assert (after["_failure"] != "").sum() == 2 * n_failed
+
+
+def test_a_campaign_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
+    project: Path, studies: Run
+) -> None:
+    accept(project, 21.4, 23.6)
+    answer = studies(*SIMULATE, "--jobs", "2")
+    assert answer.code == 1
+    line = answer.err.splitlines()[-1]
+    assert line.startswith("studies: error: ")
+    assert "simulation.max_failed_share = 0.5" in line
+    assert "the finished simulations are kept" in line
+    assert "Traceback" not in answer.err
+    assert answer.document["error"] in line
+    again = studies(*SIMULATE, "--jobs", "2")
+    assert "simulations of an interrupted run are kept" in again.err
+    assert len(pandas.read_parquet(store_of(project))) >= 20
+
+
+@pytest.mark.parametrize("size", [200, 40_000])
+def test_a_full_disk_is_one_line_and_what_is_finished_is_kept(project: Path, size: int) -> None:
+    """No file may grow beyond some size: what a full disk is to the files of a store."""
+    command = [sys.executable, "-m", "studies", *SIMULATE, "--jobs", "2"]
+    environment = os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)}
+    full = subprocess.run(
+        command,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)),
+    )
+    assert full.returncode == 1, full.stderr
+    assert "Traceback" not in full.stderr
+    assert "File too large" in full.stderr.splitlines()[-1]
+    assert "type the command again" in full.stderr.splitlines()[-1]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["stages"][0]["n_failed"] == {"train": 0, "validation": 0, "test": 0}
+    assert len(pandas.read_parquet(store_of(project))) == 96
+    assert not list(store_of(project).glob(".*.tmp"))
+
+
+def test_a_damaged_part_is_simulated_again_and_said(project: Path, studies: Run) -> None:
+    (stage,) = studies(*SIMULATE).document["stages"]
+    part = next(store_of(project).glob("part-*.parquet"))
+    part.write_bytes(part.read_bytes()[:-100])
+    again = studies(*SIMULATE)
+    assert "moved to _damaged/" in again.err
+    (mended,) = again.document["stages"]
+    assert not mended["finished_before"]
+    assert mended["digests"] == stage["digests"]
+
+
+@pytest.mark.parametrize("address", ["scheduler", "http://here:80", "tcp://here"])
+def test_an_address_that_is_none_is_refused(project: Path, studies: Run, address: str) -> None:
+    answer = studies("simulate", "--dask", address)
+    assert answer.code == 2
+    assert "is no scheduler's address; give e.g. tcp://scheduler:8786" in answer.err
