@@ -1,8 +1,10 @@
 """What an FMU declares in its modelDescription.xml, as fmpy reads it, in this package's words."""
 
 import io
+import zipfile
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import fmpy
 
@@ -44,10 +46,24 @@ def read_model(path: Path, content: bytes) -> tuple[Any, str]:
     for validate in (True, False):
         try:
             # From memory: fmpy leaves the file open when the description is not valid.
-            return fmpy.read_model_description(io.BytesIO(content), validate=validate), complaint
+            model = fmpy.read_model_description(io.BytesIO(content), validate=validate)
+            _complete(model, content)
+            return model, complaint
         except Exception as error:  # fmpy raises plain exceptions of many kinds
             complaint = complaint or " ".join(str(error).split())
     raise InputError(f"{path}: its modelDescription.xml is not valid ({complaint}); export it again")
+
+
+def _complete(model: Any, content: bytes) -> None:
+    """Read what fmpy overlooks: in FMI 3.0 the attribute's name is a plural."""
+    if str(model.fmiVersion) == "2.0":
+        return
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    for tag, interface in (("ModelExchange", model.modelExchange), ("CoSimulation", model.coSimulation)):
+        element = root.find(tag)
+        if element is not None and element.get("providesDirectionalDerivatives") in ("true", "1"):
+            interface.providesDirectionalDerivative = True
 
 
 def declared_version(path: Path, said: str) -> FmiVersion:

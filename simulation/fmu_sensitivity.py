@@ -22,7 +22,7 @@ from simulation.trajectories import Trajectories
 # Relative step of the one difference that the FMU's derivatives are held against.
 _CHECK_STEP: Final = 1e-3
 # Greatest difference between the interfaces, as a share of an output's range.
-_AGREEMENT: Final = 0.01
+_AGREEMENT: Final = 0.005
 
 
 def why_no_sensitivities(description: FmuDescription, plan: RunPlan) -> str:
