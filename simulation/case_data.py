@@ -32,13 +32,14 @@ class CaseData:
     recordings: dict[str, Recording]
     day_zero_s: float
 
-    def samples(self, table: OutputTable, begin_s: float, end_s: float) -> Samples:
+    def samples(self, table: OutputTable, begin_s: float, end_s: float, seen_s: float) -> Samples:
         """Return what was measured of an output in a period; gaps have no sample.
 
         Args:
             table: The output.
             begin_s: Begin of the period. [s]
             end_s: Its end. [s]
+            seen_s: A moment whose sample is left out, NaN for none. [s]
 
         Raises:
             InputError: If there are less than two.
@@ -47,6 +48,7 @@ class CaseData:
         values = recording.columns[table.column]
         slack = 1e-6 * recording.step_s
         inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
+        inside &= ~(np.abs(recording.time - seen_s) <= slack)
         n_samples = int(np.count_nonzero(inside))
         if n_samples < 2:
             begin_d, end_d = ((time - self.day_zero_s) / DAY_S for time in (begin_s, end_s))

@@ -22,12 +22,14 @@ class Period:
         start_d: Start of the simulation. [d]
         reported_d: Part whose outputs are reported; before it lies the warm-up. [d]
         compared_d: Part that is compared with the measurement, at the end of the reported one. [d]
+        seen_d: Its begin or end where that belongs to another period, whose sample is left out. [d]
     """
 
     key: str
     start_d: float
     reported_d: tuple[float, float]
     compared_d: tuple[float, float]
+    seen_d: float | None = None
 
 
 def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> Period:
@@ -90,7 +92,8 @@ def validation_period(
     if wrong:
         raise InputError(f"{where} {wrong}")
     reported = (min(window_d[0], begin_d), end_d)
-    return Period("time.validation_d", start_d, reported, (begin_d, end_d))
+    seen_d = next((day for day in (begin_d, end_d) if day in window_d), None)
+    return Period("time.validation_d", start_d, reported, (begin_d, end_d), seen_d)
 
 
 def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArray, int, int]:
@@ -154,7 +157,8 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
         if names.count(name) > 1:
             raise InputError(f"{data.path}: outputs[{name}] is declared {names.count(name)} times; keep one")
     begin_s = float(time[0]) + (period.compared_d[0] - period.reported_d[0]) * DAY_S
-    samples = tuple(data.samples(table, begin_s, float(time[-1])) for table in file.outputs)
+    seen_s = math.nan if period.seen_d is None else begin_s + (period.seen_d - period.compared_d[0]) * DAY_S
+    samples = tuple(data.samples(table, begin_s, float(time[-1]), seen_s) for table in file.outputs)
     for table, one in zip(file.outputs, samples, strict=True):
         low, high = table.accepted or (-math.inf, math.inf)
         for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:

@@ -47,6 +47,8 @@ def log_calibration(
         "calls/polish": numbers["ledger"]["n_polish"],
         **numbers["surrogate_errors"],
     }
+    if "validation" in numbers:
+        metrics["mse/validation"] = numbers["validation"]["points"]["polished"]["mse"]
     curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         temperatures, polish = Path(scratch) / "calibration.png", Path(scratch) / "polish.png"

@@ -1,0 +1,117 @@
+"""Validation on days that the calibration did not see: what it simulates, compares and leaves alone."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.case import Case, load_case
+from simulation.counting import CountingModel
+from studies.validation import validate
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def office(folder: Path, time: str) -> Path:
+    """Lay out a project with the office and other keys under [time]."""
+    shutil.copytree(REPOSITORY / "fmus" / "office", folder / "fmus" / "office")
+    (folder / "data" / "office").mkdir(parents=True)
+    for file in (REPOSITORY / "data" / "office").glob("*.csv"):
+        shutil.copy(file, folder / "data" / "office")
+    (folder / "pyproject.toml").touch()
+    path = folder / "fmus" / "office" / "case.toml"
+    text = path.read_text()
+    assert "start_d = 0 " in text
+    path.write_text(text.replace("[time]\n", f"[time]\n{time}\n"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return load_case(office(tmp_path_factory.mktemp("validated"), "validation_d = [10, 12]"))
+
+
+def test_points_are_compared_on_both_periods(case: Case) -> None:
+    assert case.validation is not None
+    middle = case.parameter_space.from_unit(np.full((2, 14), 0.5))
+    middle[1, 0] = np.nan
+    with case.validation.open_model() as model, case.open_model() as short:
+        counted = CountingModel(model)
+        validation = validate(case, counted, {"middle": middle[0], "nothing": middle[1]})
+        answer, window = model.simulate(middle[:1]), short.simulate(middle[:1])
+    assert counted.n_calls == 2
+    point = validation.points["middle"]
+    assert point.mse_window == case.measurement.mse(window.y)[0]
+    # The half hours after day 10 until day 12, against the plain formula.
+    measured = case.validation.measurement.samples[0]
+    assert measured.time[[0, -1]].tolist() == [10 * 86400 + 1800, 12 * 86400]
+    difference = answer.y[0, -96:, 0] - measured.values
+    assert point.mse == pytest.approx(np.mean(difference**2), rel=1e-12)
+    fit = point.outputs["TAir"]
+    assert (fit.n_samples, fit.rmse**2) == (96, pytest.approx(point.mse, rel=1e-12))
+    assert fit.bias == pytest.approx(np.mean(difference), rel=1e-12)
+    # Degrees Celsius have no mean to be a share of.
+    assert fit.cv_rmse is None
+    assert fit.nmbe is None
+    failed = validation.points["nothing"]
+    assert (failed.mse, failed.mse_window, failed.outputs) == (None, None, {})
+    assert failed.failure
+    assert validation.y.shape == (2, len(validation.time), 1)
+    assert validation.time[0] >= 10 * 86400
+    json.dumps(validation.to_dict(), allow_nan=False)
+
+
+def test_shares_of_the_mean_are_given_where_the_unit_has_a_zero(case: Case) -> None:
+    assert case.validation is not None
+    watts = replace(case, outputs=(replace(case.outputs[0], unit="W"),))
+    middle = case.parameter_space.from_unit(np.full(14, 0.5))
+    with case.validation.open_model() as model:
+        fit = validate(watts, model, {"middle": middle}).points["middle"].outputs["TAir"]
+    mean = case.validation.measurement.samples[0].values.mean()
+    assert fit.cv_rmse == pytest.approx(fit.rmse / mean)
+    assert fit.nmbe == pytest.approx(fit.bias / mean)
+
+
+def test_a_case_without_a_validation_period_is_refused(case: Case) -> None:
+    with pytest.raises(ValueError, match="has no validation period"):
+        validate(replace(case, validation=None), None, {})  # type: ignore[arg-type]
+
+
+def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
+    path = office(tmp_path, "validation_d = [10, 12]")
+    # The first output's sensor failed for a day, and one value came at an odd moment.
+    recording = tmp_path / "data" / "office" / "recording_1800s.csv"
+    lines = recording.read_text().splitlines()
+    for row in range(101, 149):
+        cells = lines[row].split(",")
+        lines[row] = ",".join([cells[0], "", *cells[2:]])
+    recording.write_text("\n".join(lines) + "\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "studies", "run", "--profile", "smoke", "--json"],
+        env=os.environ | {"STUDIES_ROOT": str(tmp_path), "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert load_case(path).measurement.n_samples == 481 - 48
+    stages = json.loads(done.stdout)["stages"]
+    (calibration,) = [stage for stage in stages if stage["stage"] == "calibrate-n0032"]
+    points = calibration["validation"]["points"]
+    assert list(points) == ["estimate", "screened", "polished"]
+    assert points["polished"]["mse_window"] == calibration["mse_polished"]
+    assert points["screened"]["mse_window"] == calibration["mse_screened"]
+    assert points["polished"]["outputs"]["TAir"]["n_samples"] == 96
+    ledger = calibration["ledger"]
+    assert ledger["total_honest"] == sum(ledger[name] for name in ledger if name.startswith("n_"))
+    report = tmp_path / "mlruns" / "reports" / "office-smoke"
+    assert (report / "validation-n0032.png").is_file()
+    page = (report / "index.html").read_text()
+    assert "MSE on days 10 to 12, which the calibration did not see" in page
+    assert "The validation took 3 simulations, which no count of calls includes." in page
