@@ -226,17 +226,13 @@ class FmuInstance:
     def _load(self) -> Any:
         identifier = self._description.interface(self._interface, str(self._description.path))
         path = self._folder / binary_member(self._description.fmi_version, identifier.model_identifier)
-        with _LOADING:
-            before = Path.cwd()
-            try:
-                # Some libraries look for others beside them in the working directory.
-                os.chdir(path.parent)
+        # Some libraries look for others beside them in the working directory.
+        try:
+            with _LOADING, contextlib.chdir(path.parent):
                 return ctypes.CDLL(str(path))
-            except OSError as error:
-                said = " ".join(str(error).split())
-                raise InputError(f"{self._description.path}: cannot be loaded ({said})") from None
-            finally:
-                os.chdir(before)
+        except OSError as error:
+            said = " ".join(str(error).split())
+            raise InputError(f"{self._description.path}: cannot be loaded ({said})") from None
 
     def _instantiate(self) -> None:
         forget_messages()
@@ -266,7 +262,9 @@ class FmuInstance:
             arguments += (None, LOGGER_3)
             if co_simulation:
                 arguments += (None,)
-        self.component = int(make(*arguments) or 0)
+        # Files that it writes while it starts go with the unpacked FMU.
+        with _LOADING, contextlib.chdir(self._folder):
+            self.component = int(make(*arguments) or 0)
 
     def _maker(self, name: str) -> Any:
         # As for any other function, a missing one is an InputError.

@@ -1,0 +1,196 @@
+"""Campaigns of 1,000 rows over FMUs that misbehave: exactly the bad rows fail, and nothing is left behind."""
+
+import os
+import re
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "bad"))
+from bad_fmus import (
+    ALWAYS,
+    BAD_ABOVE,
+    COUNT_VARIABLE,
+    PARAMETERS,
+    SOMETIMES,
+    build_bad_fmu,
+    closed_form,
+    counted,
+    make_theta,
+)
+
+from simulation.errors import InputError
+from simulation.execution import CampaignStopped, ExecutionPolicy
+from simulation.fmu import FmuModel, FmuSettings
+from simulation.parallel import ParallelModel
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.scenario import Scenario
+
+N = 1000
+# Early, late, side by side and at both ends of a run of rows.
+BAD_ROWS = [0, 7, 8, 501, 999]
+TIME = np.arange(11) * 3600.0
+# exp over ten steps and 300 K: some hundred roundings.
+EXACT_K = 1e-9
+TIMEOUT_S = 0.5
+
+REASONS = {
+    "CRASH": r"^2 times: the FMU crashed its process \(SIGSEGV\)",
+    "HANG": r"^did not answer within 0\.5 s and was stopped$",
+    "EXIT": r"^2 times: the FMU ended its process with exit code 3",
+    "NANS": r"\by\b.*(nan|not finite)",
+    "ERROR": r"Error.*the valve is stuck",
+    "DISCARD": r"Discard.*the step does not converge",
+    "FATAL": r"Fatal.*the heap is broken",
+    "ONCE": r"Error.*the valve is stuck",
+}
+
+
+@pytest.fixture(scope="session")
+def bad_fmu(tmp_path_factory):
+    """Compile an FMU at most once."""
+    folder, built = tmp_path_factory.mktemp("bad"), {}
+
+    def build(behaviour):
+        if behaviour not in built:
+            built[behaviour] = build_bad_fmu(behaviour, folder)
+        return built[behaviour]
+
+    return build
+
+
+@pytest.fixture
+def trace(tmp_path, monkeypatch):
+    """Folders of its own for all that a campaign may leave behind; checks that it leaves nothing."""
+    temporary, working = tmp_path / "temporary", tmp_path / "working"
+    temporary.mkdir()
+    working.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setenv(COUNT_VARIABLE, str(tmp_path / "count.csv"))
+    monkeypatch.chdir(working)
+    before = {child.pid for child in psutil.Process().children(recursive=True)}
+    yield tmp_path / "count.csv"
+    # A zombie is a child as well.
+    left = [c for c in psutil.Process().children(recursive=True) if c.pid not in before]
+    assert left == []
+    assert list(temporary.iterdir()) == []
+    assert list(working.iterdir()) == []
+
+
+def settings_of(fmu):
+    bounds = {"k": (2e-5, 5e-4), "x0": (280.0, 320.0), "trouble": (0.0, 1.0)}
+    return FmuSettings(
+        path=fmu,
+        parameter_space=ParameterSpace(tuple(Parameter(name, *bounds[name]) for name in PARAMETERS)),
+        scenario=Scenario(TIME, np.empty((len(TIME) - 1, 0)), (), output_every=1),
+        output_names=("y",),
+        output_offsets=np.zeros(1),
+    )
+
+
+def campaign(fmu, theta, *, n_workers=2, **policy):
+    model = ParallelModel(settings_of(fmu).open, n_workers, policy=ExecutionPolicy(**policy))
+    with model:
+        return model.simulate(theta)
+
+
+@pytest.mark.parametrize("behaviour", SOMETIMES)
+def test_exactly_the_bad_rows_fail_and_say_why(behaviour, bad_fmu, trace):
+    theta = make_theta(N, BAD_ROWS)
+    answer = campaign(bad_fmu(behaviour), theta, timeout_s=TIMEOUT_S if behaviour == "HANG" else None)
+    assert np.flatnonzero(answer.failed).tolist() == BAD_ROWS
+    np.testing.assert_array_equal(answer.theta, theta)
+    good = ~answer.failed
+    expected = closed_form(theta[good], TIME)
+    np.testing.assert_allclose(answer.y[good, :, 0], expected, rtol=0, atol=EXACT_K)
+    assert np.isnan(answer.y[BAD_ROWS]).all()
+    for row in BAD_ROWS:
+        assert re.search(REASONS[behaviour], answer.failures[row]), answer.failures[row]
+
+
+@pytest.mark.parametrize("behaviour", ["LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES"])
+def test_what_is_always_bad_falsifies_no_row(behaviour, bad_fmu, trace, capfd):
+    theta = make_theta(N, BAD_ROWS)
+    answer = campaign(bad_fmu(behaviour), theta, max_growth_mb=100.0)
+    assert not answer.failed.any()
+    np.testing.assert_allclose(answer.y[:, :, 0], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_good_rows_are_simulated_once(bad_fmu, trace):
+    theta = make_theta(N, [])
+    assert not campaign(bad_fmu("GOOD"), theta, n_workers=1).failed.any()
+    times = counted(trace)
+    assert set(times) == {tuple(row) for row in theta}
+    # Once in each process a row is repeated, to see whether a reset is one.
+    assert sum(times.values()) == N + 1
+
+
+def test_a_row_that_crashes_is_tried_as_often_as_the_policy_says(bad_fmu, trace):
+    theta = make_theta(100, [3, 50])
+    answer = campaign(bad_fmu("CRASH"), theta, n_workers=1, retries=2)
+    assert np.flatnonzero(answer.failed).tolist() == [3, 50]
+    times = counted(trace)
+    assert [times[tuple(theta[row])] for row in (3, 50)] == [3, 3]
+    good = Counter({row: n for row, n in times.items() if row[2] < BAD_ABOVE})
+    # Each of the seven processes repeats at most one row; no row is lost to a neighbour's crash.
+    assert len(good) == 98
+    assert sum(good.values()) <= 98 + 7
+
+
+def test_a_leak_costs_processes_and_not_the_machine(bad_fmu, trace):
+    theta = make_theta(300, [])
+    policy = ExecutionPolicy(max_growth_mb=50.0)
+    with ParallelModel(settings_of(bad_fmu("LEAK")).open, 1, policy=policy) as model:
+        seen = []
+        for start in range(0, len(theta), 10):
+            model.simulate(theta[start : start + 10])
+            # Only the processes that run the FMU have its library mapped.
+            children = psutil.Process().children(recursive=True)
+            (worker,) = [c for c in children if any(m.path.endswith("bad.so") for m in c.memory_maps())]
+            seen.append((worker.pid, worker.memory_info().rss))
+    grown = {pid: [rss for who, rss in seen if who == pid] for pid, _ in seen}
+    assert len(grown) >= 3
+    # 50 MB, what ten rows may add before anybody looks, and 20 MB for what a first row compiles.
+    assert max(max(rss) - min(rss) for rss in grown.values()) < 80e6
+
+
+def test_a_missing_licence_is_one_line_with_the_message(bad_fmu, trace):
+    with pytest.raises(InputError, match="no licence for feature ROOM_RUNTIME") as caught:
+        campaign(bad_fmu("LICENCE"), make_theta(N, []))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_campaign_of_bad_rows_stops_and_says_why(bad_fmu, trace):
+    theta = make_theta(N, list(range(100, N)))
+    with pytest.raises(CampaignStopped, match="the valve is stuck") as caught:
+        campaign(bad_fmu("ERROR"), theta)
+    assert "\n" not in str(caught.value)
+    assert sum(counted(trace).values()) < N
+
+
+def test_an_archive_that_leads_outside_is_refused(bad_fmu, trace, tmp_path):
+    with pytest.raises(InputError, match=r"escaped\.txt") as caught:
+        campaign(bad_fmu("ZIP_SLIP"), make_theta(3, []))
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.rglob("escaped.txt"))
+
+
+def test_an_fmu_that_says_kelvin_and_gives_degrees_answers_what_it_answers(bad_fmu, trace):
+    # No runner can know better; the doctor compares levels with the measurement.
+    theta = make_theta(3, [])
+    with FmuModel(settings_of(bad_fmu("UNITS"))) as model:
+        y = model.simulate(theta).y[:, :, 0]
+    np.testing.assert_allclose(y, closed_form(theta, TIME) - 273.15, rtol=0, atol=EXACT_K)
+
+
+def test_every_behaviour_has_a_test():
+    tested = {*REASONS, "LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES", "LICENCE", "UNITS"}
+    assert tested == {*SOMETIMES, *ALWAYS}
+    assert os.environ.get(COUNT_VARIABLE) is None
