@@ -36,15 +36,17 @@ class RowQueue:
         self._n_runs = 0
         self.n_waiting = arena.n
 
-    def take(self, row_s: float | None, n_workers: int) -> Run:
+    def take(self, row_s: float | None, n_workers: int, max_rows: int = 2**31) -> Run:
         """Hand out the next rows: one where nothing is known of their time, else as much as is worth a run.
 
         Args:
             row_s: Expected time per row; None before the first. [s]
             n_workers: Among how many the rows are shared.
+            max_rows: Most rows to hand out, at least one.
         """
         start, end = self._waiting.popleft()
-        stop = min(end, start + (1 if row_s is None else self._length(max(row_s, 1e-7), n_workers)))
+        length = 1 if row_s is None else self._length(max(row_s, 1e-7), n_workers)
+        stop = min(end, start + max(1, min(length, max_rows)))
         if stop < end:
             self._waiting.appendleft((stop, end))
         self.n_waiting -= stop - start
