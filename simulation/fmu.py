@@ -1,6 +1,5 @@
 """FmuModel: an FMU as a forward model, run in this process."""
 
-import math
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -67,6 +67,12 @@ def _restarting(
     if interface == "co-simulation":
         solver = CoSimulation(instance, plan, start, where)
     else:
+        for variable in plan.input_variables:
+            if variable.kind not in ("Real", "Float64"):
+                raise InputError(
+                    f"{where}: input {variable.name} is a {variable.kind}, and model exchange sets only "
+                    "Float64; export the FMU for co-simulation"
+                )
         # Here, because it loads CVODE and compiles its callbacks.
         from simulation.fmu_exchange import ModelExchange
 

@@ -9,7 +9,15 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.fmu_instance import DISCARD, WARNING, FmuInstance
 from simulation.fmu_log import last_message
-from simulation.fmu_loop import EARLY, ENDED, FUNCTIONS_2, FUNCTIONS_3, step_through_2, step_through_3
+from simulation.fmu_loop import (
+    EARLY,
+    ENDED,
+    FIRST_INPUT,
+    FUNCTIONS_2,
+    FUNCTIONS_3,
+    step_through_2,
+    step_through_3,
+)
 from simulation.fmu_plan import RunPlan
 from simulation.fmu_start import Start
 
@@ -32,14 +40,15 @@ class CoSimulation:
         Raises:
             InputError: If the FMU's binary lacks a function, or an input or output is a Float32.
         """
-        for variable in (*plan.input_variables, *plan.outputs):
+        for variable in plan.outputs:
             if variable.kind == "Float32":
                 raise InputError(
-                    f"{where}: {variable.name} is a Float32; export it as Float64, inputs and outputs must be"
+                    f"{where}: output {variable.name} is a Float32; export it as Float64, outputs must be"
                 )
         self._instance = instance
         self._plan = plan
         self._start = start
+        self._inputs = start.inputs
         self._functions = FUNCTIONS_2 if instance.prefix == "fmi2" else FUNCTIONS_3
         self._addresses = instance.addresses(*self._functions)
         self._said = np.zeros(2)
@@ -64,8 +73,7 @@ class CoSimulation:
         common = (
             self._addresses,
             instance.component,
-            plan.input_references,
-            plan.inputs,
+            self._inputs.table,
             plan.output_references,
             plan.edges[: last + 1],
             first,
@@ -84,6 +92,8 @@ class CoSimulation:
             return f"the FMU ended the simulation by itself in the step at {time:g} s{said}"
         if status == EARLY:
             return f"the FMU returned early, at {self._said[1]:g} s, from the step at {time:g} s"
+        if stage >= FIRST_INPUT:
+            return instance.failure(self._inputs.name(stage - FIRST_INPUT), status, time)
         return instance.failure(self._functions[stage], status, time)
 
     def _wants_to_end(self) -> bool:

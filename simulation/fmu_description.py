@@ -23,6 +23,8 @@ from simulation.fmu_declared import (
 from simulation.fmu_variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
 from simulation.units import UnitDefinition
 
+_NO_NUMBERS = ("String", "Binary", "Clock")
+
 
 @dataclass(frozen=True)
 class FmuDescription:
@@ -109,7 +111,7 @@ class FmuDescription:
         )
 
     def require(self, name: str, causality: str, where: str) -> FmuVariable:
-        """Find a real scalar of a given causality.
+        """Find a real scalar of a given causality; an input may also be a whole number or true or false.
 
         Args:
             name: Name of the variable.
@@ -123,7 +125,9 @@ class FmuDescription:
             InputError: If there is none of this name, or it is something else.
         """
         variable = self.find(name, causality, where)
-        if variable.kind not in REAL_KINDS:
+        if variable.kind not in REAL_KINDS and not (
+            causality == "input" and variable.kind not in _NO_NUMBERS
+        ):
             remedy = "hold it under [fixed]" if causality == "parameter" else "choose another"
             numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
             raise InputError(

@@ -6,11 +6,14 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmu_call import call_status, compiled
+from simulation.fmu_inputs import COUNT, FUNCTION, REFERENCES, STRIDE, VALUES
 
 # Order of the addresses in the array handed to a loop, and of the stages it reports.
-FUNCTIONS_2: Final = ("SetReal", "DoStep", "GetReal")
-FUNCTIONS_3: Final = ("SetFloat64", "DoStep", "GetFloat64")
-_SET, _STEP, _GET = range(3)
+FUNCTIONS_2: Final = ("DoStep", "GetReal")
+FUNCTIONS_3: Final = ("DoStep", "GetFloat64")
+_STEP, _GET = range(2)
+# The stages from here on are rows of the inputs' table.
+FIRST_INPUT: Final = 2
 WARNING: Final = 1
 # What a loop returns in place of a status when a step was good and yet not the whole step.
 ENDED: Final = 100
@@ -21,8 +24,7 @@ EARLY: Final = 101
 def step_through_2(
     functions: Any,
     component: int,
-    input_references: Any,
-    inputs: FloatArray,
+    inputs: Any,
     output_references: Any,
     time: FloatArray,
     first: int,
@@ -33,10 +35,9 @@ def step_through_2(
     """Take an initialized instance of FMI 2.0 through the communication steps.
 
     Args:
-        functions: Addresses of FUNCTIONS_2. Shape (3,), intp.
+        functions: Addresses of FUNCTIONS_2. Shape (2,), intp.
         component: Address of the instance.
-        input_references: Value references. Shape (n_inputs,), uint32.
-        inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
+        inputs: Table of the inputs (see fmu_inputs). Shape (n_functions, 5), intp.
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         first: Step to begin with; a multiple of output_every.
@@ -45,27 +46,27 @@ def step_through_2(
         y: Filled with the outputs from the first step on, contiguous. Shape (t, k). [model's units]
 
     Returns:
-        Status of the last call (0 or 1 when all went well), its index in FUNCTIONS_2, and its step.
+        Status of the last call (0 or 1 when all went well), its stage, and its step.
     """
-    n_inputs, n_outputs = input_references.size, output_references.size
+    n_functions, n_outputs = inputs.shape[0], output_references.size
     n_steps = time.size - 1
     no_state = np.int32(no_going_back)
     # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
     # signed, as numba adds an unsigned and a signed integer to a float.
-    inputs_address, inputs_stride = np.intp(inputs.ctypes.data), n_inputs * inputs.itemsize
     y_stride = n_outputs * y.itemsize
     y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
-    input_list, output_list = input_references.ctypes.data, output_references.ctypes.data
+    output_list = output_references.ctypes.data
     status = call_status(functions[_GET], (component, output_list, n_outputs, y_address))
     if status > WARNING:
         return status, _GET, first
     until_output = output_every
     for step in range(first, n_steps):
-        if n_inputs > 0:
-            values = inputs_address + step * inputs_stride
-            status = call_status(functions[_SET], (component, input_list, n_inputs, values))
+        for row in range(n_functions):
+            values = inputs[row, VALUES] + step * inputs[row, STRIDE]
+            n = inputs[row, COUNT]
+            status = call_status(inputs[row, FUNCTION], (component, inputs[row, REFERENCES], n, values))
             if status > WARNING:
-                return status, _SET, step
+                return status, FIRST_INPUT + row, step
         h = time[step + 1] - time[step]
         status = call_status(functions[_STEP], (component, time[step], h, no_state))
         if status > WARNING:
@@ -84,8 +85,7 @@ def step_through_2(
 def step_through_3(
     functions: Any,
     component: int,
-    input_references: Any,
-    inputs: FloatArray,
+    inputs: Any,
     output_references: Any,
     time: FloatArray,
     first: int,
@@ -97,10 +97,9 @@ def step_through_3(
     """Take an initialized instance of FMI 3.0 through the communication steps; as step_through_2.
 
     Args:
-        functions: Addresses of FUNCTIONS_3. Shape (3,), intp.
+        functions: Addresses of FUNCTIONS_3. Shape (2,), intp.
         component: Address of the instance.
-        input_references: Value references. Shape (n_inputs,), uint32.
-        inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
+        inputs: Table of the inputs (see fmu_inputs). Shape (n_functions, 5), intp.
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         first: Step to begin with; a multiple of output_every.
@@ -111,15 +110,14 @@ def step_through_3(
 
     Returns:
         Status of the last call (0 or 1 when all went well; ENDED where the FMU wants no further step, EARLY
-        where it stopped within one), its index in FUNCTIONS_3, and its step.
+        where it stopped within one), its stage, and its step.
     """
-    n_inputs, n_outputs = input_references.size, output_references.size
+    n_functions, n_outputs = inputs.shape[0], output_references.size
     n_steps = time.size - 1
     no_state = np.int32(no_going_back)
-    inputs_address, inputs_stride = np.intp(inputs.ctypes.data), n_inputs * inputs.itemsize
     y_stride = n_outputs * y.itemsize
     y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
-    input_list, output_list = input_references.ctypes.data, output_references.ctypes.data
+    output_list = output_references.ctypes.data
     # Three C bools: event handling needed, simulation to be terminated, returned early.
     flags = np.zeros(3, dtype=np.uint8)
     flag = np.intp(flags.ctypes.data)
@@ -129,11 +127,12 @@ def step_through_3(
         return status, _GET, first
     until_output = output_every
     for step in range(first, n_steps):
-        if n_inputs > 0:
-            values = inputs_address + step * inputs_stride
-            status = call_status(functions[_SET], (component, input_list, n_inputs, values, n_inputs))
+        for row in range(n_functions):
+            values = inputs[row, VALUES] + step * inputs[row, STRIDE]
+            n = inputs[row, COUNT]
+            status = call_status(inputs[row, FUNCTION], (component, inputs[row, REFERENCES], n, values, n))
             if status > WARNING:
-                return status, _SET, step
+                return status, FIRST_INPUT + row, step
         h = time[step + 1] - time[step]
         status = call_status(
             functions[_STEP], (component, time[step], h, no_state, flag, flag + 1, flag + 2, reached)

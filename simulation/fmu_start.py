@@ -8,34 +8,13 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.fmu_inputs import Inputs
 from simulation.fmu_instance import WARNING, FmuInstance
+from simulation.fmu_kinds import SETTERS
 from simulation.fmu_plan import RunPlan
 from simulation.fmu_variable import REAL_KINDS, FmuVariable
 
 _Value = float | int | bool | str
-
-# Function that sets a kind of variable, and the C type of its values, by FMI version.
-_SETTERS: Final[dict[str, dict[str, tuple[str, Any]]]] = {
-    "fmi2": {
-        "Real": ("SetReal", np.float64),
-        "Integer": ("SetInteger", np.int32),
-        "Enumeration": ("SetInteger", np.int32),
-        "Boolean": ("SetBoolean", np.int32),
-        "String": ("SetString", None),
-    },
-    "fmi3": {
-        "Float64": ("SetFloat64", np.float64),
-        "Float32": ("SetFloat32", np.float32),
-        "Enumeration": ("SetInt64", np.int64),
-        "Boolean": ("SetBoolean", np.uint8),
-        "String": ("SetString", None),
-        **{
-            f"{sign}Int{bits}": (f"Set{sign}Int{bits}", np.dtype(f"{sign.lower()}int{bits}"))
-            for sign in ("", "U")
-            for bits in (8, 16, 32, 64)
-        },
-    },
-}
 
 
 class Start:
@@ -68,8 +47,7 @@ class Start:
             _Calibrated(instance, kind, plan.calibrated)
             for kind in dict.fromkeys(variable.kind for variable in plan.calibrated)
         ]
-        set_inputs = "SetReal" if instance.prefix == "fmi2" else "SetFloat64"
-        self._first_inputs = _Setting(instance, set_inputs, plan.input_variables, plan.inputs[0].copy())
+        self.inputs: Final = Inputs(instance, plan, where)
 
     def begin(self, values: FloatArray) -> str:
         """Take the instance from "as if just instantiated" to the first step.
@@ -99,7 +77,7 @@ class Start:
         if status > WARNING:
             return instance.failure("EnterInitializationMode", status, start)
         # Inputs of the first step are set here too: initial values may depend on them.
-        if plan.input_variables and (failure := self._first_inputs.set(start)):
+        if failure := self.inputs.set_first(start):
             return failure
         status = instance.call("ExitInitializationMode")
         if status > WARNING:
@@ -162,7 +140,7 @@ class _Calibrated:
     """The calibrated parameters of one kind; a row's values are copied into a buffer of its C type."""
 
     def __init__(self, instance: FmuInstance, kind: str, calibrated: Sequence[FmuVariable]) -> None:
-        function, dtype = _SETTERS[instance.prefix][kind]
+        function, dtype = SETTERS[instance.prefix][kind]
         self._columns = np.array([i for i, one in enumerate(calibrated) if one.kind == kind], dtype=np.intp)
         self._setting = _Setting(
             instance, function, [calibrated[i] for i in self._columns], np.zeros(len(self._columns), dtype)
@@ -177,7 +155,7 @@ def _fixed_setting(
     instance: FmuInstance, setter: str, fixed: Sequence[tuple[FmuVariable, _Value]], where: str
 ) -> _Setting:
     """Check the fixed parameters that one function sets."""
-    dtype = _SETTERS[instance.prefix][fixed[0][0].kind][1]
+    dtype = SETTERS[instance.prefix][fixed[0][0].kind][1]
     checked = [_checked(variable, value, dtype, where) for variable, value in fixed]
     values: Any = (
         (ctypes.c_char_p * len(checked))(*(str(value).encode() for value in checked))
@@ -192,7 +170,7 @@ def _by_setter(
 ) -> list[tuple[str, list[tuple[FmuVariable, _Value]]]]:
     groups: dict[str, list[tuple[FmuVariable, _Value]]] = {}
     for variable, value in fixed:
-        setter = _SETTERS[instance.prefix].get(variable.kind)
+        setter = SETTERS[instance.prefix].get(variable.kind)
         if setter is None:
             raise InputError(
                 f"fixed.{variable.name}: a {variable.kind} variable cannot be set; drop it from [fixed]"

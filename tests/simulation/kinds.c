@@ -1,6 +1,7 @@
 /* An FMU with parameters of every type, a closed form, and ways to go wrong between two rows; FMI 2.0 or 3.0 by -DFMI.
  *
- * x' = -k x + u from x0, stepped exactly; y = x * f + n + c + strlen(s) + size, plus 1000 when b is true.
+ * x' = -k x + u from x0, stepped exactly; y = x * f + n + c + strlen(s) + size + level, plus 1000 when b is
+ * true and 10 when on is.
  * AGAIN, chosen when compiling, says what a row finds that is not the first. */
 #include <math.h>
 #include <stdbool.h>
@@ -18,7 +19,7 @@
 #define AGAIN HONEST
 #endif
 
-enum { K, X0, U, Y, F, N, B, C, S, SIZE, N_VARIABLES };
+enum { K, X0, U, Y, F, N, B, C, S, SIZE, MANY, ON, LEVEL, N_VARIABLES };
 /* What the parameter n makes a step do from 30000 s on. */
 enum { END = -1, EARLY = -2, DISCARDED = -3 };
 
@@ -70,7 +71,8 @@ static int initialize(Instance *m)
 static double get(const Instance *m, unsigned r)
 {
     if (r != Y) return m->v[r];
-    return m->x * m->v[F] + m->v[N] + m->v[C] + (double)strlen(m->text) + m->v[SIZE] + (m->v[B] != 0.0 ? 1000.0 : 0.0);
+    const double whole = m->v[N] + m->v[C] + (double)strlen(m->text) + m->v[SIZE] + m->v[LEVEL];
+    return m->x * m->v[F] + whole + (m->v[B] != 0.0 ? 1000.0 : 0.0) + (m->v[ON] != 0.0 ? 10.0 : 0.0);
 }
 static int step(Instance *m, double t, double h)
 {

@@ -39,6 +39,12 @@ DESCRIPTION_2 = f"""<?xml version="1.0" encoding="UTF-8"?>
 <Enumeration declaredType="Choice" start="1"/></ScalarVariable>
 <ScalarVariable name="s" valueReference="8" causality="parameter" variability="fixed"><String start=""/>
 </ScalarVariable>
+<ScalarVariable name="on" valueReference="11" causality="input" variability="discrete">
+<Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="level" valueReference="12" causality="input" variability="discrete"><Integer start="0"/>
+</ScalarVariable>
+<ScalarVariable name="word" valueReference="13" causality="input" variability="discrete"><String start=""/>
+</ScalarVariable>
 </ModelVariables>
 <ModelStructure><Outputs><Unknown index="4"/></Outputs></ModelStructure>
 </fmiModelDescription>
@@ -63,6 +69,9 @@ DESCRIPTION_3 = f"""<?xml version="1.0" encoding="UTF-8"?>
 <UInt64 name="size" valueReference="9" causality="structuralParameter" variability="fixed" start="2"/>
 <Float64 name="many" valueReference="10" causality="parameter" start="0 0">
 <Dimension valueReference="9"/></Float64>
+<Boolean name="on" valueReference="11" causality="input" start="false"/>
+<Int8 name="level" valueReference="12" causality="input" start="0"/>
+<String name="word" valueReference="13" causality="input"><Start value=""/></String>
 </ModelVariables>
 <ModelStructure><Output valueReference="3"/><InitialUnknown valueReference="3"/></ModelStructure>
 </fmiModelDescription>
