@@ -95,12 +95,13 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
 # that carries the digest of all of them is never found with an old body.
-_SOURCES: Final = sorted(
-    path
-    for pattern in ("fmu_exchange*.py", "fmu_sensitivity*.py", "fmu_call.py")
-    for path in Path(__file__).parent.glob(pattern)
+_SOURCES: Final = (
+    *("fmu_call", "fmu_exchange_calls", "fmu_exchange_loop"),
+    *("fmu_sensitivity_calls", "fmu_sensitivity_loop", "fmu_sensitivity_radau"),
 )
-_DIGEST: Final = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdigest()[:12]
+_DIGEST: Final = hashlib.sha256(
+    b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
+).hexdigest()[:12]
 
 
 def compiled(function: _Function) -> _Function:

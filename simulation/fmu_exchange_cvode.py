@@ -5,10 +5,18 @@ import weakref
 from typing import Any, Final
 
 import numpy as np
-from fmpy.sundials import libraries
 
 from simulation.arrays import FloatArray, IntArray
+from simulation.errors import InputError
 from simulation.fmu_exchange_calls import SLOT, derivatives, indicators
+
+try:
+    from fmpy.sundials import libraries
+except Exception as error:  # no libraries for this platform, or of another version
+    raise InputError(
+        f"model exchange needs the CVODE that comes with FMPy, and it cannot be loaded ({error}); "
+        "export the FMU for co-simulation"
+    ) from None
 
 _BACKWARD_DIFFERENCES: Final = 2
 _ADDRESS, _DOUBLE, _LONG, _INT = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64, ctypes.c_int

@@ -106,8 +106,8 @@ def simulate_sensitivities(
     ends, coefficients, n_pieces = np.zeros(64), np.zeros((64, MOST_COEFFICIENTS, n)), 0
     time, ahead = edges[0], edges[0]
     kind, detail, stage, later = begin(table, info)
-    if kind == GOOD and np.isfinite(later):
-        kind = HAS_EVENTS
+    if kind == GOOD and later <= edges[n_steps]:
+        kind, time = HAS_EVENTS, later
     if kind == GOOD:
         kind, detail, stage = restart(table, time, x, absolute, rtol, True)
     if kind == GOOD:
@@ -222,8 +222,8 @@ def simulate_sensitivities(
         if step + 1 == stop_edge and stop_edge < n_steps:
             values = inputs_address + (step + 1) * inputs_stride
             kind, detail, stage, nominals, later = go_through_event(table, info, input_list, n_inputs, values)
-            if kind == GOOD and np.isfinite(later):
-                kind = HAS_EVENTS
+            if kind == GOOD and later <= edges[n_steps]:
+                return HAS_EVENTS, 0, SLOT.UPDATE_DISCRETE, later
             if kind == GOOD:
                 kind, detail, stage = restart(table, end, x, absolute, rtol, nominals)
             if kind != GOOD:
