@@ -1,7 +1,7 @@
 """Model exchange: our loop around CVODE against FMPy's, in time and in accuracy, and what sensitivities cost.
 
-Run `python tests/benchmarks/exchange_speed.py`; it prints one JSON document. Needs fmus/office/Office.fmu: its
-exact co-simulation is what both are measured by.
+Run `python tests/benchmarks/exchange_speed.py`; it prints one JSON document. Needs fmus/office/Office.fmu:
+its exact co-simulation is what both are measured by.
 """
 
 import dataclasses
