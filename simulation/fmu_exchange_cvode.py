@@ -130,20 +130,6 @@ class Cvode:
         ):
             table[slot] = _address(cvode, name)
 
-    def count(self, name: str) -> int:
-        """Read one of CVODE's counters since the last restart.
-
-        Args:
-            name: "NumSteps", "NumRhsEvals", ...
-
-        Returns:
-            The count.
-        """
-        value = ctypes.c_long()
-        get = _function(libraries.sundials_cvode, f"CVodeGet{name}", _ADDRESS, _ADDRESS)
-        _check(get(self._memory, ctypes.byref(value)))
-        return int(value.value)
-
 
 def _free(memory: int, linear: int, matrix: int, vectors: list[int], context: int) -> None:
     core, cvode = libraries.sundials_core, libraries.sundials_cvode
