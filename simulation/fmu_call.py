@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from llvmlite import ir
-from numba import njit, types
+from numba import njit, typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -30,6 +30,18 @@ def compiled(function: _Function) -> _Function:
         # numba found no folder to cache in (read-only package, no writable home): compile in every process.
         loop = njit(nogil=True)(function)
     return cast(_Function, loop)
+
+
+def make_ready(function: Callable[..., Any], *arguments: Any) -> None:
+    """Compile a function, or fetch it from the cache, for arguments of these types; do not call it.
+
+    Args:
+        function: A compiled() function.
+        arguments: What it will be called with.
+    """
+    dispatcher: Any = function
+    type_of: Any = typeof
+    dispatcher.compile(tuple(type_of(argument) for argument in arguments))
 
 
 def _call_status(typing_context: Any, address: Any, arguments: Any) -> Any:

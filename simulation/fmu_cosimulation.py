@@ -1,12 +1,14 @@
 """Co-simulation: the FMU brings its own solver, and is driven from one communication step to the next."""
 
 import ctypes
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.fmu_call import make_ready
 from simulation.fmu_instance import DISCARD, WARNING, FmuInstance
 from simulation.fmu_log import last_message
 from simulation.fmu_loop import (
@@ -52,6 +54,9 @@ class CoSimulation:
         self._functions = FUNCTIONS_2 if instance.prefix == "fmi2" else FUNCTIONS_3
         self._addresses = instance.addresses(*self._functions)
         self._said = np.zeros(2)
+        # Before the first row, whose time may be limited: compiling takes seconds where nothing is cached.
+        loop, arguments = self._call(0, plan.n_steps, np.empty((plan.n_simulated, len(plan.outputs))))
+        make_ready(loop, *arguments)
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row; see Solver."""
@@ -70,20 +75,8 @@ class CoSimulation:
             Why it failed, in one line; "" when it did not.
         """
         plan, instance = self._plan, self._instance
-        common = (
-            self._addresses,
-            instance.component,
-            self._inputs.table,
-            plan.output_references,
-            plan.edges[: last + 1],
-            first,
-            plan.output_every,
-            not instance.keeps_state,
-        )
-        if instance.prefix == "fmi2":
-            status, stage, step = step_through_2(*common, y)
-        else:
-            status, stage, step = step_through_3(*common, self._said, y)
+        loop, arguments = self._call(first, last, y)
+        status, stage, step = loop(*arguments)
         if status <= WARNING:
             return ""
         time = float(plan.edges[step])
@@ -95,6 +88,23 @@ class CoSimulation:
         if stage >= FIRST_INPUT:
             return instance.failure(self._inputs.name(stage - FIRST_INPUT), status, time)
         return instance.failure(self._functions[stage], status, time)
+
+    def _call(self, first: int, last: int, y: FloatArray) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        """Return the loop for these steps, and what to call it with."""
+        plan, instance = self._plan, self._instance
+        common = (
+            self._addresses,
+            instance.component,
+            self._inputs.table,
+            plan.output_references,
+            plan.edges[: last + 1],
+            first,
+            plan.output_every,
+            not instance.keeps_state,
+        )
+        if instance.prefix == "fmi2":
+            return step_through_2, (*common, y)
+        return step_through_3, (*common, self._said, y)
 
     def _wants_to_end(self) -> bool:
         """Ask an FMU of FMI 2.0 that discarded a step whether it wants no other."""

@@ -8,6 +8,7 @@ import kinds_fmu
 import numpy as np
 import pytest
 
+from simulation import fmu_loop
 from simulation.errors import InputError
 from simulation.fmu import FmuSettings
 
@@ -34,6 +35,15 @@ def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Pa
         expected = kinds_fmu.closed_form(settings, *row) + 3 + 7 + 4 + 1000 + 2
         # The same formula in the same order; exp differs by an ulp between C and NumPy.
         np.testing.assert_allclose(y, expected, rtol=1e-13)
+
+
+def test_the_first_row_waits_for_no_compiler(fmu: Path):
+    loop = fmu_loop.step_through_2 if fmu.stem == "kinds2" else fmu_loop.step_through_3
+    with kinds_fmu.kinds_settings(fmu).open() as model:
+        ready = list(loop.signatures)
+        model.simulate(ROWS)
+    assert len(ready) == 1
+    assert loop.signatures == ready
 
 
 def _driven(settings: FmuSettings, **signals: np.ndarray) -> FmuSettings:
