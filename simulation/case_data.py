@@ -106,7 +106,8 @@ class CaseData:
         steps = np.diff(time)
         is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
-            line = int(np.flatnonzero(known)[row]) + FIRST_LINE
+            # The line after the last value: its cell is empty, or its time is too late.
+            line = int(np.flatnonzero(known)[row]) + 1 + FIRST_LINE
             raise InputError(
                 f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
                 f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "

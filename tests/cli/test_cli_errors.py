@@ -92,8 +92,8 @@ def test_a_wrong_case_file_is_refused(
     ("number", "new", "fragments"),
     [
         pytest.param(1, "time_s,TRoom,TEnv_degC", ["recording_1800s.csv"], id="heading"),
-        pytest.param(5, "5400,nan,0,28,1,20.5,0,0", ["TRoom_degC", "5"], id="nan"),
-        pytest.param(5, "5400,,0,28,1,20.5,0,0", ["TRoom_degC", "5"], id="empty-cell"),
+        pytest.param(5, "5400,22,nan,28,1,20.5,0,0", ["TEnv_degC", "line 5"], id="nan"),
+        pytest.param(5, "5400,22,,28,1,20.5,0,0", ["TEnv_degC", "line 5"], id="empty-cell"),
         pytest.param(5, "5400,warm,0,28,1,20.5,0,0", ["warm", "5"], id="no-number"),
         pytest.param(5, "5400,22.0,0,28", ["5"], id="short-line"),
         pytest.param(5, None, ["recording_1800s.csv"], id="gap"),

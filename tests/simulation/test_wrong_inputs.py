@@ -185,20 +185,20 @@ WRONG: dict[str, tuple[Change, str]] = {
     "column twice": (csv("T_degC", "heating"), r"column (heating stands 2 times|T_degC is missing)"),
     "empty cell of an input": (
         csv(r"^(36000,[^,]*),.*$", r"\1,"),
-        r"recording\.csv: line 21: heating has no value from 34200 to 37800 s; fill the gap, or let "
+        r"recording\.csv: line 22: heating has no value from 34200 to 37800 s; fill the gap, or let "
         r"inputs\[u\] bridge it with max_gap_s = 3600$",
     ),
     "NaN cell of an input": (
         csv(r"^(36000,[^,]*),.*$", r"\1,NaN"),
-        r"line 21: heating has no value from 34200",
+        r"line 22: heating has no value from 34200",
     ),
-    "short line": (csv(r"^36000,.*$", "36000,20.1"), r"line 21: heating has no value from 34200"),
+    "short line": (csv(r"^36000,.*$", "36000,20.1"), r"line 22: heating has no value from 34200"),
     "gap of an input longer than declared": (
         lambda folder: (
             csv(r"^36000,.*\n37800,.*\n", "")(folder),
             toml('"linear"', '"linear"\nmax_gap_s = 3600')(folder),
         ),
-        r"line 21: heating has no value from 34200 to 39600 s; .* max_gap_s = 5400$",
+        r"line 22: heating has no value from 34200 to 39600 s; .* max_gap_s = 5400$",
     ),
     "input without a value": (
         csv(r"(?s)(?<=heating\n).*", "0,20,\n1800,20,\n"),
@@ -223,7 +223,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     "duplicate time": (csv(r"^3600,", "1800,"), r"line 4: time_s = 1800 repeats the line above"),
     "gap of an input": (
         csv(r"^36000,.*\n", ""),
-        r"line 21: heating has no value from 34200 to 37800 s; fill the gap, or let inputs\[u\] bridge it",
+        r"line 22: heating has no value from 34200 to 37800 s; fill the gap, or let inputs\[u\] bridge it",
     ),
     "too short": (
         csv(r"^50400,(.*\n)*", ""),
