@@ -29,6 +29,7 @@ from simulation.arena_file import (
     owned,
 )
 from simulation.arrays import FloatArray
+from simulation.errors import InputError
 from simulation.trajectories import Trajectories
 
 
@@ -127,7 +128,7 @@ class Arena:
             spool: Folder for a file that outlives this process; None for memory that goes with it.
 
         Raises:
-            OSError: If there is no room for it.
+            InputError: If there is no room for it.
         """
         names = json.dumps([grid.parameter_names, grid.output_names]).encode()
         shape = (len(names), capacity, len(grid.parameter_names), len(grid.time), len(grid.output_names))
@@ -144,11 +145,15 @@ class Arena:
             header = HEADER.pack(MAGIC, boot_id(), shape[0], capacity, 0, *shape[2:])
             os.pwrite(descriptor, header, 0)
             return cls(descriptor, path)
-        except BaseException:
+        except BaseException as error:
             if path is not None:
                 path.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+            os.close(descriptor)
+            if isinstance(error, OSError):
+                mb = f"{size / 1e6:.0f} MB of simulated rows"
+                raise InputError(
+                    f"{spool or 'memory'}: no room for {mb} ({error.strerror}); free some"
+                ) from None
             raise
 
     @classmethod

@@ -1,5 +1,6 @@
 """One arena's rows over the workers: who gets which, what became of each, and when to stop."""
 
+import signal
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -20,6 +21,8 @@ _RUN_S: Final = 0.02
 _MIN_RUN_S: Final = 0.002
 # Rows shorter than this are handed out before the last run is over, so that nobody waits for a message.
 _QUEUE_BELOW_S: Final = 0.05
+# Nothing kills itself like this: the row was only there when somebody from outside came.
+_MERCY: Final = 3
 # Who is at one row for this long has what it was given besides taken away. [s]
 _STUCK_S: Final = 0.5
 # Another process must have this much to do to be worth opening the model once more.
@@ -163,6 +166,8 @@ class Campaign:
         else:
             self._n_crashes[row] += 1
             n, allowed = self._n_crashes[row], policy.retries
+            if ended.exit_code == -signal.SIGKILL and not ended.out_of_memory:
+                allowed += _MERCY
             reason = f"the FMU {how_it_ended(ended)}"
         if n <= allowed:
             arena.states[row] = RowState.WAITING

@@ -68,6 +68,10 @@ class Worker:
 Event = Opened | Refused | Ran | Ended
 
 
+class NurseryEnded(RuntimeError):  # noqa: N818 - somebody's doing, perhaps not the model's
+    """The process ended before it was ready."""
+
+
 class Nursery:
     """A process that has imported a recipe's modules, and the workers that are forked from it."""
 
@@ -81,6 +85,7 @@ class Nursery:
         Raises:
             InputError: If the recipe's modules say so.
             RuntimeError: If they cannot be imported.
+            NurseryEnded: If the process ends before it is ready.
         """
         near, far = socket.socketpair()
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
@@ -108,7 +113,7 @@ class Nursery:
             self._log.seek(0)
             said = self._log.read().decode("utf-8", "replace").strip()
             self.close()
-            raise RuntimeError(f"the process for simulations does not start: {said}") from None
+            raise NurseryEnded(f"the process for simulations does not start: {said or 'killed'}") from None
         except BaseException:
             self.close()
             raise

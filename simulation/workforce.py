@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from simulation.execution import ExecutionPolicy
-from simulation.nursery import Event, Nursery, Worker, error_of
+from simulation.nursery import Event, Nursery, NurseryEnded, Worker, error_of
 from simulation.recipe import Facts, Recipe, subject
 from simulation.worker_messages import Ended, Limits, Opened, Ran, Refused
 
@@ -15,6 +15,7 @@ _FIRST_ATTEMPTS: Final = 2
 _LATER_ATTEMPTS: Final = 6
 _BACKOFF_S: Final = 0.25
 _MAX_BACKOFF_S: Final = 30.0
+_MAX_STARTS: Final = 10
 _MIN_OPENING_S: Final = 60.0
 
 
@@ -43,6 +44,7 @@ class Workforce:
         self._on_warning = on_warning
         self._nursery: Nursery | None = None
         self._n_refused = 0
+        self._n_starts = 0
         self._not_before = 0.0
         self._has_warned = False
         self._why_refused: Refused | None = None
@@ -96,11 +98,26 @@ class Workforce:
             self._nursery.close()
             self._nursery = None
         if self._nursery is None:
-            limits = Limits(self._policy.max_growth_mb, self._policy.max_rows_per_process)
-            self._nursery = Nursery(self._make_model, limits)
+            self._nursery = self._new_nursery()
         # After a refusal one at a time: each attempt may take a licence from somebody.
         for _ in range(min(n - self.n_alive, 1 if self._n_refused else n)):
             self._nursery.hire()
+
+    def _new_nursery(self) -> Nursery:
+        """Start the process that workers are forked from; whatever killed the last may not do so again."""
+        limits = Limits(self._policy.max_growth_mb, self._policy.max_rows_per_process)
+        while True:
+            self._n_starts += 1
+            try:
+                nursery = Nursery(self._make_model, limits)
+            except NurseryEnded:
+                if self._n_starts >= _MAX_STARTS:
+                    raise
+            else:
+                if self._n_starts <= _MAX_STARTS:
+                    return nursery
+                nursery.close()
+                raise RuntimeError(f"the process for simulations was lost {_MAX_STARTS} times in a row")
 
     def fire(self, worker: Worker) -> None:
         """Kill a worker."""
@@ -141,6 +158,7 @@ class Workforce:
             worker.is_open = True
             self.facts = event.facts
             self._n_refused = 0
+            self._n_starts = 0
         elif isinstance(event, Refused):
             worker.is_leaving = True
             self._refused(event)

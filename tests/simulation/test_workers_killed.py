@@ -1,0 +1,128 @@
+"""Kill workers and the master at random moments, and count: nothing lost, nothing twice."""
+
+import itertools
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from simulation.toy import ToyRC
+from simulation.trajectories import Trajectories
+
+HERE = Path(__file__).parent
+N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
+
+# A master with the smallest store there can be: a file per block, and what it holds at each start.
+MASTER = """
+import sys
+from pathlib import Path
+sys.path[:0] = {places!r}
+import numpy as np
+from simulation.arena import recover_arenas
+from simulation.parallel import ParallelModel
+from simulation.trajectories import Trajectories
+from slow_models import SlowToy
+
+folder = Path({folder!r})
+
+def keys(theta):
+    return [row.tobytes().hex() for row in theta]
+
+def store(block):
+    block.save(folder / f"block-{{len(list(folder.glob('block-*'))):05d}}.npz")
+
+for block in recover_arenas(folder / "spool"):
+    store(block)
+stored = [key for file in folder.glob("block-*") for key in keys(Trajectories.load(file).theta)]
+start = len(list(folder.glob("start-*")))
+begun = (folder / "begun").stat().st_size if (folder / "begun").exists() else 0
+(folder / f"start-{{start:03d}}").write_text(" ".join([str(begun), *stored]))
+rows = np.load(folder / "rows.npy")
+rows = rows[[key not in set(stored) for key in keys(rows)]]
+reported = folder / f"reported-{{start:03d}}"
+toy = SlowToy(row_s=0.008, begun=folder / "begun")
+with ParallelModel(toy.open, {n_workers}, spool=folder / "spool") as model:
+    for block in model.stream(rows, on_progress=lambda n: reported.write_text(str(len(stored) + n))):
+        store(block)
+print("finished")
+"""
+
+
+def _start(script: Path, temporary: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    )
+
+
+def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
+    chance = random.Random(20)
+    script, temporary = tmp_path / "master.py", tmp_path / "tmp"
+    temporary.mkdir()
+    places = [str(HERE), str(HERE.parents[1])]
+    script.write_text(MASTER.format(places=places, folder=str(tmp_path), n_workers=N_WORKERS))
+    rows = ToyRC().parameter_space.from_unit(np.random.default_rng(1).random((N_ROWS, 2)))
+    np.save(tmp_path / "rows.npy", rows)
+    master, n_kills, family = _start(script, temporary), {"master": 0, "worker": 0}, set()
+    try:
+        for _ in range(N_MOMENTS):
+            time.sleep(chance.uniform(0.02, 0.15))
+            children = psutil.Process(master.pid).children(recursive=True) if master.poll() is None else []
+            family.update(children)
+            # Three of four moments hit a worker, or the process that all workers are forked from.
+            whom = "worker" if children and chance.random() < 0.75 else "master"
+            victim = chance.choice(children).pid if whom == "worker" else master.pid
+            try:
+                os.kill(victim, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+            n_kills[whom] += 1
+            if whom == "master":
+                said, _ = master.communicate()
+                assert said in ("", "finished\n")
+                master = _start(script, temporary)
+                # Half of the time long enough to get to work.
+                time.sleep(chance.choice((0.0, 1.0)))
+        said, _ = master.communicate(timeout=60)
+        assert said == "finished\n"
+    finally:
+        master.kill()
+        master.wait()
+    assert n_kills["master"] >= 5
+    assert n_kills["worker"] >= 20
+    _check_counts(tmp_path, rows, sum(n_kills.values()))
+    assert not psutil.wait_procs(family, timeout=5)[1]
+    assert not list(temporary.iterdir())
+    assert not list((tmp_path / "spool").iterdir())
+
+
+def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
+    blocks = [Trajectories.load(file) for file in sorted(folder.glob("block-*"))]
+    answer = Trajectories.concatenate(blocks)
+    keys = [row.tobytes().hex() for row in answer.theta]
+    assert len(keys) == len(set(keys)) == len(rows), "every row is stored, and once"
+    assert not [why for why in answer.failures if why]
+    order = np.argsort([keys.index(row.tobytes().hex()) for row in rows])
+    assert answer.digest == ToyRC().simulate(rows[order]).digest
+    begun = (folder / "begun").read_bytes()
+    # What was reported before a start is there at that start, ...
+    starts = sorted(folder.glob("start-*"))
+    for before, start in itertools.pairwise(starts):
+        reported = folder / before.name.replace("start", "reported")
+        _, *stored = start.read_text().split()
+        if reported.exists():
+            assert len(stored) >= int(reported.read_text() or 0)
+    # ... and what is there at a start is never begun again; no more than the rows in hand are.
+    for start in starts:
+        n_bytes, *stored = start.read_text().split()
+        assert not set(begun[int(n_bytes) :].decode().split()) & set(stored)
+    n_begun = len(begun.split())
+    assert len(rows) <= n_begun <= len(rows) + n_kills * N_WORKERS
