@@ -121,7 +121,7 @@ def _in_the_box(surgery: Surgery, patience: Patience, estimates: Estimates) -> I
         if n := patience.rows("influence of the parameters", 2 * p, 2):
             yield [_influence(case, model, estimates, n - n % 2)]
         what = "corners of the box"
-        if n := patience.rows(what, N_CORNERS, 2):
+        if n := patience.rows(what, len(corner_points(case, N_CORNERS)), 2):
             yield [look_at_corners(_in_pieces(model, corner_points(case, n), what, patience))]
         what = "coverage of the measurement"
         if n := patience.rows(what, N_COVERAGE, 8):

@@ -10,8 +10,9 @@ from studies.cli import main
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fmus" / "bad"))
 
-from bad_fmus import ALWAYS, build_bad_fmu, closed_form
+from bad_fmus import ALWAYS, build_bad_fmu, closed_form, counted
 
+__all__ = ["counted", "make_bad_case"]
 TRUE_K, TRUE_X0, STEP_S, TIMEOUT_S = 2e-4, 305.0, 3600.0, 1.0
 
 

@@ -1,21 +1,39 @@
 """The doctor on the real office, on a sound case and on spoilt ones."""
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from project_for_tests import Run
+from bad_cases_for_tests import counted, make_bad_case
+from project_for_tests import Answer, Run
+
+from simulation.case import load_case
+from studies.doctor.answers import look_at_influence
+from studies.doctor.declared import look_at_data, temperature_doubt
+from studies.doctor.patience import EXAMINATION_S, FIRST_S, Patience
 
 EXAMINED = {
     "names, units, bounds",
+    "FMU",
     "data",
     "estimates",
     "corners of the box",
     "box covers the measurement",
     "every parameter moves an output",
-    "reset equals fresh",
+    "every input moves an output",
+    "the same answer again",
     "half the communication step (300 s)",
+    "memory",
+    "time-out",
     "cost of profile smoke",
 }
+
+
+def finding(answer: Answer, what: str) -> dict[str, Any]:
+    (found,) = [one for one in answer.document["findings"] if one["what"] == what]
+    assert isinstance(found, dict)
+    return found
 
 
 def edit(file: Path, old: str, new: str) -> None:
@@ -81,4 +99,108 @@ def test_an_unsound_case_ends_with_one(project: Path, studies: Run, command: str
     answer = studies(command, "--profile", "smoke")
     assert answer.code == 1
     assert "1 failed" in answer.out
-    assert not (project / "data" / "office" / "generated").exists()
+    assert not (project / "mlruns" / "champions").exists()
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "code", "what", "level", "found", "remedy"),
+    [
+        ("CRASH", 0, "corners of the box", "warn", "SIGSEGV", "narrow the bounds"),
+        ("HANG", 0, "corners of the box", "warn", "did not answer within 1 s", "narrow the bounds"),
+        ("LICENCE", 1, "opening the FMU", "fail", "no licence for", "max_workers"),
+        ("UNITS", 0, "units of the outputs", "warn", "K is very cold: rather degC", "compare"),
+        ("LEAK", 0, "memory", "warn", "MB with each simulation", "replaced"),
+    ],
+)
+def test_an_fmu_that_misbehaves_costs_one_line(
+    project: Path, studies: Run, behaviour: str, code: int, what: str, level: str, found: str, remedy: str
+) -> None:
+    make_bad_case(project, behaviour)
+    answer = studies("check", "bad", "--profile", "smoke", "--json")
+    assert answer.code == code, answer.err
+    line = finding(answer, what)
+    assert line["level"] == level
+    assert found in line["found"]
+    assert remedy in line["remedy"]
+
+
+def test_what_the_doctor_simulates_is_kept(
+    project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_bad_case(project, "GOOD")
+    file = project / "fmus" / "bad" / "case.toml"
+    # Without trouble there is no parameter without effect.
+    head, rest = file.read_text(encoding="utf-8").split('[[parameters]]\nname = "trouble"')
+    file.write_text(head + rest[rest.index("[fixed]") :], encoding="utf-8")
+    count = project / "count"
+    monkeypatch.setenv("BAD_FMU_COUNT", str(count))
+    assert studies("check", "bad", "--profile", "smoke").code == 0
+    first = counted(count)
+    assert studies("check", "bad", "--profile", "smoke").code == 0
+    again = counted(count) - first
+    # The estimates, 4 moves of a parameter, 4 corners and 64 points all over the box.
+    assert len(first) == 73
+    # Only whether it repeats has to be asked anew: the estimates, and a corner in between.
+    assert len(again) <= 2
+
+
+def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
+    file = project / "fmus" / "office" / "case.toml"
+    edit(file, 'column = "TEnv_degC"\nunit = "degC"', 'column = "TEnv_degC"\nunit = "K"')
+    edit(file, 'column = "FlowSupply"', "sum = { FlowSupply = 0.0 }")
+    found = {one.what: one for one in look_at_data(load_case(file))}
+    assert found["units of the data"].level == "warn"
+    assert "TAmb" in found["units of the data"].found
+    assert "ySupTAC" in found["series that never change"].found
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "unit", "doubt"),
+    [
+        (-10.0, 40.0, "K", "rather degC"),
+        (270.0, 320.0, "degC", "rather K"),
+        (-283.0, -240.0, "degC", "twice"),
+        (270.0, 320.0, "K", ""),
+        (-20.0, 35.0, "degC", ""),
+        (20.0, 900.0, "degC", ""),
+        (-10.0, 40.0, "W", ""),
+    ],
+)
+def test_temperatures_that_cannot_be(low: float, high: float, unit: str, doubt: str) -> None:
+    said = temperature_doubt(np.array([low, high]), unit)
+    assert (doubt in said) if doubt else not said
+
+
+def test_a_parameter_that_is_dead_at_the_estimates_alone_is_no_failure(project: Path) -> None:
+    case = load_case(project / "fmus" / "office" / "case.toml")
+    p = case.parameter_space.n_parameters
+    share, elsewhere = np.ones(p), np.ones(p)
+    share[2] = 0.0
+    found = look_at_influence(case, share, elsewhere)
+    assert found.level == "warn"
+    assert f"at the estimates {case.parameter_space.names[2]} has no effect" in found.found
+    elsewhere[2] = 0.0
+    assert look_at_influence(case, share, elsewhere).level == "fail"
+    share[2] = np.inf
+    assert look_at_influence(case, share, None).level == "ok"
+
+
+def test_a_slow_model_is_examined_with_as_few_simulations_as_fit() -> None:
+    fast = Patience(2, False, None, simulation_s=0.001)
+    assert fast.rows("corners", 32) == 32
+    assert not fast.left_out
+    slow = Patience(2, False, None, simulation_s=EXAMINATION_S / 10)
+    assert 16 <= slow.rows("corners", 32) <= 20
+    assert slow.rows("coverage", 64, least=30) == 0
+    assert slow.left_out[0].startswith("corners (")
+    assert slow.left_out[1] == "coverage"
+    hours = Patience(2, False, None, simulation_s=3600.0)
+    assert hours.rows("corners", 32) == 0
+    assert Patience(2, True, None, simulation_s=3600.0).rows("corners", 32) == 32
+
+
+def test_the_first_simulation_is_not_waited_for_without_end() -> None:
+    assert Patience(2, False, None).first_timeout_s == FIRST_S
+    assert Patience(2, True, None).first_timeout_s is None
+    assert Patience(2, False, 7.0).first_timeout_s == 7.0
+    assert Patience(2, False, 7.0, simulation_s=1.0).row_timeout_s == 7.0
