@@ -1,0 +1,152 @@
+"""Cases around FMUs with other descriptions: own units, initial states, parameters that are no numbers."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError
+
+X0 = (
+    b'<ScalarVariable name="x0" valueReference="1" causality="parameter" variability="tunable">\n'
+    b'<Real start="300" unit="K"/></ScalarVariable>'
+)
+OTHERS = b"""
+<ScalarVariable name="n" valueReference="10" causality="parameter" variability="fixed">
+<Integer start="1"/></ScalarVariable>
+<ScalarVariable name="on" valueReference="11" causality="parameter" variability="fixed">
+<Boolean start="true"/></ScalarVariable>
+<ScalarVariable name="file" valueReference="12" causality="parameter" variability="fixed">
+<String start="a.txt"/></ScalarVariable>
+<ScalarVariable name="kind" valueReference="13" causality="parameter" variability="fixed">
+<Enumeration declaredType="Kind" start="1"/></ScalarVariable>
+</ModelVariables>"""
+TYPES = b"""<TypeDefinitions><SimpleType name="Kind"><Enumeration>
+<Item name="plain" value="1"/><Item name="wrapped" value="4"/>
+</Enumeration></SimpleType></TypeDefinitions>
+<ModelVariables>"""
+UNITS = b"""<UnitDefinitions>
+<Unit name="K"><BaseUnit K="1"/><DisplayUnit name="degRe" factor="0.8" offset="-218.52"/></Unit>
+<Unit name="1/s"/><Unit name="K/s"/><Unit name="crate"><BaseUnit kg="1" m="2" s="-3" factor="2500"/></Unit>"""
+
+
+def describe(folder: Path, *pairs: tuple[bytes, bytes]) -> None:
+    """Change the FMU's description."""
+    path = folder / "decay.fmu"
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    for old, new in pairs:
+        assert old in members["modelDescription.xml"]
+        members["modelDescription.xml"] = members["modelDescription.xml"].replace(old, new)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+
+
+def edit(folder: Path, *pairs: tuple[str, str]) -> None:
+    """Replace text in the case file."""
+    text = (folder / "case.toml").read_text()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "case.toml").write_text(text)
+
+
+def local(initial: bytes) -> tuple[bytes, bytes]:
+    return X0, X0.replace(b'"parameter" variability="tunable"', b'"local" variability="continuous"' + initial)
+
+
+def test_an_initial_state_can_be_calibrated_and_fixed(decay_case: Path):
+    describe(decay_case, local(b' initial="exact"'))
+    assert load_case(decay_case).fixed["x0"] > 290.0
+    edit(
+        decay_case,
+        ('name = "mode"\nlower = 0\nupper = 6', 'name = "x0"\nlower = 10\nupper = 30\nunit = "degC"'),
+        ('x0 = { first_measured = "y" }', "mode = 0"),
+    )
+    with load_case(decay_case).open_model() as model:
+        y = model.simulate(np.array([[1e-4, 12.0], [1e-4, 28.0]])).y
+    np.testing.assert_allclose(y[:, 0, 0], [12.0, 28.0], atol=1e-9)
+
+
+def test_a_state_whose_start_is_computed_is_no_parameter(decay_case: Path):
+    describe(decay_case, local(b""))
+    with pytest.raises(InputError, match=r"fixed\.x0: x0 is a local of decay\.fmu, not its parameter"):
+        load_case(decay_case)
+
+
+def test_the_fmu_s_display_units_are_units(decay_case: Path):
+    plain = load_case(decay_case)
+    describe(decay_case, (b'<UnitDefinitions><Unit name="K"/><Unit name="1/s"/><Unit name="K/s"/>', UNITS))
+    edit(decay_case, ('unit = "degC"', 'unit = "degRe"'), ('{ first_measured = "y" }', "300.0"))
+    with load_case(decay_case).open_model() as model, plain.open_model():
+        y = model.simulate(np.array([[1e-4, 0.0]])).y
+    assert y[0, 0, 0] == pytest.approx((300.0 - 273.15) * 0.8, abs=1e-9)
+
+
+def test_any_unit_is_taken_where_the_fmu_has_none(decay_case: Path):
+    describe(decay_case, (b'<Real unit="K"/>', b"<Real/>"))
+    edit(decay_case, ('{ first_measured = "y" }', "300.0"))
+    case = load_case(decay_case)
+    assert case.outputs[0].unit == "degC"
+    assert case.settings.output_offsets.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("line", "value"),
+    [
+        ("n = 5", 5),
+        ("on = false", False),
+        ('file = "b.txt"', "b.txt"),
+        ("kind = 4", 4),
+        ('kind = "wrapped"', 4),
+    ],
+)
+def test_what_is_no_number_can_be_fixed(decay_case: Path, line: str, value: object):
+    describe(decay_case, (b"</ModelVariables>", OTHERS), (b"<ModelVariables>", TYPES))
+    before = load_case(decay_case)
+    edit(decay_case, ("[fixed]", f"[fixed]\n{line}"))
+    case = load_case(decay_case)
+    name = line.split(" ")[0]
+    assert case.fixed[name] == value
+    assert type(case.fixed[name]) is type(value)
+    assert case.model_digest != before.model_digest
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("n = 5.5", r"fixed\.n = 5\.5: n is of type Integer; give a whole number"),
+        ("n = true", r"fixed\.n = true: n is of type Integer; give a whole number"),
+        ("on = 1", r"fixed\.on = 1: on is of type Boolean; give true or false"),
+        ("file = 1", r'fixed\.file = 1: file is of type String; give a text in "quotes"'),
+        ("kind = 3", r"fixed\.kind = 3: kind has no such item; choose one of: plain, wrapped"),
+        ('kind = "rapped"', r'fixed\.kind = "rapped": kind has no such item; choose one of: plain, wrapped'),
+        (
+            'n = { value = 5, unit = "1" }',
+            r"fixed\.n: n is of type Integer, which has no unit; give the value",
+        ),
+        (
+            'n = { first_measured = "y" }',
+            r"fixed\.n: n is of type Integer, which has no unit; give the value",
+        ),
+        ("m = 1", r"fixed\.m: decay\.fmu has no parameter named m"),
+    ],
+)
+def test_a_wrong_fixed_value_of_another_kind_is_one_line(decay_case: Path, line: str, message: str):
+    describe(decay_case, (b"</ModelVariables>", OTHERS), (b"<ModelVariables>", TYPES))
+    edit(decay_case, ("[fixed]", f"[fixed]\n{line}"))
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(decay_case)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_whole_number_cannot_be_calibrated(decay_case: Path):
+    describe(decay_case, (b"</ModelVariables>", OTHERS), (b"<ModelVariables>", TYPES))
+    edit(decay_case, ('name = "mode"', 'name = "n"'))
+    with pytest.raises(
+        InputError, match=r"parameters\[n\]: n is of type Integer; .* hold it under \[fixed\]"
+    ):
+        load_case(decay_case)
