@@ -101,13 +101,14 @@ class _Rewriting:
         return CompileError(f"{self.flat_class.name}: {message}")
 
     def _discrete_variables(self, whens: list[Any]) -> tuple[str, ...]:
-        names: dict[str, None] = {}
-        for when in whens:
-            for block in when.blocks:
-                for action in block:
-                    if isinstance(action, ast.Equation) and isinstance(action.left, ast.ComponentRef):
-                        names[str(action.left)] = None
-        for name in names:
+        setters: dict[str, int] = {}
+        for number, when in enumerate(whens):
+            for action in (action for block in when.blocks for action in block):
+                if isinstance(action, ast.Equation) and isinstance(action.left, ast.ComponentRef):
+                    name = str(action.left)
+                    if setters.setdefault(name, number) != number:
+                        raise self._error(f"two whens set {name}; make them branches of one, by elsewhen")
+        for name in setters:
             symbol = self.flat_class.symbols.get(name)
             if symbol is None or {"state", "parameter", "constant", "input"} & set(symbol.prefixes):
                 raise self._error(
@@ -116,7 +117,7 @@ class _Rewriting:
             if getattr(symbol.fixed, "value", None) is not True:
                 raise self._error(f"the discrete variable {name} needs start and fixed=true")
             symbol.prefixes = ["input"]
-        return tuple(names)
+        return tuple(setters)
 
     def _branch(self, number: int, condition: Any, block: list[Any]) -> Branch:
         targets: dict[str, str] = {}
@@ -182,8 +183,14 @@ class _Rewriting:
         if operator in {"noEvent", "smooth"}:
             return self._hold(node.operands[-1], silent=True, acting=acting)
         if operator == "pre":
-            if str(node.operands[0]) not in self.discrete:
-                raise self._error(f"pre({node.operands[0]}) of a variable that no when sets")
+            symbol = self.flat_class.symbols.get(str(node.operands[0]))
+            # All branches see the values from before the event, so that pre() of a state is the state.
+            if str(node.operands[0]) not in self.discrete and (
+                symbol is None or "state" not in symbol.prefixes
+            ):
+                raise self._error(
+                    f"pre({node.operands[0]}) of neither a state nor a variable that a when sets"
+                )
             return node.operands[0]
         if operator in _NOT_UNDERSTOOD:
             raise self._error(f"{operator}() is not understood; write a condition on a variable or on time")

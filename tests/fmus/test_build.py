@@ -60,8 +60,17 @@ def test_the_command_says_in_one_line_what_is_wrong(compiler, tmp_path):
     assert result.stderr.count("\n") == 1
 
 
-def test_the_wrapper_compiles_without_a_warning(compiler, tmp_path):
-    extract(str(OFFICE), unzipdir=str(tmp_path))
+@pytest.mark.parametrize(
+    ("folder", "names"),
+    [
+        ("office", ("fmi2.c", "integrate.c")),
+        ("thermostat", ("fmi2_events.c", "instance.c", "events.c", "integrate.c")),
+        ("wall", ("fmi3.c", "instance.c", "events.c", "integrate.c")),
+    ],
+)
+def test_the_wrapper_compiles_without_a_warning(compiler, tmp_path, folder, names):
+    (fmu,) = (REPOSITORY / "fmus" / folder).glob("*.fmu")
+    extract(str(fmu), unzipdir=str(tmp_path))
     strict = [
         "gcc",
         "-std=c99",
@@ -74,7 +83,7 @@ def test_the_wrapper_compiles_without_a_warning(compiler, tmp_path):
         "-Werror",
         "-c",
     ]
-    for name in ("fmi2.c", "integrate.c"):
+    for name in names:
         command = [*strict, name, "-o", f"{name}.o"]
         result = subprocess.run(
             command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False
@@ -82,20 +91,22 @@ def test_the_wrapper_compiles_without_a_warning(compiler, tmp_path):
         assert result.stderr == ""
 
 
-def test_fmpy_compiles_the_sources(compiler, tmp_path):
+@pytest.mark.parametrize(("folder", "output"), [("office", "TAir"), ("wall", "TMasonry")])
+def test_fmpy_compiles_the_sources(compiler, tmp_path, folder, output):
     if shutil.which("cmake") is None:
         pytest.skip("cmake is not installed")
-    extract(str(OFFICE), unzipdir=str(tmp_path / "fmu"))
-    (binary,) = (tmp_path / "fmu" / "binaries" / "linux64").iterdir()
+    (fmu,) = (REPOSITORY / "fmus" / folder).glob("*.fmu")
+    extract(str(fmu), unzipdir=str(tmp_path / "fmu"))
+    (binary,) = (tmp_path / "fmu" / "binaries").glob("*/*")
     original = binary.read_bytes()
     binary.unlink()
     (tmp_path / "cmake").mkdir()
     build_platform_binary(tmp_path / "fmu", build_dir=tmp_path / "cmake")
     assert binary.read_bytes() != original
-    settings = {"stop_time": 86400.0, "output_interval": 600.0, "output": ["TAir"]}
+    settings = {"stop_time": 86400.0, "output_interval": 600.0, "output": [output]}
     recompiled = simulate_fmu(str(tmp_path / "fmu"), fmi_type="CoSimulation", **settings)
-    shipped = simulate_fmu(str(OFFICE), fmi_type="CoSimulation", **settings)
-    assert abs(recompiled["TAir"] - shipped["TAir"]).max() < 1e-9
+    shipped = simulate_fmu(str(fmu), fmi_type="CoSimulation", **settings)
+    assert abs(recompiled[output] - shipped[output]).max() < 1e-9
 
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])

@@ -25,8 +25,7 @@ static void report(const Instance *model, const char *message)
     const Component *component = (const Component *)model;
     const fmi2CallbackFunctions *callbacks = component->callbacks;
     if (callbacks != NULL && callbacks->logger != NULL) {
-        /* The message is one, not a format. */
-        callbacks->logger(callbacks->componentEnvironment, model->name, fmi2Error, "logStatusError", "%s", message);
+        callbacks->logger(callbacks->componentEnvironment, model->name, fmi2Error, "logStatusError", message);
     }
 }
 

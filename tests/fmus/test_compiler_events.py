@@ -1,0 +1,212 @@
+"""Events in compiled models: closed forms in both versions and interfaces of FMI, mistakes as one line."""
+
+import numpy as np
+import pytest
+from fmpy import read_model_description, simulate_fmu
+from fmpy.fmi1 import FMICallException
+from fmpy.validation import validate_fmu
+from fmu_for_tests import Driver
+
+BALL = """
+model M "Ball that bounces, hit by a hammer when it has bounced three times"
+  parameter Real e(unit="1", min=0, max=1) = 0.8 "Part of the speed that a bounce leaves";
+  parameter Real g(unit="m/s2") = 9.81 "Gravity";
+  parameter Real hStart(unit="m") = 1 "Height at the start";
+  Real h(unit="m", start=hStart, fixed=true) "Height";
+  Real v(unit="m/s", start=0, fixed=true) "Speed";
+  discrete Real n(unit="1", start=0, fixed=true) "Bounces";
+  output Real y(unit="m") "Height";
+  output Real count(unit="1") "Bounces";
+equation
+  der(h) = v;
+  der(v) = -g;
+  y = h;
+  count = n;
+  when h < 0 then
+    reinit(v, if pre(n) > 1.5 then 5 else -e*pre(v));
+    n = pre(n) + 1;
+  end when;
+end M;
+"""
+EVENTS = 'model = "M"\nevents = true\nmax_substep_s = 0.05\nstop_time_s = 2.5\nstep_size_s = 0.05\n'
+VERSIONS = ('fmi_version = "2.0"\n', 'fmi_version = "3.0"\n')
+KINDS = ("CoSimulation", "ModelExchange")
+
+
+def bounce(time, e=0.8, g=9.81, height=1.0):
+    """Height and number of bounces in closed form, until the fourth; the hammer acts at the third."""
+    fall = np.sqrt(2 * height / g)
+    speeds = [e * g * fall, e * e * g * fall, 5.0]
+    starts = fall + np.concatenate([[0.0], np.cumsum([2 * v / g for v in speeds])])
+    flight = np.searchsorted(starts, time, side="right")
+    assert flight.max() <= 3
+    y = height - 0.5 * g * time**2
+    for k in range(1, 4):
+        since = time - starts[k - 1]
+        y = np.where(flight == k, speeds[k - 1] * since - 0.5 * g * since**2, y)
+    return y, flight
+
+
+def run(fmu, kind, step, stop=2.4, tolerance=1e-9, output=("y", "count")):
+    answer = simulate_fmu(
+        str(fmu),
+        fmi_type=kind,
+        stop_time=stop,
+        output_interval=step,
+        relative_tolerance=tolerance,
+        output=list(output),
+        record_events=False,
+    )
+    return answer["time"], [answer[name] for name in output]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("step", [0.03, 0.4])
+def test_a_ball_bounces_where_its_parabolas_say(build, version, kind, step):
+    fmu = build(BALL, EVENTS + version)
+    assert validate_fmu(str(fmu)) == []
+    time, (y, count) = run(fmu, kind, step)
+    expected, n = bounce(time)
+    # Runge-Kutta is exact on parabolas; the integrator of a master is asked for 1e-9.
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 if kind == "CoSimulation" else 1e-6)
+    np.testing.assert_array_equal(count, n)
+
+
+KINKED = """
+model M "Grows by its own rule until it saturates"
+  parameter Real limit(unit="1") = 1 "Where it bends";
+  Real x(unit="1", start=0, fixed=true) "State";
+  output Real y(unit="1") "Output";
+equation
+  der(x) = RULE;
+  y = 2*x;
+end M;
+"""
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_condition_changes_at_its_crossing_and_not_at_the_next_step(build, version, kind):
+    fmu = build(KINKED.replace("RULE", "if x < limit then 1 else 0.25"), EVENTS + version)
+    description = read_model_description(str(fmu))
+    assert description.numberOfEventIndicators == 1 or len(description.eventIndicators) == 1
+    time, (y,) = run(fmu, kind, 0.3, output=["y"])
+    expected = 2 * np.where(time < 1, time, 1 + 0.25 * (time - 1))
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
+
+
+def test_a_condition_within_no_event_makes_none(build):
+    for rule in ("noEvent(if x < limit then 1 else 0.25)", "smooth(0, if x < limit then 1 else 0.25)"):
+        fmu = build(KINKED.replace("RULE", rule), EVENTS, folder=rule[:2])
+        assert read_model_description(str(fmu)).numberOfEventIndicators == 0
+
+
+def test_without_the_key_a_model_has_no_events(build):
+    fmu = build(KINKED.replace("RULE", "if x < limit then 1 else 0.25"), 'model = "M"\n')
+    assert read_model_description(str(fmu)).numberOfEventIndicators == 0
+    _, (y,) = run(fmu, "CoSimulation", 0.3, output=["y"])
+    # The control of the substeps sees the bend as an error and gets through it with small ones.
+    assert y[-1] == pytest.approx(2 * (1 + 0.25 * 1.4), abs=1e-6)
+
+
+def test_conditions_that_depend_on_time_inputs_and_each_other(build, tmp_path):
+    source = """
+model M "Test"
+  input Real u(unit="1", start=0) "Switch";
+  Real x(unit="1", start=0, fixed=true) "State";
+  Boolean late "After a second";
+  discrete Real level(unit="1", start=1, fixed=true) "Level";
+  output Real y(unit="1") "Output";
+equation
+  late = time > 1;
+  der(x) = if late and not u > 0.5 then level else 0;
+  y = x;
+  when x > 0.55 then
+    level = pre(level) + 1;
+  elsewhen x > 0.75 then
+    level = 10;
+  end when;
+  when level > 1.5 then
+    reinit(x, x + 0.125);
+  end when;
+end M;
+"""
+    fmu = build(source, EVENTS)
+    driver = Driver(fmu, tmp_path / "unpacked")
+    driver.initialize()
+    y = driver.run(["u"], [[float(k in (14, 15))] for k in range(18)], 0.1, "y")
+    driver.close()
+    # From 1 s on x grows by 1/s; the input holds it for the two steps from 1.4 s. At 0.55 it jumps to 0.675
+    # and grows by 2/s; at 0.75, after 37.5 ms, the second branch makes that 10/s.
+    expected = np.interp(np.arange(18) / 10, [1.0, 1.4, 1.6, 1.7], [0.0, 0.4, 0.4, 0.5])
+    expected = np.append(expected, 0.75 + 10 * 0.0125)
+    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
+
+
+HEAD = """
+model M "Test"
+  Real x(unit="1", start=0, fixed=true) "State";
+  discrete Real d(unit="1", start=1, fixed=true) "Discrete";
+  output Real y(unit="1") "Output";
+equation
+  der(x) = d;
+  y = x;
+"""
+WRONG = {
+    "sample": ("when sample(0, 1) then d = 2; end when;", r"sample\(\) is not understood"),
+    "initial": ("when initial() then d = 2; end when;", r"initial\(\) is not understood"),
+    "no pre": ("when x > 1 then d = d + 1; end when;", r"write pre\(d\)"),
+    "pre of nothing": ("when x > 1 then d = pre(y); end when;", r"pre\(y\) of neither"),
+    "state set": ("when x > 1 then x = 0; d = 1; end when;", "no discrete variable; use reinit"),
+    "reinit of none": ("when x > 1 then reinit(y, 0); d = 1; end when;", "reinit of y, which is no state"),
+    "set by two": ("when x > 1 then d = 1; end when; when x > 2 then d = 2; end when;", "two whens set d"),
+    "set twice": ("when x > 1 then d = 1; d = 2; end when;", "sets d twice"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_an_event_that_is_not_understood_is_one_clear_line(build, name):
+    from fmus.compiler.errors import CompileError
+
+    when, message = WRONG[name]
+    with pytest.raises(CompileError, match=message) as caught:
+        build(f"{HEAD}  {when}\nend M;", EVENTS)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_discrete_variable_needs_a_start(build):
+    from fmus.compiler.errors import CompileError
+
+    source = f"{HEAD.replace(', start=1, fixed=true', '')}  when x > 1 then d = 2; end when;\nend M;"
+    with pytest.raises(CompileError, match="discrete variable d needs start"):
+        build(source, EVENTS)
+
+
+def test_a_when_asks_for_events(build):
+    from fmus.compiler.errors import CompileError
+
+    with pytest.raises(CompileError, match="events = true"):
+        build(BALL, 'model = "M"\n')
+
+
+def test_whens_that_set_each_other_off_are_an_error_and_no_endless_loop(build, tmp_path):
+    source = HEAD.replace(
+        "output Real", 'discrete Real c(unit="1", start=1, fixed=true) "Other";\n  output Real'
+    )
+    source += """
+  when x > 0.5 and abs(c - d) < 0.5 then
+    c = 1 - pre(c);
+  end when;
+  when x > 0.5 and abs(c - d) > 0.5 then
+    d = 1 - pre(d);
+  end when;
+end M;
+"""
+    driver = Driver(build(source, EVENTS), tmp_path / "unpacked")
+    driver.initialize()
+    driver.fmu.doStep(0.0, 0.25)
+    with pytest.raises(FMICallException):
+        driver.fmu.doStep(0.25, 0.5)
+    driver.close()
+    assert "event at 0.5 s does not end" in driver.messages[0]

@@ -1,0 +1,163 @@
+"""The example models against closed forms and tight solutions, their cases against known truths."""
+
+import hashlib
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from fmu_for_tests import REPOSITORY
+from generated_data import generator_of
+
+from simulation.case import load_case
+from simulation.fmu import FmuModel
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.scenario import Scenario
+
+FMUS = {"vanderpol": "VanDerPol.fmu", "wall": "Wall.fmu", "thermostat": "Thermostat.fmu"}
+FOLDERS = {name: REPOSITORY / "fmus" / name for name in FMUS}
+
+
+@pytest.fixture(scope="module", params=FMUS)
+def name(request):
+    return request.param
+
+
+def simulate(case, parameters, *, inputs=None, step_s=None, n_steps=None, tolerance=None):
+    """One row with these parameters of the FMU, from time 0; outputs in the FMU's units."""
+    settings = case.settings
+    space = ParameterSpace(tuple(Parameter(key, v - 1.0, v + 1.0) for key, v in parameters.items()))
+    edges = step_s * np.arange(n_steps + 1)
+    held = np.empty((n_steps, 0)) if inputs is None else inputs
+    changed = replace(
+        settings,
+        parameter_space=space,
+        scenario=Scenario(edges, held, settings.scenario.input_names, output_every=1),
+        fixed={},
+        accepted=None,
+        relative_tolerance=tolerance,
+        output_offsets=np.zeros(len(settings.output_names)),
+        output_factors=None,
+        parameter_factors=None,
+        parameter_offsets=None,
+    )
+    with FmuModel(changed) as model:
+        answer = model.simulate(np.array([list(parameters.values())]))
+    assert answer.failures == ("",)
+    return answer.y[0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"mu": 0.2, "xStart": 2.0}, {"mu": 7.0, "period": 5000.0}, {"amplitude": 0.5, "period": 16000.0}],
+)
+def test_the_oscillator_follows_a_tight_solution(changes):
+    generator, case = generator_of("vanderpol"), load_case(FOLDERS["vanderpol"])
+    theta = {**generator.TRUTH, **changes}
+    expected = generator.voltage(300.0 * np.arange(145), **theta)
+    y = simulate(case, theta, step_s=300.0, n_steps=144, tolerance=1e-9)[:, 0]
+    # An integrator at 1e-9 over some ten cycles, the steep flanks of a relaxation oscillation among them.
+    np.testing.assert_allclose(y, expected, rtol=0, atol=2e-5 * np.ptp(expected))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_wall_follows_its_matrix_exponential(seed):
+    generator, case = generator_of("wall"), load_case(FOLDERS["wall"])
+    rng = np.random.default_rng(seed)
+    theta = {key: v * (1.0 if "T" in key else rng.uniform(0.2, 5.0)) for key, v in generator.TRUTH.items()}
+    theta |= {key: rng.uniform(270.0, 300.0) for key in ("T1Start", "T2Start", "T3Start")}
+    inputs = rng.uniform([285.0, 255.0], [300.0, 305.0], size=(300, 2))
+    y = simulate(case, theta, inputs=inputs, step_s=600.0, n_steps=300)
+    expected = generator.answer(inputs, 600.0, theta)
+    np.testing.assert_allclose(y[:, 0], expected[:, 0], rtol=0, atol=1e-9)
+    # A conductance of up to 300 W/K times a rounding of temperatures; under the input of the step that ended.
+    before = np.vstack([inputs[:1], inputs])[:, 0]
+    begun = np.append(inputs[:, 0], inputs[-1, 0])
+    np.testing.assert_allclose(
+        y[1:, 1], (expected[:, 1] + theta["GIn"] * (before - begun))[1:], rtol=0, atol=1e-7
+    )
+
+
+@pytest.mark.parametrize("changes", [{}, {"band": 0.5, "C": 3e5}, {"PHeat": 1500.0}, {"GWall": 300.0}])
+def test_the_thermostat_switches_when_the_closed_form_does(changes):
+    generator, case = generator_of("thermostat"), load_case(FOLDERS["thermostat"])
+    theta = {**generator.TRUTH, **changes}
+    outside = 275.0 + 4.0 * np.sin(np.arange(288) / 40.0)
+    expected, n_switchings = generator.answer(outside, 300.0, theta)
+    assert n_switchings > 20
+    y = simulate(case, theta, inputs=outside[:, None], step_s=300.0, n_steps=288)
+    # The root finder's 1e-10 s per switching, times 3e-3 K/s and 3 kW.
+    np.testing.assert_allclose(y[:, 0], expected[:, 0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(y[:, 1], expected[:, 1], rtol=0, atol=1e-2)
+
+
+def test_both_interfaces_switch_alike():
+    generator, case = generator_of("thermostat"), load_case(FOLDERS["thermostat"])
+    outside = 275.0 + 4.0 * np.sin(np.arange(96) / 40.0)
+    expected, _ = generator.answer(outside, 300.0, generator.TRUTH)
+    exchange = replace(case, settings=replace(case.settings, interface="model-exchange"))
+    steps = {"inputs": outside[:, None], "step_s": 300.0, "n_steps": 96}
+    y = simulate(exchange, generator.TRUTH, **steps, tolerance=1e-9)
+    # Errors of the integrator move switchings, and moved switchings add up.
+    np.testing.assert_allclose(y[:, 0], expected[:, 0], rtol=0, atol=1e-4)
+
+
+def test_the_truth_leaves_the_noise(name):
+    case, truth = load_case(FOLDERS[name]), generator_of(name).TRUTH
+    theta = np.array([[truth[key] for key in case.parameter_space.names]])
+    with case.open_model() as model:
+        answer = model.simulate(theta)
+    assert answer.failures == ("",)
+    for index, output in enumerate(case.outputs):
+        rms = np.sqrt(np.mean(case.measurement.differences(answer.y, index) ** 2))
+        # Sampled noise, and for the wall the weather between two of its samples.
+        assert 0.3 < rms / output.uncertainty < 1.3
+
+
+def test_every_parameter_moves_an_output(name):
+    case = load_case(FOLDERS[name])
+    truth = generator_of(name).TRUTH
+    space = case.parameter_space
+    base = np.array([truth[key] for key in space.names])
+    rows = np.vstack([base, base + np.diag(0.02 * (space.upper - space.lower))])
+    with case.open_model() as model:
+        y = model.simulate(rows).y
+    moved = np.abs(y[1:] - y[0]).max(axis=1)
+    # A tenth of what the sensor can tell.
+    assert (moved > 0.1 * case.measurement.uncertainty).any(axis=1).all()
+
+
+def test_the_recordings_are_rewritten_bit_for_bit(name, tmp_path, monkeypatch):
+    generator = generator_of(name)
+    monkeypatch.setattr(generator, "HERE", tmp_path)
+    generator.main()
+    kept = {path.name: path.read_bytes() for path in (REPOSITORY / "data" / name).glob("*.csv")}
+    assert kept
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == kept
+
+
+def test_the_shipped_fmu_is_what_its_sources_give(compiler, name, tmp_path):
+    copy = shutil.copytree(FOLDERS[name], tmp_path / "copy", ignore=shutil.ignore_patterns("*.fmu"))
+    assert compiler.build_fmu(copy).read_bytes() == (FOLDERS[name] / FMUS[name]).read_bytes()
+
+
+def test_the_readme_has_the_checksum(name):
+    digest = hashlib.sha256((FOLDERS[name] / FMUS[name]).read_bytes()).hexdigest()
+    assert digest in (FOLDERS[name] / "README.md").read_text()
+
+
+def test_the_validator_finds_nothing(name):
+    assert validate_fmu(str(FOLDERS[name] / FMUS[name])) == []
+
+
+def test_the_examples_cover_what_fmi_offers():
+    cases = {name: load_case(folder) for name, folder in FOLDERS.items()}
+    assert {name: case.fmu.fmi_version for name, case in cases.items()} == {
+        "vanderpol": "2.0",
+        "wall": "3.0",
+        "thermostat": "2.0",
+    }
+    assert cases["vanderpol"].interface == "model-exchange"
+    assert [output.unit for output in cases["wall"].outputs] == ["degC", "W"]
+    assert all(case.validation is not None for case in cases.values())
