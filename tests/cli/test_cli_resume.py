@@ -62,8 +62,17 @@ def said(words: str) -> Callable[[Path, str], bool]:
     return lambda project, text: words in text
 
 
-def there_are_rows(n: int) -> Callable[[Path, str], bool]:
-    return lambda project, text: len(stored_rows(project)) >= n
+def stored_after(words: str) -> Callable[[Path, str], bool]:
+    """Notice when simulations are stored that were not there when some words were said."""
+    before: set[Path] = set()
+
+    def look(project: Path, text: str) -> bool:
+        parts = set(project.glob("data/office/generated/simulations/*/part-*.parquet"))
+        if words not in text:
+            before.update(parts)
+        return bool(parts - before)
+
+    return look
 
 
 def there_is(pattern: str) -> Callable[[Path, str], bool]:
@@ -72,10 +81,8 @@ def there_is(pattern: str) -> Callable[[Path, str], bool]:
 
 MOMENTS = {
     "check": said("check: examining"),
-    "simulate, at its start": said("simulate: 96"),
-    "simulate": there_are_rows(1),
-    "sensitivity, at its start": said("sensitivity: Sobol"),
-    "sensitivity": there_are_rows(97),
+    "simulate": stored_after("simulate: 96"),
+    "sensitivity": stored_after("sensitivity: Sobol"),
     "tune, at its start": said("tune: "),
     "tune, after a trial": there_is(f"mlruns/trials/{LABEL}/*/t000/trial.json"),
     "calibrate": said("calibrate-n0016: differential"),
