@@ -19,8 +19,8 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(
         prog="python -m fmus.compiler",
-        description="Compile the Modelica model in FOLDER (build.toml names it) to an FMI 2.0 FMU for "
-        "co-simulation and model exchange, with a linux64 binary and its C sources.",
+        description="Compile the Modelica model in FOLDER (build.toml names it) to an FMU of FMI 2.0 or "
+        "3.0 for co-simulation and model exchange, with a linux64 binary and its C sources.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="such as fmus/office")
     parser.add_argument("--output", type=Path, metavar="FILE", help="FMU to write (default: into FOLDER)")
