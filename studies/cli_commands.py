@@ -61,12 +61,14 @@ def _tune(options: argparse.Namespace, console: Console) -> int:
 
 
 def _calibrate(options: argparse.Namespace, console: Console) -> int:
+    from studies.calibrated_values import show_values
     from studies.stages_calibrate import calibrate_stage, calls_to, show_calibrations, sizes_with_champion
 
     study = open_study(options, console)
     sizes = sizes_with_champion(study, options.n_train)
     outcomes = [calibrate_stage(study, n_train, again=options.again) for n_train in sizes]
     show_calibrations(study, outcomes, options.target)
+    show_values(study, outcomes)
     extra: dict[str, Any] = {}
     if options.target is not None:
         extra = {
@@ -86,7 +88,8 @@ def _report(options: argparse.Namespace, console: Console) -> int:
 
 
 def _run(options: argparse.Namespace, console: Console) -> int:
-    from studies.doctor import show_diagnosis
+    from studies.calibrated_values import show_values
+    from studies.doctor import say_warnings, show_diagnosis
     from studies.stages_calibrate import calibrate_stage, show_calibrations
     from studies.stages_check import check_stage
     from studies.stages_learn import show_tuning, tune_stage
@@ -99,6 +102,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         show_diagnosis(console, study.label, diagnosis)
         console.document({"command": "run", "label": study.label, "stages": [checked.to_dict()]})
         return FAILED
+    say_warnings(console, diagnosis)
     simulated = simulate_stage(study)
     sensitivity = sensitivity_stage(study)
     tuned = tune_stage(study, simulated)
@@ -108,6 +112,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
     reported = report_stage(study)
     show_tuning(study, tuned)
     show_calibrations(study, calibrated, options.target)
+    show_values(study, calibrated)
     show_report(study, reported)
     return _hand_over(study, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])
 

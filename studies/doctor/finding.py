@@ -53,6 +53,13 @@ class Diagnosis:
         }
 
 
+def say_warnings(console: Console, diagnosis: Diagnosis) -> None:
+    """Say in one line each what a study may go on with and its user should know."""
+    for finding in diagnosis.findings:
+        if finding.level == "warn":
+            console.say(f"check: {finding.what}: {finding.found}; {finding.remedy}")
+
+
 def show_diagnosis(console: Console, label: str, diagnosis: Diagnosis) -> None:
     """Print the findings as a table, and what they come to."""
     console.table(
