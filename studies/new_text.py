@@ -59,7 +59,7 @@ def case_text(case: NewCase) -> str:
     parts += _shown(case, case.outputs.others, "output", lambda v: _commented(_output(v)))
     parts += [_parameter(variable) for variable in case.parameters.used]
     parts += _shown(case, case.parameters.others, "parameter", lambda v: _commented(_parameter(v)))
-    parts.append(_fixed(case))
+    parts += [_fixed(case), _SIMULATION]
     return "\n\n".join(parts) + "\n"
 
 
@@ -96,7 +96,10 @@ note = ""                     # printed wherever the numbers appear, e.g. "measu
 fmu = {toml_string(case.fmu_file)}
 interface = {toml_string(case.interface)}   # the FMU offers: {offered}
 data = {toml_string(case.data)}   # the folder of the CSV files, from here
-data_origin = {toml_string("save yours there: README.md beside it says how")}"""
+data_origin = {toml_string("save yours there: README.md beside it says how")}
+# time_column = "Zeit [s]"    # where the times stand, if not in time_s (seconds) or time (ISO 8601)
+# timezone = "Europe/Berlin"  # of timestamps without an offset; else their clock is never set forward or back
+# relative_tolerance = 1e-6   # of the FMU's solver; else the FMU's own"""
 
 
 def _time(case: NewCase) -> str:
@@ -108,6 +111,9 @@ window_d = [0, {_number(stop_d)}]   # {
         EDIT
     }: the part of the recording to calibrate with, in days (this is 0 to {times.stop_s:g} s)
 # start_d = 0                 # simulate from here, compare in the window only (a warm-up)
+# shared_warmup = true        # simulate the warm-up once, with the estimates, if the FMU can save its state
+# validation_d = [20, 30]     # days that the calibration does not see; its result is tried on them
+# zero = "2024-01-01"         # for timestamps: the model's time 0 and day 0; else the first row
 communication_step_s = {
         _number(times.communication_step_s)
     }   # an input is constant over it; `studies check` halves it and tells
@@ -125,7 +131,8 @@ name = {toml_string(variable.name)}
 file = "{INPUTS_FILE}"
 column = {toml_string(variable.name)}
 unit = {_unit(unit, column)}
-interpolation = "{_interpolation(variable)}"   # held: switches, setpoints; linear or smooth: weather"""
+interpolation = "{_interpolation(variable)}"   # held: switches, setpoints; linear or smooth: weather
+# max_gap_s = 7200            # bridge gaps up to this long; else a gap is an error"""
 
 
 def _interpolation(variable: FmuVariable) -> str:
@@ -141,7 +148,9 @@ name = {toml_string(variable.name)}
 file = "{MEASURED_FILE}"
 column = {toml_string(variable.name)}
 unit = {_unit(variable.unit, "its unit in the CSV")}
-uncertainty = {uncertainty}   # {EDIT}: how far the sensor may be off, in this unit"""
+uncertainty = {uncertainty}   # {EDIT}: how far the sensor may be off, in this unit
+# weight = 1                  # share of the error that this output has, relative to the others
+# accepted = [0, 100]         # a simulation that leaves this band has failed"""
 
 
 def _parameter(variable: FmuVariable) -> str:
@@ -191,13 +200,14 @@ def _unit(unit: str, whose: str) -> str:
         return f'"1"   # {EDIT}: the FMU declares no unit, so {whose} must be the one its equations expect'
     if unit in _TEMPERATURES:
         return f"{toml_string(unit)}   # {EDIT}: {whose}: K or degC, converted"
-    return f"{toml_string(unit)}   # {whose} must be this one"
+    return f"{toml_string(unit)}   # {whose}; another of the same kind is converted"
 
 
 def _fixed(case: NewCase) -> str:
     lines = [
         "[fixed]   # parameters held at a value, in the FMU's units; all others keep the FMU's start value",
         '# TStart = { first_measured = "<output>" }   # e.g. a start value from the first measured one',
+        '# TWall = { value = 7, unit = "degC" }       # or in another unit',
     ]
     shown, n_hidden = _limited(case, case.fixable)
     for variable in shown:
@@ -206,6 +216,14 @@ def _fixed(case: NewCase) -> str:
     if n_hidden:
         lines.append(f"# ... and {n_hidden} more: studies new {case.fmu.path.name} --list")
     return "\n".join(lines)
+
+
+_SIMULATION = """\
+[simulation]   # patience; nothing here changes a result
+# timeout_s = 60              # a simulation that takes longer is killed and has failed
+# retries = 1                 # how often one is tried again whose process crashed
+# max_failed_share = 0.5      # stop when more than this share fails
+# max_workers = 2             # as many at once as there are licences"""
 
 
 def _start(variable: FmuVariable) -> str:
