@@ -19,7 +19,12 @@ class _Table(BaseModel):
 
 
 class TimeTable(_Table):
-    """Key [time]: window and start of the simulation in days since the first row, steps in seconds."""
+    """Key [time]: periods in days, steps in seconds.
+
+    Days count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
+    which is the model's time 0 as well. The simulation starts at `start_d` (else with the window); with
+    `shared_warmup` the part before the window is simulated once. `validation_d` is not calibrated.
+    """
 
     # TOML arrays arrive as lists; strict mode would take no list for a tuple.
     window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
@@ -32,7 +37,7 @@ class TimeTable(_Table):
 
 
 class InputTable(_Table):
-    """Key [[inputs]]: where an FMU input comes from."""
+    """Key [[inputs]]: where an FMU input comes from; gaps up to `max_gap_s` are bridged."""
 
     name: Name
     file: Name
@@ -55,7 +60,11 @@ class InputTable(_Table):
 
 
 class OutputTable(_Table):
-    """Key [[outputs]]: an FMU output and its measurement."""
+    """Key [[outputs]]: an FMU output and its measurement, which may have times of its own and gaps.
+
+    `weight` is the share of the error that it has relative to the others (see Measurement), `accepted` the
+    band outside of which a simulation has failed.
+    """
 
     name: Name
     unit: str
