@@ -104,7 +104,7 @@ class Nursery:
         self._control = Connection(near.detach())
         self._owner = os.getpid()
         self._next = 0
-        self._has_learnt = False
+        self._known: set[bytes] = set()
         self.workers: dict[int, Worker] = {}
         try:
             self._control.send((packed(make_model), limits))
@@ -191,8 +191,8 @@ class Nursery:
                 message = connection.recv()
                 if not isinstance(message, Learnt):
                     messages.append(message)
-                elif not self._has_learnt:
-                    self._has_learnt = True
+                elif message.known not in self._known:
+                    self._known.add(message.known)
                     self._control.send(message)
         except (EOFError, OSError):
             connection.close()

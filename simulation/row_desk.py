@@ -54,6 +54,7 @@ class RowDesk:
         self._log = log
         self._memory = _Memory()
         self._first_mb: float | None = None
+        self._looked = 0.0
         self._n_rows = 0
         self._arena: Arena | None = None
         self._arena_number = -1
@@ -72,7 +73,7 @@ class RowDesk:
         states, started, wall_s = _view(arena.states), _view(arena.started), _view(arena.wall_s)
         owners, number = _view(arena.owners), run.number
         first = run.start
-        begun = looked = monotonic()
+        begun = monotonic()
         deadline = begun + run.budget_s
         n_before = self._n_rows
 
@@ -84,7 +85,6 @@ class RowDesk:
             states[row] = 1
 
         def after(i: int, reason: str) -> None:
-            nonlocal looked
             row = first + i
             now = monotonic()
             wall_s[row] = now - started[row]
@@ -93,10 +93,8 @@ class RowDesk:
             else:
                 states[row] = 2
             self._n_rows += 1
-            if now - looked > _LOOK_S:
-                looked = now
-                if self._has_grown():
-                    raise _EndOfRun(Why.RECYCLE)
+            if now - self._looked > _LOOK_S and self._has_grown(now):
+                raise _EndOfRun(Why.RECYCLE)
             if self._n_rows >= self._max_rows:
                 raise _EndOfRun(Why.RECYCLE)
 
@@ -112,6 +110,8 @@ class RowDesk:
             self._settle(arena, run, error)
         if self._first_mb is None:
             self._first_mb = self._memory.mb()
+        elif why in (Why.DONE, Why.LATE) and self._has_grown(monotonic()):
+            why = Why.RECYCLE
         self._trim_log()
         return Ran(self._n_rows - n_before, monotonic() - begun, why)
 
@@ -139,7 +139,8 @@ class RowDesk:
             )
             self._n_rows += 1
 
-    def _has_grown(self) -> bool:
+    def _has_grown(self, now: float) -> bool:
+        self._looked = now
         return self._first_mb is not None and self._memory.mb() - self._first_mb > self._max_growth_mb
 
     def _trim_log(self) -> None:

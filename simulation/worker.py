@@ -145,14 +145,15 @@ def _work(connection: Connection, make_model: Recipe, folder: Path, limits: Limi
     # Files that an FMU leaves in its working directory go with the worker.
     os.chdir(folder)
     connection.send(Opened(facts))
+    told = learnt()
+    connection.send(Learnt(told))
     desk = RowDesk(model, max_growth_mb=limits.max_growth_mb, max_rows=limits.max_rows, log=folder / "log")
-    has_told = False
     while (run := connection.recv()) is not None:
         ran = desk.work_off(run)
         connection.send(ran)
-        if not has_told:
-            has_told = True
-            connection.send(Learnt(learnt()))
+        if told and (now := learnt()) != told:
+            connection.send(Learnt(now))
+        told = b""
         if ran.wants_rest:
             break
     close: Any = getattr(model, "close", None)

@@ -27,7 +27,7 @@ class Ready:
 
 @dataclass(frozen=True)
 class Learnt:
-    """From a worker after its first rows, and to the nursery: what later workers need not find out."""
+    """From a worker, then to the nursery: what workers after it need not find out."""
 
     known: bytes
 
