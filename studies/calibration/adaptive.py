@@ -1,0 +1,261 @@
+"""Adaptive calibration: every simulation goes where a surrogate of all earlier ones expects the optimum.
+
+A few rows fill the box; from then on each round fits a Gaussian process to the residuals of all rows, walks
+downhill on the error that it expects inside a trust region around the best row, and simulates that point. No
+row is spent on differences, validation or a test: the process is its own Jacobian and its own check.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.counting import BudgetExceeded
+from simulation.errors import InputError
+from simulation.parameters import ParameterSpace
+from studies.calibration.box_newton import descend
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.recorder import History, OnProgress, Recorder
+from studies.calibration.residual_process import Expansion, Features, ResidualProcess
+
+# Points are rounded to this many decimals of the unit cube: should the last bits of the linear algebra differ
+# from run to run, the rows that are simulated do not, and a store of simulations finds them again.
+DECIMALS = 5
+SAME_POINT = 1e-4
+
+GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
+GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
+LEAST_RADIUS = 1e-4
+N_DESIGNS = 200
+
+
+@dataclass(frozen=True)
+class AdaptiveResult:
+    """The best point that an adaptive calibration has seen.
+
+    Attributes:
+        u: In the unit cube. Shape (p,). [1]
+        theta: As parameters. Shape (p,). [per parameter]
+        y: Trajectory there. Shape (t, k). [output's unit]
+        mse: Mean squared error there, infinite when no simulation succeeded. [first output's unit squared]
+        n_calls: Rows asked of the model.
+        n_rounds: Batches asked of the model: what it takes with enough parallel workers.
+        expected_gain: Part of the error that the surrogate last expected to gain. [1]
+        history: Best MSE over rows asked.
+        stop_reason: Why it ended, in words.
+        converged: True when target or tolerance ended it, False for a budget or failures.
+    """
+
+    u: FloatArray
+    theta: FloatArray
+    y: FloatArray
+    mse: float
+    n_calls: int
+    n_rounds: int
+    expected_gain: float
+    history: History
+    stop_reason: str
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """Calibration by a Gaussian process of the residuals in a trust region.
+
+    Attributes:
+        n_start: Rows of the first, space-filling design; as many as parameters when None, at least 4. [1]
+        margin: Part of each coordinate's range that the first design leaves out at both ends. [1]
+        caution: Part of the predictive variance that counts as error: 0 trusts the surrogate's mean. [1]
+        radius: First half width of the trust region in the unit cube. [1]
+        least_radius: Half width below which a bad step no longer shrinks it, only failures do. [1]
+        n_descents: Descents on the surrogate per round, the first from the best row. [1]
+        n_parallel: Rows asked per round.
+        ftol: Stop when the surrogate expects less than this relative gain, `patience` rounds running. [1]
+        patience: Rounds without expectation or gain before stopping.
+        target_mse: Stop at this error, or None. [first output's unit squared]
+        max_calls: Most rows that may be asked of the model.
+    """
+
+    n_start: int | None = None
+    margin: float = 0.15
+    caution: float = 0.1
+    radius: float = 0.3
+    least_radius: float = 0.05
+    n_descents: int = 3
+    n_parallel: int = 1
+    ftol: float = 1e-3
+    patience: int = 3
+    target_mse: float | None = None
+    max_calls: int = 200
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no search can run with."""
+        for name in ("max_calls", "n_descents", "n_parallel", "patience"):
+            if getattr(self, name) < 1:
+                raise InputError(f"adaptive calibration: {name} is {getattr(self, name)}; give at least 1")
+        if self.n_start is not None and self.n_start < 2:
+            raise InputError(f"adaptive calibration: n_start is {self.n_start}; give at least 2")
+        if not 0.0 <= self.margin < 0.5:
+            raise InputError(f"adaptive calibration: margin is {self.margin}; give a value in [0, 0.5)")
+        if self.caution < 0.0:
+            raise InputError(f"adaptive calibration: caution is {self.caution}; give at least 0")
+        if not 0.0 < self.least_radius <= self.radius <= 1.0:
+            raise InputError(
+                f"adaptive calibration: least_radius is {self.least_radius} and radius {self.radius}; "
+                "give 0 < least_radius <= radius <= 1"
+            )
+
+    def minimize(
+        self, problem: CalibrationProblem, *, seed: int, on_progress: OnProgress | None = None
+    ) -> AdaptiveResult:
+        """Calibrate without an initial guess.
+
+        The rows follow from problem, settings and seed alone: repeated over stored simulations, a calibration
+        goes on where it stopped.
+
+        Args:
+            problem: The problem, posed to the physical model.
+            seed: Seed of the first design and all draws.
+            on_progress: Called after each round.
+
+        Returns:
+            The best point seen; never raises for a failed simulation or a spent budget.
+        """
+        recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
+        search = _Search(self, problem.space, recorder, np.random.default_rng(seed))
+        converged = False
+        try:
+            reason = search.run()
+            converged = True
+        except BudgetExceeded:
+            reason = f"the budget of {self.max_calls} calls is spent"
+        best = recorder.best
+        assert best is not None, "a budget of at least one row lets the first design be asked"
+        return AdaptiveResult(
+            u=best.u[0],
+            theta=best.theta[0],
+            y=best.y[0],
+            mse=float(best.mse[0]),
+            n_calls=recorder.n_calls,
+            n_rounds=search.n_rounds,
+            expected_gain=search.expected_gain,
+            history=recorder.history,
+            stop_reason=reason,
+            converged=converged,
+        )
+
+
+class _Search:
+    """The rows of one calibration and its trust region."""
+
+    def __init__(
+        self, settings: Adaptive, space: ParameterSpace, recorder: Recorder, rng: np.random.Generator
+    ) -> None:
+        self._settings = settings
+        self._p = p = space.n_parameters
+        self._features = Features.of(space)
+        self._recorder = recorder
+        self._rng = rng
+        self._u = np.empty((0, p))
+        self._mse = np.empty(0)
+        self._residuals = np.empty((0, 0))
+        self._hyper: FloatArray | None = None
+        self._radius = settings.radius
+        self.n_rounds = 0
+        self.expected_gain = np.inf
+
+    def run(self) -> str:
+        """Ask rows until target or tolerance; return why it ended.
+
+        Raises:
+            BudgetExceeded: The budget is spent.
+        """
+        settings = self._settings
+        n_start = settings.n_start or max(self._p, 4)
+        self._ask(
+            settings.margin + (1.0 - 2.0 * settings.margin) * latin_hypercube(n_start, self._p, self._rng)
+        )
+        idle = 0
+        while True:
+            best_mse = self._recorder.best_mse
+            if settings.target_mse is not None and best_mse <= settings.target_mse:
+                return "the target is reached"
+            if np.isfinite(self._mse).sum() < 2:
+                self._ask(self._rng.random((settings.n_parallel, self._p)))
+                continue
+            best = self._u[np.argmin(self._mse)]
+            points, expected = self._propose(best)
+            self.expected_gain = 1.0 - expected.value / best_mse if best_mse > 0.0 else 0.0
+            self._ask(points)
+            gain = best_mse - self._recorder.best_mse
+            self._resize(points - best, gain, best_mse - expected.value)
+            idle = idle + 1 if max(gain, best_mse - expected.value) <= settings.ftol * best_mse else 0
+            if idle == settings.patience:
+                return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
+
+    def _ask(self, u: FloatArray) -> None:
+        """Simulate rows, as many as the budget still holds, and keep what they answer."""
+        left = self._settings.max_calls - self._recorder.n_calls
+        u = np.round(u, DECIMALS)
+        answer = self._recorder.evaluate(u[: max(left, 1)])
+        self.n_rounds += 1
+        self._u = np.concatenate([self._u, answer.u])
+        earlier = self._residuals.reshape(self._mse.size, answer.residuals.shape[1])
+        self._residuals = np.concatenate([earlier, answer.residuals])
+        self._mse = np.concatenate([self._mse, answer.mse])
+
+    def _propose(self, best: FloatArray) -> tuple[FloatArray, Expansion]:
+        """Return the points to simulate next, the favourite first, and what is expected of it."""
+        settings = self._settings
+        good = np.isfinite(self._mse)
+        process = ResidualProcess.fit(self._features, self._u[good], self._residuals[good], self._hyper)
+        self._hyper = process.hyper
+        points: list[FloatArray] = []
+        favourite: Expansion | None = None
+        for rank in range(settings.n_parallel):
+            radius, caution = self._variation(rank)
+            lower, upper = np.maximum(best - radius, 0.0), np.minimum(best + radius, 1.0)
+            starts = [best] + [self._rng.uniform(lower, upper) for _ in range(settings.n_descents - 1)]
+            ends = [
+                descend(partial(process.expand, caution=caution), start, lower, upper) for start in starts
+            ]
+            u, expected = min(ends, key=lambda end: end[1].value)
+            favourite = favourite or expected
+            known = np.concatenate([self._u, *[point[None] for point in points]])
+            if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
+                u = self._rng.uniform(best - 0.3 * (best - lower), best + 0.3 * (upper - best))
+            points.append(u)
+        assert favourite is not None, "n_parallel is at least 1"
+        return np.array(points), favourite
+
+    def _variation(self, rank: int) -> tuple[float, float]:
+        """Return trust radius and caution of one of the parallel points."""
+        if rank == 0:
+            return self._radius, self._settings.caution
+        radius = self._radius * (1.0, 0.5, 2.0)[rank % 3]
+        return min(radius, 1.0), self._settings.caution * float(
+            10.0 ** (0.5 * ((rank + 1) // 2) * (-1) ** rank)
+        )
+
+    def _resize(self, steps: FloatArray, gain: float, expected: float) -> None:
+        """Widen or shrink the trust region by what the last round has brought."""
+        if not np.isfinite(self._mse[-len(steps) :]).any():
+            self._radius = max(self._radius * SHRINK_AFTER_FAILURE, LEAST_RADIUS)
+        elif gain < BAD_STEP * expected:
+            self._radius = max(self._radius * SHRINK, min(self._radius, self._settings.least_radius))
+        elif gain > GOOD_STEP * expected and np.abs(steps[0]).max() > AT_THE_EDGE * self._radius:
+            self._radius = min(self._radius * GROW, 1.0)
+
+
+def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
+    """Return the most spread out of many Latin hypercube samples. Shape (n, p). [1]."""
+    chosen, widest = np.empty((n, p)), -1.0
+    for _ in range(N_DESIGNS):
+        cells = rng.permuted(np.tile(np.arange(n), (p, 1)), axis=1).T
+        u = (cells + rng.random((n, p))) / n
+        distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
+        least = float(distances[~np.eye(n, dtype=np.bool_)].min())
+        if least > widest:
+            chosen, widest = u, least
+    return chosen

@@ -1,0 +1,68 @@
+"""Newton steps with Levenberg-Marquardt damping inside a box, for functions that cost nothing."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from simulation.arrays import BoolArray, FloatArray
+from studies.calibration.residual_process import Expansion
+
+MAX_STEPS = 40
+MAX_DAMPINGS = 12
+LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3
+FTOL = 1e-6
+
+
+def descend(
+    expand: Callable[[FloatArray], Expansion], start: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, Expansion]:
+    """Walk downhill from a point to a minimum in a box.
+
+    Args:
+        expand: The function: value, gradient and a positive semidefinite Hessian at a point.
+        start: First point, clipped into the box. Shape (p,). [1]
+        lower: Lower corner of the box. Shape (p,). [1]
+        upper: Upper corner. Shape (p,). [1]
+
+    Returns:
+        The last point and the function there.
+    """
+    u = np.clip(start, lower, upper)
+    here = expand(u)
+    damping = FIRST_DAMPING
+    for _ in range(MAX_STEPS):
+        held = ((u <= lower) & (here.gradient > 0.0)) | ((u >= upper) & (here.gradient < 0.0))
+        if held.all():
+            break
+        for _ in range(MAX_DAMPINGS):
+            trial = _damped_step(u, here, damping, ~held, lower, upper)
+            there = expand(trial)
+            if there.value < here.value:
+                break
+            damping *= 4.0
+        else:
+            break
+        gain = here.value - there.value
+        u, here, damping = trial, there, max(damping / 5.0, LEAST_DAMPING)
+        if gain < FTOL * abs(here.value):
+            break
+    return u, here
+
+
+def _damped_step(
+    u: FloatArray, here: Expansion, damping: float, free: BoolArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """Return the damped Newton point; coordinates that leave the box stop at its face. Shape (p,)."""
+    step = np.zeros_like(u)
+    free = free.copy()
+    while free.any():
+        block = here.hessian[np.ix_(free, free)]
+        ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
+        slope = here.gradient[free] + here.hessian[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(block + np.diag(ridge), slope)
+        beyond = free & ((u + step < lower) | (u + step > upper))
+        if not beyond.any():
+            break
+        step[beyond] = np.clip(u + step, lower, upper)[beyond] - u[beyond]
+        free &= ~beyond
+    return np.clip(u + step, lower, upper)

@@ -1,0 +1,193 @@
+"""Adaptive calibration: few calls, exact counts, repeats, failures, and the process it rests on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_problem, rc_problem
+from scipy.optimize import approx_fprime
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.toy import ToyRC
+from studies.calibration.adaptive import Adaptive, latin_hypercube
+from studies.calibration.box_newton import descend
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.recorder import Progress
+from studies.calibration.residual_process import Expansion, Features, ResidualProcess
+
+FEATURES = Features.of(ToyRC().parameter_space)
+SHORT = Adaptive(max_calls=60)
+# Differences of 1e-6 in the cube leave about 1e-6 of the gradient.
+GRADIENT_RTOL = 1e-4
+
+
+def rows(n: int, seed: int = 0) -> tuple[CalibrationProblem, FloatArray, FloatArray]:
+    problem = rc_problem(noise=0.05)
+    u = np.random.default_rng(seed).random((n, 2))
+    return problem, u, problem.residuals(u)
+
+
+def test_finds_both_parameters_of_a_step_response() -> None:
+    found = SHORT.minimize(rc_problem(), seed=0)
+    np.testing.assert_allclose(found.theta, TRUE_RC, rtol=1e-2)
+    assert found.mse < 1e-4
+    assert found.n_calls <= 60
+
+
+def test_finds_the_product_where_only_the_product_shows() -> None:
+    found = SHORT.minimize(product_problem(), seed=0)
+    assert found.theta.prod() == pytest.approx(TRUE_RC.prod(), rel=1e-2)
+
+
+def test_needs_fewer_calls_than_differences_would() -> None:
+    problem = rc_problem(noise=0.05)
+    best = problem.mse(problem.space.to_unit(TRUE_RC))[0]
+    calls = [SHORT.minimize(problem, seed=seed).history.calls_to(1.05 * best) for seed in range(5)]
+    assert all(n is not None and n <= 20 for n in calls), calls
+
+
+@pytest.mark.parametrize("n_parallel", [1, 3])
+def test_counts_exactly_the_rows_that_were_simulated(n_parallel: int) -> None:
+    problem = rc_problem(noise=0.05)
+    diary = Diary(problem.model)
+    found = replace(SHORT, n_parallel=n_parallel).minimize(problem.on(diary), seed=1)
+    assert found.n_calls == len(diary.rows) == found.history.n_calls[-1]
+    assert found.n_rounds == len(diary.batches)
+    assert problem.space.contains(diary.rows).all()
+    assert {len(batch) for batch in diary.batches[1:-1]} == {n_parallel}
+
+
+def test_returns_the_best_row_it_has_seen() -> None:
+    problem = rc_problem(noise=0.05)
+    diary = Diary(problem.model)
+    found = SHORT.minimize(problem.on(diary), seed=2)
+    mse = problem.mse(problem.space.to_unit(diary.rows))
+    np.testing.assert_array_equal(found.theta, diary.rows[np.argmin(mse)])
+    assert found.mse == pytest.approx(mse.min(), rel=1e-9)
+
+
+@pytest.mark.parametrize("n_parallel", [1, 3])
+def test_a_shorter_run_is_the_beginning_of_a_longer_one(n_parallel: int) -> None:
+    asked = []
+    for max_calls in (13, 25):
+        problem = rc_problem(noise=0.05)
+        diary = Diary(problem.model)
+        settings = Adaptive(max_calls=max_calls, n_parallel=n_parallel, ftol=0.0)
+        settings.minimize(problem.on(diary), seed=3)
+        asked.append(diary.rows)
+    np.testing.assert_array_equal(asked[1][:13], asked[0])
+
+
+@pytest.mark.parametrize("max_calls", [1, 3, 17])
+def test_never_asks_beyond_its_budget_and_says_so(max_calls: int) -> None:
+    found = Adaptive(max_calls=max_calls, ftol=0.0).minimize(rc_problem(noise=0.05), seed=0)
+    assert found.n_calls == max_calls
+    assert np.isfinite(found.mse)
+    assert not found.converged
+    assert found.stop_reason == f"the budget of {max_calls} calls is spent"
+
+
+def test_stops_at_its_target() -> None:
+    found = Adaptive(target_mse=0.01).minimize(rc_problem(), seed=0)
+    assert found.converged
+    assert found.mse <= 0.01
+    assert found.stop_reason == "the target is reached"
+
+
+def test_stops_when_nothing_more_is_expected() -> None:
+    found = SHORT.minimize(rc_problem(noise=0.05), seed=0)
+    assert found.converged
+    assert found.n_calls < 60
+    assert found.expected_gain <= SHORT.ftol
+    assert found.stop_reason == "the surrogate expects a gain of less than 0.001 of the error"
+
+
+def test_finds_the_optimum_beside_a_failed_region() -> None:
+    problem = problem_on(ToyRC(), TRUE_RC).on(FailsInBand(ToyRC(), 2.0, 5.0))
+    assert SHORT.minimize(problem, seed=0).mse < 1e-2
+
+
+def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated() -> None:
+    found = SHORT.minimize(problem_on(ToyRC(), TRUE_RC).on(ToyRC(fails_above_r=1.2)), seed=0)
+    assert 0.9 * 1.2 <= found.theta[0] <= 1.2
+
+
+def test_survives_when_every_row_fails() -> None:
+    found = SHORT.minimize(rc_problem().on(ToyRC(fails_above_r=0.0)), seed=0)
+    assert found.mse == np.inf
+    assert found.n_calls == 60
+    assert not found.converged
+
+
+def test_reports_progress_that_agrees_with_the_result() -> None:
+    reports: list[Progress] = []
+    found = SHORT.minimize(rc_problem(), seed=0, on_progress=reports.append)
+    assert (reports[-1].n_done, reports[-1].best_mse) == (found.n_calls, found.mse)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"max_calls": 0}, "max_calls is 0; give at least 1"),
+        ({"n_start": 1}, "n_start is 1; give at least 2"),
+        ({"margin": 0.5}, r"margin is 0\.5"),
+        ({"caution": -1.0}, r"caution is -1\.0"),
+        ({"radius": 0.01}, r"radius 0\.01; give 0 < least_radius <= radius <= 1"),
+    ],
+)
+def test_useless_settings_are_refused(settings: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Adaptive(**settings)  # type: ignore[arg-type]
+
+
+def test_the_process_passes_through_its_rows_and_knows_it() -> None:
+    problem, u, residuals = rows(15)
+    process = ResidualProcess.fit(FEATURES, u, residuals)
+    for i in range(15):
+        there = process.expand(u[i], 1.0)
+        assert there.mse == pytest.approx(problem.mse(u[i])[0], rel=0.05, abs=1e-3)
+        assert there.value - there.mse < 0.01 * process.variance
+
+
+@pytest.mark.parametrize("caution", [0.0, 0.3])
+def test_the_gradient_is_that_of_the_value(caution: float) -> None:
+    _, u, residuals = rows(12)
+    process = ResidualProcess.fit(FEATURES, u, residuals)
+    for point in np.random.default_rng(5).random((5, 2)):
+        numeric = approx_fprime(point, lambda v: process.expand(v, caution).value, 1e-7)
+        gradient = process.expand(point, caution).gradient
+        np.testing.assert_allclose(gradient, numeric, rtol=GRADIENT_RTOL, atol=1e-4 * np.abs(gradient).max())
+
+
+def test_predictions_do_not_depend_on_the_order_of_rows() -> None:
+    _, u, residuals = rows(10)
+    forward, backward = (
+        ResidualProcess.fit(FEATURES, u, residuals),
+        ResidualProcess.fit(FEATURES, u[::-1], residuals[::-1]),
+    )
+    point = np.array([0.3, 0.6])
+    assert forward.expand(point, 0.1).value == pytest.approx(backward.expand(point, 0.1).value, rel=1e-2)
+
+
+def test_rows_that_all_answer_the_same_are_no_reason_to_fail() -> None:
+    process = ResidualProcess.fit(FEATURES, np.random.default_rng(0).random((5, 2)), np.ones((5, 3)))
+    assert process.expand(np.array([0.5, 0.5]), 0.1).mse == pytest.approx(1.0)
+
+
+def test_a_quadratic_is_minimized_in_a_box() -> None:
+    hessian, target = np.array([[2.0, 1.9], [1.9, 2.0]]), np.array([0.5, 1.4])
+
+    def expand(u: FloatArray) -> Expansion:
+        step = u - target
+        value = 0.5 * float(step @ hessian @ step)
+        return Expansion(value, value, hessian @ step, hessian)
+
+    u, there = descend(expand, np.zeros(2), np.zeros(2), np.ones(2))
+    np.testing.assert_allclose(u, [0.88, 1.0], atol=1e-3)
+    assert there.value == expand(u).value
+
+
+def test_a_latin_hypercube_has_one_point_in_every_slice() -> None:
+    u = latin_hypercube(7, 3, np.random.default_rng(0))
+    np.testing.assert_array_equal(np.sort(np.floor(7 * u), axis=0), np.tile(np.arange(7.0)[:, None], 3))
