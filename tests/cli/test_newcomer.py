@@ -1,0 +1,56 @@
+"""A newcomer's way: an FMU of another tool, two CSV files, the lines marked EDIT, a calibrated result."""
+
+import re
+from pathlib import Path
+
+import pytest
+from foreign_fmu_for_tests import EFFICIENCY, HEAT_J_K, LOSS_W_K, build_heated_tank, write_recordings
+from project_for_tests import Run
+
+
+def test_from_a_foreign_fmu_to_calibrated_values(
+    project: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu = build_heated_tank(tmp_path)
+    made = studies("new", str(fmu), "--json")
+    assert made.code == 0, made.err
+    assert made.document["next"] == ["studies check heatedtank", "studies run heatedtank"]
+    missing = studies("check", "heatedtank", "--profile", "smoke")
+    assert missing.code == 2
+    assert "data/heatedtank/measured.csv: no such file (columns time_s, T)" in missing.err
+
+    write_recordings(project / "data" / "heatedtank")
+    case = project / "fmus" / "heatedtank" / "case.toml"
+    lines = case.read_text(encoding="utf-8").splitlines()
+    for edit in made.document["edit"]:
+        line = lines[edit["line"] - 1]
+        assert line == edit["text"]
+        if line.startswith('unit = "K"'):
+            lines[edit["line"] - 1] = 'unit = "degC"'
+        elif line.startswith("uncertainty"):
+            lines[edit["line"] - 1] = "uncertainty = 0.05"
+    text = "\n".join(lines)
+    # The heater is switched; and the water's start is the first measured value.
+    text = re.sub(r'(name = "P"(?:\n.*?)*?interpolation = )"linear"', r'\1"held"', text, count=1)
+    text = text.replace("[fixed]", '[fixed]\nT = { first_measured = "T" }')
+    case.write_text(text + "\n", encoding="utf-8")
+
+    checked = studies("check", "heatedtank", "--profile", "smoke", "--json")
+    assert checked.code == 0, checked.document
+    assert {one["what"]: one["level"] for one in checked.document["findings"]}[
+        "the same answer again"
+    ] == "ok"
+
+    run = studies("run", "heatedtank", "--profile", "smoke", "--n-train", "32")
+    assert run.code == 0, run.err
+    assert re.search(r"UA\s+W/K\s+12\s+", run.out[run.out.index("calibrated parameters") :])
+    assert (project / "mlruns" / "reports" / "heatedtank-smoke" / "index.html").is_file()
+
+    stored = studies("calibrate", "heatedtank", "--profile", "smoke", "--n-train", "32", "--json")
+    (found,) = stored.document["stages"]
+    assert found["finished_before"]
+    assert found["mse_polished"] < 0.02
+    theta = found["theta"]
+    # The equation holds C, UA and eta up to a common factor: test what the data tell.
+    assert theta["UA"] / theta["C"] == pytest.approx(LOSS_W_K / HEAT_J_K, rel=0.05)
+    assert theta["eta"] / theta["C"] == pytest.approx(EFFICIENCY / HEAT_J_K, rel=0.05)
