@@ -20,6 +20,7 @@ BLOCK_BYTES: Final = 64 * 2**20
 """Outputs that a stream holds at once."""
 # Reading begins again when parts are merged under it; nobody merges as often as this in a row.
 _PATIENCE: Final = 20
+_CHEAP_S: Final = 1.0
 
 _log = logging.getLogger(__name__)
 
@@ -58,6 +59,7 @@ class SimulationStore:
         self._folder = Path(folder)
         files = StoreFolder(self._folder, self._layout)
         self._catalog = Catalog(files, self._layout, on_warning or _log.warning)
+        self._dear_from = -np.inf
         self.n_recovered = self._recover()
 
     @classmethod
@@ -171,7 +173,10 @@ class SimulationStore:
             yield self.read(theta[start : start + self.rows_per_block])
 
     def append(self, rows: Trajectories) -> None:
-        """Store rows; when this returns they survive a crash of the machine.
+        """Store rows; when this returns they survive the death of any process.
+
+        They survive that of the machine, too, unless they came within a second of the rows before: such rows
+        are simulated again sooner than a disk is made to write them.
 
         Args:
             rows: Answers of this store's model.
@@ -189,8 +194,9 @@ class SimulationStore:
             raise ValueError("these rows have other names or times than the store")
         if rows.n:
             moment = np.full(rows.n, time.time_ns() // 1000, dtype=np.int64)
-            self._catalog.add(Rows(rows, moment))
+            self._catalog.add(Rows(rows, moment), synced=time.monotonic() > self._dear_from)
             self._catalog.merge_small()
+            self._dear_from = time.monotonic() + _CHEAP_S
 
     def close(self) -> None:
         """Let go of all files; the store can be used on."""
@@ -212,6 +218,8 @@ class SimulationStore:
         for rows in recover_arenas(self.spool):
             known, found = self._catalog.look_up(rows.theta)
             new = rows.take(~(known & found.good))
+            # Nobody knows how long these took.
+            self._dear_from = -np.inf
             self.append(new)
             n_recovered += new.n
         return n_recovered

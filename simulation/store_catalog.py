@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.store_folder import StoreFolder, groups_to_merge
 from simulation.store_index import Entries, RowIndex, row_keys
 from simulation.store_parts import Part, PartDamagedError, write_part
@@ -93,16 +93,19 @@ class Catalog:
                 failures[row] = reason
         return self._layout.trajectories(theta, y, failures)
 
-    def add(self, rows: Rows) -> None:
-        """Write a new part; when this returns it is on the disk.
+    def add(self, rows: Rows, *, synced: bool) -> None:
+        """Write a new part.
 
         Args:
             rows: Its rows.
+            synced: Whether it must be safe against a crash of the machine when this returns.
 
         Raises:
             OSError: If it cannot be written; nothing of it is stored then.
         """
-        self._files.publish(lambda file: write_part(file, self._layout, [rows]))
+        name = self._files.publish(lambda file: write_part(file, self._layout, [rows]), synced=synced)
+        found = rows.trajectories
+        self._index.add([self._numbered(name, found.theta, ~found.failed, rows.written)])
         self.refresh()
 
     def merge_small(self) -> None:
@@ -138,6 +141,9 @@ class Catalog:
             self._set_aside(name, damage, part)
             return None
         part.close()
+        return self._numbered(name, theta, good, written)
+
+    def _numbered(self, name: str, theta: FloatArray, good: BoolArray, written: IntArray) -> Entries:
         number = self._numbers[name] = self._n_numbered
         self._n_numbered += 1
         return Entries.of_part(number, theta, good, written)

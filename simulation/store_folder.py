@@ -1,6 +1,6 @@
 """The folder of a store: parts that appear whole, under names of their own, and go only when merged.
 
-A part is written under a name that nobody reads, synced and renamed: a process killed at any point, or a full
+A part is written under a name that nobody reads, then renamed: a process killed at any point, or a full
 disk, leaves whole parts and at most a leftover, which goes when the folder is opened and nobody writes.
 """
 
@@ -80,11 +80,12 @@ class StoreFolder:
                         continue
         return dict(sorted(sizes.items()))
 
-    def publish(self, write: Callable[[BinaryIO], None]) -> str:
-        """Write a part, sync it, and only then let others see it.
+    def publish(self, write: Callable[[BinaryIO], None], *, synced: bool = True) -> str:
+        """Write a part, and only then let others see it.
 
         Args:
             write: Writes the content.
+            synced: Whether it must be on the disk when this returns.
 
         Returns:
             The part's name.
@@ -99,12 +100,14 @@ class StoreFolder:
                 with partial.open("xb") as file:
                     write(file)
                     file.flush()
-                    os.fsync(file.fileno())
+                    if synced:
+                        os.fsync(file.fileno())
                 partial.replace(self.path / name)
             except BaseException:
                 partial.unlink(missing_ok=True)
                 raise
-            self._sync()
+            if synced:
+                self._sync()
         return name
 
     def remove(self, names: Iterable[str]) -> None:

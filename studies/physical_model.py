@@ -6,6 +6,7 @@ from pathlib import Path
 
 from simulation.case import Case
 from simulation.execution import CampaignStopped, ExecutionPolicy
+from simulation.forward_model import ForwardModel
 from simulation.parallel import ParallelModel
 from simulation.store import SimulationStore
 from simulation.stored_model import StoredModel
@@ -47,14 +48,27 @@ def open_physical_model(
     ) as store:
         if store.n_recovered:
             console.say(f"{store.n_recovered} simulations of an interrupted run are kept")
-        with ParallelModel(
-            case.make_model,
-            study.n_jobs,
-            policy=policy or case.policy,
-            spool=store.spool,
-            on_warning=console.warn,
-        ) as model:
+        with _supervised(study, case, policy or case.policy, store.spool) as model:
             try:
                 yield StoredModel(model, store, retry_failed=study.retry_failed)
             except CampaignStopped as stopped:
                 raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+
+
+@contextmanager
+def _supervised(study: Study, case: Case, policy: ExecutionPolicy, spool: Path) -> Iterator[ForwardModel]:
+    """Open the model in processes of this machine, or of the cluster that was asked for."""
+    warn = study.console.warn
+    if study.dask is None:
+        with ParallelModel(
+            case.make_model, study.n_jobs, policy=policy, spool=spool, on_warning=warn
+        ) as model:
+            yield model
+        return
+    from simulation.executors import ExecutorModel, dask_executor
+
+    with (
+        dask_executor(study.dask) as executor,
+        ExecutorModel(case.make_model, executor, policy=policy, spool=spool, on_warning=warn) as cluster,
+    ):
+        yield cluster
