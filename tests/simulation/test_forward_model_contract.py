@@ -10,6 +10,8 @@ from simulation.case import load_case
 from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
 from simulation.parallel import ParallelModel
+from simulation.store import SimulationStore
+from simulation.stored_model import StoredModel
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
 
 MODELS = [
@@ -17,6 +19,7 @@ MODELS = [
     "toy-product",
     "toy-ishigami",
     "counting",
+    "stored",
     "parallel",
     "fmu",
     "fmu-pool",
@@ -25,13 +28,23 @@ MODELS = [
 
 # Models live for the module: starting worker processes costs seconds.
 @pytest.fixture(scope="module", params=MODELS)
-def model(request: pytest.FixtureRequest) -> Iterator[ForwardModel]:
+def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForwardModel]:
     name = request.param
     if name.startswith("fmu"):
         case: Path = request.getfixturevalue("shared_decay_case")
         make_model = load_case(case).make_model
         with make_model() if name == "fmu" else ParallelModel(make_model, 2) as model:
             yield model
+    elif name == "stored":
+        toy = ToyRC()
+        with SimulationStore(
+            tmp_path_factory.mktemp("contract") / "store",
+            model_digest="toy",
+            parameter_names=toy.parameter_space.names,
+            output_names=toy.output_names,
+            time=toy.time,
+        ) as store:
+            yield StoredModel(toy, store)
     elif name == "parallel":
         with ParallelModel(ToyRC, 2) as model:
             yield model
