@@ -14,14 +14,17 @@ examples:
 """
 CHECK = """\
 what happens: reads the case, checks names, units, bounds and data against the FMU, simulates the
-estimates and the corners of the box, a reused against a fresh instance, half the communication step,
-moves every parameter once, and says what the profile will cost. Exit code 1 if anything fails; each
-finding says what to do.
+estimates and the corners of the box, moves every parameter and every input, asks again in another process
+and at half the communication step, watches the memory, and says what the profile will cost. The FMU runs in
+processes of its own: a crash or a hang is a line in the table. It simulates for two minutes at most and says
+what a slow model had to go without; --thorough leaves nothing out. What it simulates is kept for the study.
+Exit code 1 if anything fails; each finding says what to do.
 
 examples:
   studies check                            the office
   studies check fmus/office/case.toml      a case file of your own
   studies check office --window 8-16 --profile paper --json
+  studies check slow-model --thorough      however long it takes
 """
 SIMULATE = """\
 what happens: one training design (its first n rows are the training set of size n), a validation and a

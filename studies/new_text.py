@@ -86,7 +86,8 @@ def _head(case: NewCase) -> str:
     return f"""\
 # What is calibrated, driven by what, compared with what. Written by `studies new` from what
 # {fmu.path.name} says about itself ({one_line(fmu.model_name)}, FMI {fmu.fmi_version}, made by {tool}).
-# Lines marked {EDIT} need you. Recordings are CSV files with a header line and the column time_s (seconds).
+# Lines marked {EDIT} need you. Recordings are CSV files with a header line; their column time_s holds
+# seconds, or their column time holds timestamps like 2024-03-01T13:30:00+01:00.
 #   studies check {case.place}    says what is missing or wrong, one thing at a time, and what to do
 #   studies run {case.place}      calibrates
 schema = 1

@@ -28,7 +28,7 @@ def make_bad_case(project: Path, behaviour: str) -> Path:
     folder = project / "fmus" / "bad"
     assert main(["new", str(fmu), "--to", str(folder), "--parameter", *names, "-q"]) == 0
     file = folder / "case.toml"
-    text = file.read_text(encoding="utf-8") + f"\n[simulation]\ntimeout_s = {TIMEOUT_S:g}\n"
+    text = file.read_text(encoding="utf-8").replace("# timeout_s = 60", f"timeout_s = {TIMEOUT_S:g}")
     if not always:
         before, after = text.split('name = "trouble"')
         for key, value in (("estimate", 0.1), ("lower", 0), ("upper", 1)):

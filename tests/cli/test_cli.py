@@ -14,6 +14,7 @@ from studies.cli import main
 from studies.console import Console, format_seconds
 
 COMMANDS = (
+    "new",
     "check",
     "simulate",
     "sensitivity",

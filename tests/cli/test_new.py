@@ -117,13 +117,15 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
     start = next(i for i, line in enumerate(lines) if line.startswith("# Further outputs"))
     end = next(i for i, line in enumerate(lines) if line.startswith("[fixed]"))
     further = [line for line in lines[start:end] if not line.startswith("# Further")]
-    fixed = [line for line in lines[end + 1 :] if "=" in line and "<output>" not in line]
+    after = next(i for i, line in enumerate(lines) if line.startswith("[simulation]"))
+    fixed = [line for line in lines[end + 1 : after] if "=" in line and "<output>" not in line]
     text = "\n".join(
         [
             *lines[:start],
             *(line.removeprefix("# ") for line in further),
             lines[end],
             *(line.removeprefix("# ") for line in fixed),
+            *(line.removeprefix("# ") for line in lines[after:]),
         ]
     )
     file.write_text(text, encoding="utf-8")
@@ -131,6 +133,7 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
     assert {table.name for table in everything.outputs} == {"T", "Q"}
     assert {table.name for table in everything.parameters} == {"UA", "T0", "wall.k", "wall.d[1]", "offset"}
     assert everything.fixed["n.windows"] == 3
+    assert everything.simulation.max_workers == 2
     assert everything.fixed["table"] == "a\\b.txt"
 
 
