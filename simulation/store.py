@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final
@@ -194,6 +195,7 @@ class SimulationStore:
             raise ValueError("these rows have other names or times than the store")
         if rows.n:
             moment = np.full(rows.n, time.time_ns() // 1000, dtype=np.int64)
+            rows = replace(rows, failures=tuple(_as_utf8(reason) for reason in rows.failures))
             self._catalog.add(Rows(rows, moment), synced=time.monotonic() > self._dear_from)
             self._catalog.merge_small()
             self._dear_from = time.monotonic() + _CHEAP_S
@@ -223,3 +225,8 @@ class SimulationStore:
             self.append(new)
             n_recovered += new.n
         return n_recovered
+
+
+def _as_utf8(reason: str) -> str:
+    """Return a reason as a file can hold it: what an FMU says may be in any encoding."""
+    return reason.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -122,6 +122,12 @@ def test_a_good_row_takes_the_place_of_a_failed_one_and_stays(tmp_path: Path) ->
             assert len(store.theta) == 3
 
 
+def test_a_reason_may_hold_bytes_that_are_no_text(tmp_path: Path) -> None:
+    with open_store(tmp_path) as store:
+        store.append(failed(design(2), "solver: \udcfc\n\tgröße"))
+        assert store.read(design(2)).failures == ("solver: \\udcfc\n\tgröße",) * 2
+
+
 def test_many_small_appends_end_in_few_files(tmp_path: Path) -> None:
     answer = MODEL.simulate(design(200))
     with open_store(tmp_path) as store:
