@@ -7,7 +7,7 @@ import math
 import mmap
 import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -217,25 +217,33 @@ class Arena:
         """Return all rows in use, which must be finished.
 
         Args:
-            copied: Whether y shall be a copy and not, where no row failed, this memory.
+            copied: Whether y shall be a copy and not this memory.
         """
-        answer = self._answer(slice(0, self.n), range(self.n))
+        answer = self._answer(slice(0, self.n))
         return replace(answer, y=answer.y.copy()) if copied else answer
 
     def finished(self) -> Trajectories:
         """Return a copy of the finished rows, in order."""
         rows = np.flatnonzero(self.states[: self.n] >= RowState.GOOD)
-        return self._answer(rows, rows.tolist())
+        return self._answer(rows)
 
-    def _answer(self, chosen: Any, rows: Sequence[int]) -> Trajectories:
-        return Trajectories.checked(
-            self.theta[chosen],
-            self.y[chosen],
+    def _answer(self, chosen: Any) -> Trajectories:
+        # Whoever set a row's state has looked at its outputs: once is enough.
+        return Trajectories(
+            theta=self.theta[chosen].copy(),
+            y=self.y[chosen],
             time=self.grid.time,
             parameter_names=self.grid.parameter_names,
             output_names=self.grid.output_names,
-            failures=[self.reason(row) for row in rows],
+            failures=tuple(self._reasons_of(chosen)),
         )
+
+    def _reasons_of(self, chosen: Any) -> list[str]:
+        rows = np.arange(self.capacity)[chosen]
+        reasons = [""] * len(rows)
+        for i in np.flatnonzero(self.states[rows] == RowState.FAILED).tolist():
+            reasons[i] = self.reason(rows[i])
+        return reasons
 
     def remove(self) -> None:
         """Give the memory or the file back; arrays taken from it stay valid. Twice does no harm."""

@@ -154,7 +154,8 @@ class Nursery:
         for connection in ready:
             if connection is not self._control:
                 worker = connections[connection]
-                events += [(worker, heard) for heard in self._all_from(worker.connection)]
+                # One message: asking for more costs more than being told of them in the next round.
+                events += [(worker, heard) for heard in self._from(worker.connection)]
         if self._control in ready:
             events += self._from_nursery()
         return events
@@ -183,19 +184,23 @@ class Nursery:
         del self.workers[worker.number]
         return [(worker, event) for event in (*heard, ended)]
 
-    def _all_from(self, connection: Connection) -> list[Any]:
-        """Receive what lies ready; close the connection where there is nothing more to come."""
-        messages: list[Any] = []
+    def _from(self, connection: Connection) -> list[Any]:
+        """Receive a message that lies ready; close the connection where there is nothing more to come."""
         try:
-            while not connection.closed and connection.poll():
-                message = connection.recv()
-                if not isinstance(message, Learnt):
-                    messages.append(message)
-                elif message.known not in self._known:
-                    self._known.add(message.known)
-                    self._control.send(message)
+            message = connection.recv()
+            if not isinstance(message, Learnt):
+                return [message]
+            if message.known not in self._known:
+                self._known.add(message.known)
+                self._control.send(message)
         except (EOFError, OSError):
             connection.close()
+        return []
+
+    def _all_from(self, connection: Connection) -> list[Any]:
+        messages: list[Any] = []
+        while not connection.closed and connection.poll():
+            messages += self._from(connection)
         return messages
 
     @property

@@ -47,6 +47,7 @@ class Workforce:
         self._n_starts = 0
         self._not_before = 0.0
         self._has_warned = False
+        self._has_warned_of_opening = False
         self._why_refused: Refused | None = None
         self.facts: Facts | None = None
 
@@ -150,7 +151,7 @@ class Workforce:
                 told.append((worker, event))
             else:
                 self._hear_of_opening(worker, event)
-        self._kill_what_does_not_open()
+        self._look_at_openings()
         return told
 
     def _hear_of_opening(self, worker: Worker, event: Event) -> None:
@@ -182,16 +183,23 @@ class Workforce:
             self._n_refused = 0
             raise error_of(why)
 
-    def _kill_what_does_not_open(self) -> None:
-        if self._policy.timeout_s is None:
-            return
-        patience = max(self._policy.timeout_s, _MIN_OPENING_S)
+    def _look_at_openings(self) -> None:
+        """Stop what does not open in time where there is a limit, and say so where there is none."""
+        timeout_s = self._policy.timeout_s
+        patience = max(timeout_s or 0.0, _MIN_OPENING_S)
         for worker in self._all:
-            opening_s = time.monotonic() - worker.hired_at
-            if not worker.is_open and not worker.is_leaving and opening_s > patience:
+            if worker.is_open or worker.is_leaving or time.monotonic() - worker.hired_at < patience:
+                continue
+            if timeout_s is not None:
                 self.fire(worker)
                 self._refused_for_users(
                     f"did not open within {patience:g} s and was stopped; raise simulation.timeout_s"
+                )
+            elif not self._has_warned_of_opening:
+                self._has_warned_of_opening = True
+                self._on_warning(
+                    f"{subject(self._make_model)} has been opening for {patience:g} s; does it wait for a "
+                    "licence? simulation.timeout_s stops it"
                 )
 
     def _refused_for_users(self, what: str) -> None:

@@ -153,6 +153,15 @@ class PickyToy(SlowToy):
 
 
 @dataclass(frozen=True, eq=False)
+class SlowlyOpeningToy(SlowToy):
+    opening_s: float = 0.5
+
+    def open(self) -> "SlowlyOpeningToy":
+        time.sleep(self.opening_s)
+        return self
+
+
+@dataclass(frozen=True, eq=False)
 class DyingAtOpeningToy(SlowToy):
     def open(self) -> "DyingAtOpeningToy":
         os.kill(os.getpid(), signal.SIGABRT)

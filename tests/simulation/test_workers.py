@@ -9,6 +9,7 @@ import numpy as np
 import psutil
 import pytest
 
+from simulation.arena import Arena, recover_arenas
 from simulation.errors import InputError
 from simulation.execution import CampaignStopped, ExecutionPolicy
 from simulation.parallel import ParallelModel
@@ -27,6 +28,7 @@ from slow_models import (
     OncePerProcessToy,
     PickyToy,
     RaisingToy,
+    SlowlyOpeningToy,
     SlowToy,
     count_begun,
 )
@@ -148,6 +150,44 @@ def test_a_model_that_dies_when_opened_is_an_error_of_the_user():
         pytest.raises(InputError, match=r"opening it crashed its process \(SIGABRT\)"),
     ):
         model.simulate(_rows(3, 0))
+
+
+def test_a_model_that_does_not_open_is_told_of_or_stopped(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("simulation.workforce._MIN_OPENING_S", 0.2)
+    warnings: list[str] = []
+    with ParallelModel(SlowlyOpeningToy().open, 1, on_warning=warnings.append) as model:
+        assert not model.simulate(_rows(3, 0)).failed.any()
+    assert len(warnings) == 1
+    assert "has been opening for 0.2 s" in warnings[0]
+    policy = ExecutionPolicy(timeout_s=0.2)
+    with (
+        ParallelModel(SlowlyOpeningToy(opening_s=1e6).open, 1, policy=policy) as model,
+        pytest.raises(InputError, match=r"did not open within 0\.2 s and was stopped"),
+    ):
+        model.simulate(_rows(3, 0))
+
+
+def test_what_finished_before_a_campaign_stopped_is_in_the_spool(tmp_path: Path):
+    rows = np.full((60, 2), [4.5, 1e4])
+    rows[:10, 0] = np.linspace(1.0, 2.0, 10)
+    with ParallelModel(RaisingToy().open, 1, spool=tmp_path) as model:
+        with pytest.raises(CampaignStopped):
+            model.simulate(rows)
+        (found,) = recover_arenas(tmp_path)
+        assert found.take(~found.failed).digest == ToyRC().simulate(rows[:10]).digest
+        assert 10 <= found.failed.sum() < 50
+
+
+def test_a_batch_is_in_the_spool_until_the_next(tmp_path: Path):
+    for n in (3, 40_000):
+        rows = _rows(n, 0)
+        with ParallelModel(ToyRC, 1, spool=tmp_path) as model:
+            model.simulate(rows)
+            (file,) = tmp_path.iterdir()
+            assert Arena.attach(str(file)).finished().digest == ToyRC().simulate(rows).digest
+            model.simulate(rows[:0])
+            assert not [file for file in tmp_path.iterdir() if Arena.attach(str(file)).n]
+        assert not list(tmp_path.iterdir())
 
 
 def test_what_a_model_starts_and_writes_goes_with_its_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
