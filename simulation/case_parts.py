@@ -49,16 +49,19 @@ def into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> C
 
 
 def check_inputs(path: Path, file: CaseFile, fmu: FmuDescription) -> None:
-    """Check that the case and the FMU name the same inputs, each once."""
+    """Check that every input of the FMU has one source: a recording, or a value that it is held at."""
     names = [table.name for table in file.inputs]
     for name in names:
         fmu.require(name, "input", f"{path}: inputs[{name}]")
         if names.count(name) > 1:
             raise InputError(f"{path}: inputs[{name}] is declared {names.count(name)} times; keep one")
+        if name in file.fixed:
+            raise InputError(f"{path}: inputs[{name}] is also under [fixed]; drop one of the two")
     for name in fmu.names("input"):
-        if name not in names:
+        if name not in names and name not in file.fixed:
             raise InputError(
-                f"{path}: the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its start"
+                f"{path}: the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
+                "start; or hold it at a value under [fixed]"
             )
 
 
@@ -96,7 +99,7 @@ def fixed_values(
     values = {}
     for name, value in file.fixed.items():
         where = f"{path}: fixed.{name}"
-        variable = fmu.find(name, "parameter", where)
+        variable = fmu.find(name, "parameter", where, may_be_input=True)
         if any(table.name == name for table in file.parameters):
             raise InputError(f"{where}: {name} is also under [[parameters]]; drop one of the two")
         values[name] = (

@@ -128,20 +128,21 @@ class FmuDescription:
         if variable.kind not in REAL_KINDS and not (
             causality == "input" and variable.kind not in _NO_NUMBERS
         ):
-            remedy = "hold it under [fixed]" if causality == "parameter" else "choose another"
+            remedy = "choose another" if causality == "output" else "hold it under [fixed]"
             numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
             raise InputError(
                 f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
             )
         return variable
 
-    def find(self, name: str, causality: str, where: str) -> FmuVariable:
+    def find(self, name: str, causality: str, where: str, *, may_be_input: bool = False) -> FmuVariable:
         """Find a scalar of any type and a given causality.
 
         Args:
             name: Name of the variable.
             causality: What it must be; a "parameter" may also be a structural one or a start value.
             where: What asks for it, for the message.
+            may_be_input: Whether it may also be an input, to be held at a value.
 
         Returns:
             The variable.
@@ -159,7 +160,9 @@ class FmuDescription:
             hint = f"did you mean {close[0]}?" if close else f"its {causality}s: {_listed(candidates)}"
             raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
         settable = causality == "parameter" and (
-            variable.is_start_value or variable.causality == "structuralParameter"
+            variable.is_start_value
+            or variable.causality == "structuralParameter"
+            or (may_be_input and variable.causality == "input")
         )
         if variable.causality != causality and not settable:
             raise InputError(

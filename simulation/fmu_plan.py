@@ -90,7 +90,10 @@ def run_plan(
     input_variables = found(scenario.input_names, "input")
     return RunPlan(
         calibrated=found(calibrated, "parameter"),
-        fixed=tuple((description.find(name, "parameter", where), value) for name, value in fixed.items()),
+        fixed=tuple(
+            (description.find(name, "parameter", where, may_be_input=True), value)
+            for name, value in fixed.items()
+        ),
         input_references=references(input_variables),
         input_variables=input_variables,
         inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),

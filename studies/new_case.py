@@ -14,6 +14,7 @@ from studies.new_choice import (
     choose_outputs,
     choose_parameters,
     choose_times,
+    held_inputs,
     inputs_of,
     other_parameters,
 )
@@ -82,6 +83,7 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         data=f"../../data/{name}" if is_named else ".",
         interface=choose_interface(fmu, wishes.interface),
         inputs=inputs_of(fmu),
+        held_inputs=held_inputs(fmu),
         outputs=choose_outputs(fmu, wishes.outputs),
         parameters=choose_parameters(fmu, wishes.parameters),
         fixable=other_parameters(fmu),

@@ -113,8 +113,13 @@ def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
 
 
 def inputs_of(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
-    """Return the inputs, all of which a case must drive."""
-    return tuple(_of(fmu, "input"))
+    """Return the inputs that recordings drive."""
+    return tuple(v for v in _of(fmu, "input") if _is_number(v))
+
+
+def held_inputs(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
+    """Return the inputs that are no real numbers: a case holds them at a value."""
+    return tuple(v for v in _of(fmu, "input") if v.kind not in REAL_KINDS and not v.shape)
 
 
 def other_parameters(fmu: FmuDescription) -> tuple[FmuVariable, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from simulation.fmu_description import FmuDescription
-from simulation.fmu_variable import REAL_KINDS, FmuVariable
+from simulation.fmu_variable import FmuVariable
 from studies.new_choice import Bounds, Choice, Times, bounds_for
 
 EDIT = "EDIT"
@@ -29,7 +29,8 @@ class NewCase:
         fmu_file: The FMU's file, from the case's folder.
         data: The folder of the recordings, from the case's folder.
         interface: How the FMU is run.
-        inputs: The inputs.
+        inputs: The inputs that recordings drive.
+        held_inputs: The inputs that are held at a value.
         outputs: The outputs.
         parameters: The parameters.
         fixable: Parameters that can be fixed but not calibrated.
@@ -44,6 +45,7 @@ class NewCase:
     data: str
     interface: str
     inputs: tuple[FmuVariable, ...]
+    held_inputs: tuple[FmuVariable, ...]
     outputs: Choice
     parameters: Choice
     fixable: tuple[FmuVariable, ...]
@@ -132,12 +134,8 @@ name = {toml_string(variable.name)}
 file = "{INPUTS_FILE}"
 column = {toml_string(variable.name)}
 unit = {_unit(unit, column)}
-interpolation = "{_interpolation(variable)}"   # held: switches, setpoints; linear or smooth: weather
+interpolation = "linear"   # held: switches, setpoints; linear or smooth: weather
 # max_gap_s = 7200            # bridge gaps up to this long; else a gap is an error"""
-
-
-def _interpolation(variable: FmuVariable) -> str:
-    return "linear" if variable.kind in REAL_KINDS else "held"
 
 
 def _output(variable: FmuVariable) -> str:
@@ -209,6 +207,11 @@ def _fixed(case: NewCase) -> str:
         "[fixed]   # parameters held at a value, in the FMU's units; all others keep the FMU's start value",
         '# TStart = { first_measured = "<output>" }   # e.g. a start value from the first measured one',
         '# TWall = { value = 7, unit = "degC" }       # or in another unit',
+    ]
+    lines += [
+        f"{_key(variable.name)} = {_start(variable)}   # {EDIT}: a {variable.kind} input is held, as "
+        f"only real ones follow a recording. {one_line(variable.description)}".rstrip()
+        for variable in case.held_inputs
     ]
     shown, n_hidden = _limited(case, case.fixable)
     for variable in shown:

@@ -9,6 +9,7 @@ import fmpy
 import pytest
 from project_for_tests import OFFICE, Run
 
+from simulation.case import load_case
 from simulation.case_file import read_case_file
 from simulation.fmu_variable import FmuVariable
 from studies.new_choice import bounds_for
@@ -247,6 +248,25 @@ def test_fmi_3_model_exchange_and_a_broken_rule(project: Path, studies: Run, tmp
     assert case["interface"] == "model-exchange"
     assert [table["name"] for table in case["parameters"]] == ["k"]
     assert "# n = 4" in (project / "fmus" / "tank" / "case.toml").read_text(encoding="utf-8")
+
+
+def test_an_input_that_no_recording_can_drive_is_held(project: Path, studies: Run, tmp_path: Path) -> None:
+    switch = (
+        '<ScalarVariable name="on" valueReference="9" causality="input" variability="discrete">'
+        '<Boolean start="true"/></ScalarVariable>'
+    )
+    variables = real("k", 1, "parameter", 'start="1"') + real("y", 2, "output") + switch
+    answer = studies("new", str(make_fmu(tmp_path / "Switch.fmu", variables)), "--json")
+    assert answer.document["inputs"] == []
+    assert case_of(project, "switch")["fixed"] == {"on": True}
+    assert any("on = true" in edit["text"] for edit in answer.document["edit"])
+    (project / "data" / "switch" / "measured.csv").write_text("time_s,y\n0,1\n86400,2\n", encoding="utf-8")
+    case = project / "fmus" / "switch" / "case.toml"
+    assert load_case(case).fixed == {"on": True}
+    case.write_text(case.read_text(encoding="utf-8").replace("on = true", "# on = true"), encoding="utf-8")
+    answer = studies("check", "switch")
+    assert "the FMU's input on has no [[inputs]] entry" in answer.err
+    assert "[fixed]" in answer.err
 
 
 def test_an_fmu_with_thousands_of_parameters_makes_a_short_file(
