@@ -33,7 +33,7 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
             ]
         )
     study.console.table(
-        f"{study.label}: calibrated parameters (n_train = {best['n_train']}, the lowest final MSE)",
+        f"{study.label}: calibrated parameters (n_train = {best['n_train']})",
         [
             Column("parameter"),
             Column("unit"),

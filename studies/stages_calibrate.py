@@ -203,8 +203,10 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
             row.append(calls_to(study, found["n_train"], target) or "not reached")
         rows.append(row)
     unit = difference_unit(study.case.outputs[0].unit)
-    title = f"{study.label}: calibration (MAE of the surrogate in {unit}; MSE in {squared(unit)},"
-    study.console.table(f"{title} screened and final by the FMU)", columns, rows)
+    units = f"MAE of the surrogate in {unit}; MSE in {squared(unit)}; " if unit else ""
+    study.console.table(
+        f"{study.label}: calibration ({units}MSE screened and final by the FMU)", columns, rows
+    )
     show_validation(study, outcomes)
     if study.case.note:
         study.console.result(f"Note: {study.case.note}")

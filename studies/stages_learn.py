@@ -107,7 +107,8 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
         Column("pruned", True),
         Column("failed", True),
     ]
-    columns += [Column(f"{name} [{unit}]", True) for name in ("MAE val", "MAE test", "P90 test")]
+    behind = f" [{unit}]" if unit else ""
+    columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "MAE test", "P90 test")]
     columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
     rows = []
     for found in outcome.summary["studies"]:
