@@ -28,6 +28,11 @@ GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
 GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
 LEAST_RADIUS = 1e-4
 N_DESIGNS = 200
+# Looks at the surrogate for another valley, and how far away its bottom must lie in some coordinate.
+N_LOOKS = 10
+AWAY = 0.3
+# Relative gain that a leg elsewhere owes in half of `stall_rounds`.
+OWED_ELSEWHERE = 0.2
 
 
 @dataclass(frozen=True)
@@ -72,7 +77,11 @@ class Adaptive:
         n_descents: Descents on the surrogate per round, the first from the best row. [1]
         n_parallel: Rows asked per round.
         ftol: Stop when the surrogate expects less than this relative gain, `patience` rounds running. [1]
-        patience: Rounds without expectation or gain before stopping.
+        patience: Rounds without expectation or gain before a leg ends. [1]
+        stall_rounds: Rounds within which a leg must gain `stall_gain`, or it ends too. [1]
+        stall_gain: The relative gain that a leg owes. [1]
+        n_elsewhere: Legs away from the best row, for problems with several valleys, that a search makes
+            before it may converge; 0 never leaves the first valley. [1]
         target_mse: Stop at this error, or None. [first output's unit squared]
         max_calls: Most rows that may be asked of the model.
     """
@@ -86,6 +95,9 @@ class Adaptive:
     n_parallel: int = 1
     ftol: float = 1e-3
     patience: int = 3
+    stall_rounds: int = 10
+    stall_gain: float = 0.02
+    n_elsewhere: int = 1
     target_mse: float | None = None
     max_calls: int = 200
 
@@ -162,6 +174,11 @@ class _Search:
         self._residuals = np.empty((0, 0))
         self._hyper: FloatArray | None = None
         self._radius = settings.radius
+        # A leg of the search sees the rows from `first` on; its lowest errors after every round.
+        self._first = 0
+        self._leg: list[float] = []
+        self._idle = 0
+        self._n_elsewhere = 0
         self.n_rounds = 0
         self.expected_gain = np.inf
 
@@ -173,26 +190,70 @@ class _Search:
         """
         settings = self._settings
         n_start = settings.n_start or max(self._p, 4)
-        self._ask(
-            settings.margin + (1.0 - 2.0 * settings.margin) * latin_hypercube(n_start, self._p, self._rng)
-        )
-        idle = 0
+        design = latin_hypercube(n_start, self._p, self._rng)
+        self._ask(settings.margin + (1.0 - 2.0 * settings.margin) * design)
         while True:
-            best_mse = self._recorder.best_mse
-            if settings.target_mse is not None and best_mse <= settings.target_mse:
+            if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return "the target is reached"
             if np.isfinite(self._mse).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
-            best = self._u[np.argmin(self._mse)]
-            points, expected = self._propose(best)
-            self.expected_gain = 1.0 - expected.value / best_mse if best_mse > 0.0 else 0.0
-            self._ask(points)
-            gain = best_mse - self._recorder.best_mse
-            self._resize(points - best, gain, best_mse - expected.value)
-            idle = idle + 1 if max(gain, best_mse - expected.value) <= settings.ftol * best_mse else 0
-            if idle == settings.patience:
-                return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
+            if self._leg_is_over():
+                if self._is_home and self._n_elsewhere >= settings.n_elsewhere and self._idle:
+                    return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
+                self._turn()
+            self._step()
+
+    def _step(self) -> None:
+        """Make one round of a leg."""
+        process = self._fit()
+        if self._first == self._mse.size:
+            self._ask(self._elsewhere(process))
+            self._leg.append(self._leg_mse)
+            return
+        # A leg whose rows have all failed goes on from the best row.
+        first = self._first if np.isfinite(self._leg_mse) else 0
+        best = first + int(np.argmin(self._mse[first:]))
+        centre, centre_mse = self._u[best], float(self._mse[best])
+        points, expected = self._propose(process, centre)
+        self._ask(points)
+        gain = max(centre_mse - self._leg_mse, 0.0)
+        promise = centre_mse - expected.value
+        self._resize(points - centre, gain, promise)
+        self.expected_gain = promise / centre_mse if centre_mse > 0.0 else 0.0
+        is_idle = max(gain, promise) <= self._settings.ftol * centre_mse
+        self._idle = self._idle + 1 if is_idle else 0
+        self._leg.append(self._leg_mse)
+
+    @property
+    def _leg_mse(self) -> float:
+        """The leg's lowest error so far."""
+        return float(self._mse[self._first :].min(initial=np.inf))
+
+    @property
+    def _is_home(self) -> bool:
+        """Whether the leg is around the best row of all."""
+        return self._leg_mse <= float(self._mse.min())
+
+    def _leg_is_over(self) -> bool:
+        """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
+        settings = self._settings
+        if self._idle >= settings.patience:
+            return True
+        rounds, owed = settings.stall_rounds, settings.stall_gain
+        if not self._is_home:
+            rounds, owed = (rounds + 1) // 2, OWED_ELSEWHERE
+        if settings.n_elsewhere == 0 or len(self._leg) <= rounds:
+            return False
+        return self._leg[-1] > (1.0 - owed) * self._leg[-1 - rounds]
+
+    def _turn(self) -> None:
+        """End a leg: from the best row go elsewhere, from elsewhere back to it."""
+        leaves = self._is_home and self._settings.n_elsewhere > 0
+        self._n_elsewhere += leaves
+        self._first = self._mse.size if leaves else 0
+        self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)
+        self._leg, self._idle = [], 0
 
     def _ask(self, u: FloatArray) -> None:
         """Simulate rows, as many as the budget still holds, and keep what they answer."""
@@ -205,26 +266,39 @@ class _Search:
         self._residuals = np.concatenate([earlier, answer.residuals])
         self._mse = np.concatenate([self._mse, answer.mse])
 
-    def _propose(self, best: FloatArray) -> tuple[FloatArray, Expansion]:
-        """Return the points to simulate next, the favourite first, and what is expected of it."""
-        settings = self._settings
+    def _fit(self) -> ResidualProcess:
         good = np.isfinite(self._mse)
         process = ResidualProcess.fit(self._features, self._u[good], self._residuals[good], self._hyper)
         self._hyper = process.hyper
+        return process
+
+    def _elsewhere(self, process: ResidualProcess) -> FloatArray:
+        """Return where the surrogate sees the lowest errors away from the best row, and from each other."""
+        expand = partial(process.expand, caution=self._settings.caution)
+        corners = np.zeros(self._p), np.ones(self._p)
+        ends = [descend(expand, start, *corners) for start in self._rng.random((N_LOOKS, self._p))]
+        points = [self._u[np.argmin(self._mse)]]
+        for u, _ in sorted(ends, key=lambda end: end[1].value):
+            if min(float(np.abs(u - point).max()) for point in points) > AWAY:
+                points.append(u)
+        points += list(self._rng.random((self._settings.n_parallel, self._p)))
+        return np.array(points[1 : 1 + self._settings.n_parallel])
+
+    def _propose(self, process: ResidualProcess, centre: FloatArray) -> tuple[FloatArray, Expansion]:
+        """Return the points to simulate next, the favourite first, and what is expected of it."""
         points: list[FloatArray] = []
         favourite: Expansion | None = None
-        for rank in range(settings.n_parallel):
+        for rank in range(self._settings.n_parallel):
             radius, caution = self._variation(rank)
-            lower, upper = np.maximum(best - radius, 0.0), np.minimum(best + radius, 1.0)
-            starts = [best] + [self._rng.uniform(lower, upper) for _ in range(settings.n_descents - 1)]
-            ends = [
-                descend(partial(process.expand, caution=caution), start, lower, upper) for start in starts
-            ]
+            lower, upper = np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
+            starts = [centre, *self._rng.uniform(lower, upper, (self._settings.n_descents - 1, self._p))]
+            expand = partial(process.expand, caution=caution)
+            ends = [descend(expand, start, lower, upper) for start in starts]
             u, expected = min(ends, key=lambda end: end[1].value)
             favourite = favourite or expected
-            known = np.concatenate([self._u, *[point[None] for point in points]])
+            known = np.array([*self._u, *points])
             if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
-                u = self._rng.uniform(best - 0.3 * (best - lower), best + 0.3 * (upper - best))
+                u = self._rng.uniform(centre - 0.3 * (centre - lower), centre + 0.3 * (upper - centre))
             points.append(u)
         assert favourite is not None, "n_parallel is at least 1"
         return np.array(points), favourite
@@ -233,10 +307,9 @@ class _Search:
         """Return trust radius and caution of one of the parallel points."""
         if rank == 0:
             return self._radius, self._settings.caution
-        radius = self._radius * (1.0, 0.5, 2.0)[rank % 3]
-        return min(radius, 1.0), self._settings.caution * float(
-            10.0 ** (0.5 * ((rank + 1) // 2) * (-1) ** rank)
-        )
+        radius = min(self._radius * (1.0, 0.5, 2.0)[rank % 3], 1.0)
+        decades = 0.5 * ((rank + 1) // 2) * (-1.0) ** rank
+        return radius, float(self._settings.caution * 10.0**decades)
 
     def _resize(self, steps: FloatArray, gain: float, expected: float) -> None:
         """Widen or shrink the trust region by what the last round has brought."""
