@@ -24,12 +24,12 @@ from simulation.case_parts import (
     parameter_space,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
-from simulation.execution import ExecutionPolicy
-from simulation.fmu import FmuModel, FmuSettings
-from simulation.fmu_description import FmuDescription, read_description
+from simulation.fmi.description import FmuDescription, read_description
+from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
+from simulation.workers.execution import ExecutionPolicy
 
 
 @dataclass(frozen=True)

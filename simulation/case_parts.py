@@ -8,8 +8,8 @@ from simulation.arrays import FloatArray
 from simulation.case_data import CaseData
 from simulation.case_file import CaseFile, FirstMeasured, FixedValue, OutputTable, ValueWithUnit
 from simulation.errors import InputError
-from simulation.fmu_description import FmuDescription
-from simulation.fmu_variable import REAL_KINDS, FmuVariable
+from simulation.fmi.description import FmuDescription
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import values_over_steps
 from simulation.units import Conversion, conversion

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmu import FmuSettings
+from simulation.fmi.fmu import FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 

@@ -192,7 +192,7 @@ def open_study(options: argparse.Namespace, console: Console) -> Study:
     file = find_case(paths, options.case)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.case import load_case
-    from simulation.parallel import available_cores
+    from simulation.workers.parallel import available_cores
 
     case = load_case(file, window_d=options.window)
     return Study(

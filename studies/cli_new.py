@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from simulation.fmu_variable import REAL_KINDS, FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.console import Column, Console
 from studies.new_case import MadeCase, Wishes, describe, make_case
 from studies.new_choice import bounds_for, choose_parameters

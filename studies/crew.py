@@ -16,7 +16,7 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from simulation.parallel import exit_with_parent
+from simulation.workers.parallel import exit_with_parent
 from studies.environment import explain
 from studies.study_spec import StudySpec, TuneEvent
 

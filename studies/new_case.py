@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simulation.errors import InputError
-from simulation.fmu_description import FmuDescription, read_description
+from simulation.fmi.description import FmuDescription, read_description
 from simulation.whole_file import whole_file
 from studies.new_choice import (
     choose_interface,

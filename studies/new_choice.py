@@ -7,8 +7,8 @@ from fnmatch import fnmatchcase
 from typing import Literal
 
 from simulation.errors import InputError
-from simulation.fmu_description import FmuDescription
-from simulation.fmu_variable import REAL_KINDS, FmuVariable
+from simulation.fmi.description import FmuDescription
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import Scale
 
 MOST_ACTIVE = 20

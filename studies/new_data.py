@@ -1,6 +1,6 @@
 """Example CSV files and the README of a new case's recordings: the right columns, never typed."""
 
-from simulation.fmu_variable import FmuVariable
+from simulation.fmi.variable import FmuVariable
 from studies.new_text import INPUTS_FILE, MEASURED_FILE, NewCase
 
 N_EXAMPLE_ROWS = 3

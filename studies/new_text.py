@@ -6,8 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from simulation.fmu_description import FmuDescription
-from simulation.fmu_variable import FmuVariable
+from simulation.fmi.description import FmuDescription
+from simulation.fmi.variable import FmuVariable
 from studies.new_choice import Bounds, Choice, Times, bounds_for
 
 EDIT = "EDIT"

@@ -5,11 +5,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simulation.case import Case
-from simulation.execution import CampaignStopped, ExecutionPolicy
 from simulation.forward_model import ForwardModel
-from simulation.parallel import ParallelModel
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
+from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.parallel import ParallelModel
 from studies.paths import ProjectPaths
 from studies.pipeline import StageError, Study
 
@@ -65,7 +65,7 @@ def _supervised(study: Study, case: Case, policy: ExecutionPolicy, spool: Path) 
         ) as model:
             yield model
         return
-    from simulation.executors import ExecutorModel, dask_executor
+    from simulation.workers.executors import ExecutorModel, dask_executor
 
     with (
         dask_executor(study.dask) as executor,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.row_set import RowSet
+from simulation.store.row_set import RowSet
 from studies.paths import size_name
 from studies.pipeline import Study, read_json
 from studies.report.records import (

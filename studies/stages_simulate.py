@@ -9,9 +9,9 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
 from simulation.errors import InputError
-from simulation.row_set import RowSet, SetContent, content_of
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.store.row_set import RowSet, SetContent, content_of
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from studies.console import Column, OnProgress
 from studies.physical_model import open_physical_model, store_folder
 from studies.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage

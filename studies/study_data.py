@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
-from simulation.row_set import RowSet
+from simulation.store.row_set import RowSet
 from studies.study_spec import StudySpec
 
 _Pair = tuple[NDArray[np.float64], NDArray[np.float64]]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
-from simulation.row_set import RowSet
+from simulation.store.row_set import RowSet
 from studies.paths import size_name
 from studies.profile import SearchRanges
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from simulation.parallel import available_cores
+from simulation.workers.parallel import available_cores
 from studies.champion import write_champion
 from studies.crew import Crew
 from studies.paths import ProjectPaths

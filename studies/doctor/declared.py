@@ -7,7 +7,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.fmu_variable import FmuVariable
+from simulation.fmi.variable import FmuVariable
 from simulation.parameters import ParameterSpace
 from studies.doctor.finding import Finding
 from studies.report.wording import count

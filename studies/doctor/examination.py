@@ -10,10 +10,10 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.execution import ExecutionPolicy
 from simulation.forward_model import ForwardModel
-from simulation.parallel import ParallelModel
 from simulation.trajectories import Trajectories
+from simulation.workers.execution import ExecutionPolicy
+from simulation.workers.parallel import ParallelModel
 from studies.console import Console, format_seconds
 from studies.doctor.answers import (
     N_CORNERS,

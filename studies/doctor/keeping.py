@@ -4,7 +4,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.forward_model import WrappedModel
-from simulation.stored_model import StoredModel
+from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 
 STOPPED = "was stopped"

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from simulation.case import load_case  # noqa: E402
-from simulation.fmu import FmuSettings  # noqa: E402
+from simulation.fmi.fmu import FmuSettings  # noqa: E402
 
 
 def cpu_ms(work: Callable[[], object], repeats: int) -> float:

@@ -23,10 +23,10 @@ sys.path.insert(0, str(ROOT))
 
 from simulation.case import load_case  # noqa: E402
 from simulation.case_file import read_case_file  # noqa: E402
-from simulation.fmu import FmuModel, FmuSettings  # noqa: E402
-from simulation.parallel import ParallelModel  # noqa: E402
+from simulation.fmi.fmu import FmuModel, FmuSettings  # noqa: E402
 from simulation.parameters import Parameter, ParameterSpace  # noqa: E402
 from simulation.scenario import Scenario  # noqa: E402
+from simulation.workers.parallel import ParallelModel  # noqa: E402
 
 FUNCTIONS = ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "DoStep")
 N_FMPY = 4

@@ -20,7 +20,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from simulation.store import SimulationStore  # noqa: E402
+from simulation.store.store import SimulationStore  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
 
 N_PARAMETERS, CHUNK, SCATTERED = 14, 8000, 64

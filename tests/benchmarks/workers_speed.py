@@ -21,8 +21,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from simulation.case import load_case  # noqa: E402
-from simulation.execution import ExecutionPolicy  # noqa: E402
-from simulation.parallel import ParallelModel  # noqa: E402
+from simulation.workers.execution import ExecutionPolicy  # noqa: E402
+from simulation.workers.parallel import ParallelModel  # noqa: E402
 
 FOLDER = ROOT / "fmus" / "office"
 

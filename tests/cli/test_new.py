@@ -11,7 +11,7 @@ from project_for_tests import OFFICE, Run
 
 from simulation.case import load_case
 from simulation.case_file import read_case_file
-from simulation.fmu_variable import FmuVariable
+from simulation.fmi.variable import FmuVariable
 from studies.new_choice import bounds_for
 
 HEAD_2 = (

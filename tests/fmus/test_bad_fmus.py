@@ -25,11 +25,11 @@ from bad_fmus import (
 )
 
 from simulation.errors import InputError
-from simulation.execution import CampaignStopped, ExecutionPolicy
-from simulation.fmu import FmuModel, FmuSettings
-from simulation.parallel import ParallelModel
+from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import Scenario
+from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.parallel import ParallelModel
 
 N = 1000
 # Early, late, side by side and at both ends of a run of rows.

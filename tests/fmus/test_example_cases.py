@@ -11,7 +11,7 @@ from fmu_for_tests import REPOSITORY
 from generated_data import generator_of
 
 from simulation.case import load_case
-from simulation.fmu import FmuModel
+from simulation.fmi.fmu import FmuModel
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import Scenario
 

@@ -10,7 +10,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from simulation.fmu import FmuModel, FmuSettings
+from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import Scenario
 

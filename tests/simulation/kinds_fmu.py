@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from simulation.fmu import FmuSettings
+from simulation.fmi.fmu import FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import Scenario
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from simulation.fmu_runner import NeedsFreshProcess
+from simulation.fmi.runner import NeedsFreshProcess
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.arena import Arena, Grid, RowState, recover_arenas
 from simulation.toy import ToyRC
+from simulation.workers.arena import Arena, Grid, RowState, recover_arenas
 
 ROOT = Path(__file__).parents[2]
 GRID = Grid(("R", "C"), ("T",), ToyRC().time)
@@ -108,7 +108,7 @@ def test_what_is_no_arena_any_more_is_removed(tmp_path: Path, monkeypatch: pytes
         assert arena.path is not None
         os.truncate(arena.path, n_bytes)
         arena.release()
-    monkeypatch.setattr("simulation.arena.boot_id", lambda: b"before the power went")
+    monkeypatch.setattr("simulation.workers.arena.boot_id", lambda: b"before the power went")
     _half_done(tmp_path)[0].release()
     monkeypatch.undo()
     assert not list(recover_arenas(tmp_path))
@@ -123,7 +123,7 @@ FULL = """
 import resource, sys
 import numpy as np
 from pathlib import Path
-from simulation.arena import Arena, Grid
+from simulation.workers.arena import Arena, Grid
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
 try:
     Arena.create(Grid(("R",), ("T",), np.arange(1000.0)), 1000, spool=Path(sys.argv[1]))

@@ -9,7 +9,7 @@ import pytest
 
 from simulation.case import Case, load_case
 from simulation.errors import InputError
-from simulation.parallel import ParallelModel
+from simulation.workers.parallel import ParallelModel
 
 
 def test_a_case_holds_what_its_file_says(decay_case: Path):

@@ -7,7 +7,7 @@ import pytest
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from simulation.execution import ExecutionPolicy
+from simulation.workers.execution import ExecutionPolicy
 
 DAY = 86400
 

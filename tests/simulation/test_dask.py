@@ -15,8 +15,8 @@ import psutil
 import pytest
 
 from simulation.case import load_case
-from simulation.executors import ExecutorModel, dask_executor
 from simulation.toy import ToyRC
+from simulation.workers.executors import ExecutorModel, dask_executor
 
 sys.path.insert(0, str(Path(__file__).parent))
 from slow_models import SlowToy

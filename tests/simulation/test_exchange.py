@@ -8,7 +8,7 @@ import pytest
 from exchange_for_tests import build, run, settings
 from scipy.integrate import solve_ivp
 
-from simulation.fmu import FmuModel
+from simulation.fmi.fmu import FmuModel
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulation.case import load_case
-from simulation.fmu import FmuSettings
+from simulation.fmi.fmu import FmuSettings
 
 REPOSITORY = Path(__file__).parents[2]
 

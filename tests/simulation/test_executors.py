@@ -16,9 +16,9 @@ import psutil
 import pytest
 
 from simulation.errors import InputError
-from simulation.execution import CampaignStopped, ExecutionPolicy
-from simulation.executors import ExecutorModel, dask_executor
 from simulation.toy import ToyRC
+from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.executors import ExecutorModel, dask_executor
 
 sys.path.insert(0, str(Path(__file__).parent))
 from slow_models import BAD_ABOVE_R, CrashingToy, HangingToy, PickyToy, RaisingToy, SlowToy
@@ -61,7 +61,7 @@ def test_the_same_bits_and_exactly_the_bad_rows_fail(executor: Executor):
 
 
 def test_a_stream_reports_its_progress(executor: Executor, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.spooled_model.BLOCK_BYTES", 8_000)
+    monkeypatch.setattr("simulation.workers.spooled_model.BLOCK_BYTES", 8_000)
     rows, seen = _rows(100), []
     model = ExecutorModel(ToyRC, executor, n_slots=2)
     blocks = list(model.stream(rows, on_progress=seen.append))
@@ -101,6 +101,6 @@ def test_a_process_that_is_killed_gives_its_rows_back():
 
 
 def test_an_address_without_a_scheduler_is_an_error_of_the_user(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.dask_cluster._CONNECT_S", 0.5)
+    monkeypatch.setattr("simulation.workers.dask_cluster._CONNECT_S", 0.5)
     with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers there"):
         dask_executor("tcp://127.0.0.1:9")

@@ -15,8 +15,8 @@ import pytest
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from simulation.fmu import FmuModel
-from simulation.fmu_runner import NeedsFreshProcess
+from simulation.fmi.fmu import FmuModel
+from simulation.fmi.runner import NeedsFreshProcess
 
 # Modes of the test FMU, see decay.c.
 STEP_ERROR, STEP_DISCARD, STEP_FATAL, NAN_OUTPUT, REFUSE_INIT = 1.0, 2.0, 3.0, 4.0, 5.0

@@ -8,9 +8,9 @@ import kinds_fmu
 import numpy as np
 import pytest
 
-from simulation import fmu_loop
 from simulation.errors import InputError
-from simulation.fmu import FmuSettings
+from simulation.fmi.fmu import FmuSettings
+from simulation.fmi.loop import step_through_2, step_through_3
 
 FIXED = {"n": 3, "b": True, "c": "high", "s": "four"}
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
@@ -38,7 +38,7 @@ def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Pa
 
 
 def test_the_first_row_waits_for_no_compiler(fmu: Path):
-    loop = fmu_loop.step_through_2 if fmu.stem == "kinds2" else fmu_loop.step_through_3
+    loop = step_through_2 if fmu.stem == "kinds2" else step_through_3
     with kinds_fmu.kinds_settings(fmu).open() as model:
         ready = list(loop.signatures)
         model.simulate(ROWS)

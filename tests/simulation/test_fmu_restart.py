@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulation.errors import InputError
-from simulation.fmu_runner import NeedsFreshProcess
+from simulation.fmi.runner import NeedsFreshProcess
 
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 300.0], [2e-4, 310.0], [9e-4, 250.0]])
 
@@ -80,12 +80,12 @@ def test_one_instance_with_states_needs_no_other_process(tmp_path: Path, fmi: in
 
 def test_an_hour_long_row_is_not_repeated(tmp_path: Path, fmi: int, monkeypatch: pytest.MonkeyPatch):
     settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi))
-    monkeypatch.setattr("simulation.fmu_restart._CHEAP_S", 0.0)
+    monkeypatch.setattr("simulation.fmi.restart._CHEAP_S", 0.0)
     with settings.open() as model:
         runner = model._runner
         solve, n_solved = runner._solver.solve, []
         clock = iter(np.cumsum([0.0] + [1.0, 3600.0, 0.0] * 100))
-        monkeypatch.setattr("simulation.fmu_restart.time.perf_counter", lambda: next(clock))
+        monkeypatch.setattr("simulation.fmi.restart.time.perf_counter", lambda: next(clock))
         monkeypatch.setattr(
             runner._solver, "solve", lambda *arguments: n_solved.append(1) or solve(*arguments), raising=True
         )

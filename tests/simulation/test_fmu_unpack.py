@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from simulation.errors import InputError
-from simulation.fmu_unpack import UnpackedFmu, remove_orphans
+from simulation.fmi.unpack import UnpackedFmu, remove_orphans
 
 OWNER = """
 import sys, time
 from pathlib import Path
-from simulation.fmu_unpack import UnpackedFmu
+from simulation.fmi.unpack import UnpackedFmu
 print(UnpackedFmu(Path(sys.argv[1])).folder, flush=True)
 time.sleep(60)
 """
@@ -97,7 +97,7 @@ def test_a_damaged_member_is_named_in_one_line(fmu: Path, folder: Path):
 def test_a_full_disk_is_named_in_one_line(fmu: Path, folder: Path):
     script = (
         "import resource, sys\nfrom pathlib import Path\nfrom simulation.errors import InputError\n"
-        "from simulation.fmu_unpack import UnpackedFmu\nimport signal\n"
+        "from simulation.fmi.unpack import UnpackedFmu\nimport signal\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nresource.setrlimit(resource.RLIMIT_FSIZE, (4, 4))\n"
         "try:\n    UnpackedFmu(Path(sys.argv[1]))\nexcept InputError as error:\n    print(error)"
     )
@@ -126,7 +126,7 @@ def test_the_folder_of_a_killed_process_goes_and_a_living_ones_stays(fmu: Path, 
 
 def test_many_at_once_neither_lose_a_folder_nor_leave_one(fmu: Path, folder: Path):
     script = (
-        "import sys\nfrom pathlib import Path\nfrom simulation.fmu_unpack import UnpackedFmu\n"
+        "import sys\nfrom pathlib import Path\nfrom simulation.fmi.unpack import UnpackedFmu\n"
         "for _ in range(100):\n    unpacked = UnpackedFmu(Path(sys.argv[1]))\n"
         "    assert (unpacked.folder / 'resources' / 'table.txt').read_text() == '1 2 3'\n"
         "    unpacked.remove()"

@@ -9,10 +9,10 @@ import pytest
 from simulation.case import load_case
 from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
-from simulation.parallel import ParallelModel
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
+from simulation.workers.parallel import ParallelModel
 
 MODELS = [
     "toy-rc",

@@ -13,9 +13,9 @@ import pytest
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from simulation.execution import ExecutionPolicy
-from simulation.parallel import ParallelModel, available_cores
 from simulation.toy import ToyRC
+from simulation.workers.execution import ExecutionPolicy
+from simulation.workers.parallel import ParallelModel, available_cores
 
 # Workers import the models by name, from this folder.
 sys.path.insert(0, str(Path(__file__).parent))
@@ -70,7 +70,7 @@ def test_a_described_recipe_is_known_without_a_process():
 
 
 def test_a_large_batch_comes_in_blocks(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.spooled_model.BLOCK_BYTES", 20_000)
+    monkeypatch.setattr("simulation.workers.spooled_model.BLOCK_BYTES", 20_000)
     rows, seen = _rows(350), []
     with ParallelModel(ToyRC, 2) as model:
         blocks = list(model.stream(rows, on_progress=seen.append))
@@ -88,7 +88,7 @@ def test_batches_of_all_sizes_do_not_touch_each_other():
 
 
 def test_a_model_can_be_asked_between_two_blocks_of_a_stream(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.spooled_model.BLOCK_BYTES", 2_000)
+    monkeypatch.setattr("simulation.workers.spooled_model.BLOCK_BYTES", 2_000)
     rows = _rows(25)
     with ParallelModel(ToyRC, 2) as model:
         for start, block in zip((0, 10, 20), model.stream(rows), strict=True):
@@ -121,7 +121,7 @@ def test_a_model_that_cannot_be_opened_says_so_in_its_own_line():
 def test_a_recipe_that_no_other_process_can_find_is_refused(tmp_path: Path):
     script = tmp_path / "own.py"
     script.write_text(
-        "from simulation.parallel import ParallelModel\n"
+        "from simulation.workers.parallel import ParallelModel\n"
         "from simulation.toy import ToyRC\n"
         "class Own(ToyRC): pass\n"
         "ParallelModel(Own).time\n"
@@ -138,7 +138,7 @@ SCRIPT = """
 import sys
 sys.path[:0] = [{tests!r}, {root!r}]
 import numpy as np
-from simulation.parallel import ParallelModel
+from simulation.workers.parallel import ParallelModel
 from slow_models import SlowToy
 
 rows = SlowToy().parameter_space.from_unit(np.random.default_rng(0).random((4000, 2)))

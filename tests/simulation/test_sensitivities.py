@@ -12,7 +12,7 @@ from test_exchange import linear_by_steps
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from simulation.fmu import FmuModel, FmuSettings
+from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 
 REPOSITORY = Path(__file__).parents[2]

@@ -12,17 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulation.arena import Arena, Grid
 from simulation.counting import CountingModel
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from simulation.store import SimulationStore
-from simulation.store_folder import groups_to_merge
-from simulation.store_index import Entries, RowIndex
-from simulation.stored_model import StoredModel
+from simulation.store.folder import groups_to_merge
+from simulation.store.index import Entries, RowIndex
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
+from simulation.workers.arena import Arena, Grid
 
 MODEL = ToyRC(fails_above_r=4.0)
 ROOT = Path(__file__).parents[2]
@@ -164,7 +164,7 @@ def test_a_stream_is_the_same_rows_in_blocks(tmp_path: Path, monkeypatch: pytest
     answer = MODEL.simulate(design(100))
     with open_store(tmp_path) as store:
         store.append(answer)
-        monkeypatch.setattr("simulation.store.BLOCK_BYTES", 30 * 8 * len(MODEL.time))
+        monkeypatch.setattr("simulation.store.store.BLOCK_BYTES", 30 * 8 * len(MODEL.time))
         blocks = list(store.stream(design(100)[::-1]))
         assert [block.n for block in blocks] == [30, 30, 30, 10]
         assert Trajectories.concatenate(blocks).digest == answer.take(np.arange(100)[::-1]).digest
@@ -309,8 +309,8 @@ import resource, sys
 from pathlib import Path
 sys.path.insert(0, {root!r})
 from simulation.design import uniform_design
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
 
 model = ToyRC()

@@ -12,7 +12,7 @@ import pytest
 from slow_models import SlowToy
 
 from simulation.design import uniform_design
-from simulation.store import SimulationStore
+from simulation.store.store import SimulationStore
 from simulation.toy import ToyRC
 
 ROOT = Path(__file__).parents[2]
@@ -24,12 +24,12 @@ CAMPAIGN = """
 import os, sys
 from pathlib import Path
 sys.path[:0] = [{tests!r}, {root!r}]
-from simulation import parallel
+from simulation.workers import parallel
 from simulation.design import uniform_design
-from simulation.execution import ExecutionPolicy
-from simulation.parallel import ParallelModel
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.workers.execution import ExecutionPolicy
+from simulation.workers.parallel import ParallelModel
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from slow_models import SlowToy
 
 parallel.BLOCK_BYTES = 20_000

@@ -10,9 +10,9 @@ import pytest
 
 from simulation.counting import CountingModel
 from simulation.design import uniform_design
-from simulation.row_set import RowSet, content_of
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.store.row_set import RowSet, content_of
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 
@@ -129,8 +129,8 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {root!r})
 from simulation.design import uniform_design
-from simulation.store import SimulationStore
-from simulation.stored_model import StoredModel
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
 
 toy, number = ToyRC(fails_above_r=4.0), int(sys.argv[1])

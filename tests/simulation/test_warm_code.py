@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from simulation.case import load_case
-from simulation.warm_code import learnt
+from simulation.workers.warm_code import learnt
 
 ROOT = Path(__file__).parents[2]
 TOLD = """
 import sys
-from simulation import warm_code
+from simulation.workers import warm_code
 warm_code.remember(sys.stdin.buffer.read())
-print("simulation.fmu" in sys.modules, sum(bool(loop.signatures) for _, _, loop in warm_code._loops()))
+print("simulation.fmi.fmu" in sys.modules, sum(bool(loop.signatures) for _, _, loop in warm_code._loops()))
 """
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import psutil
 import pytest
 
-from simulation.arena import Arena, recover_arenas
 from simulation.errors import InputError
-from simulation.execution import CampaignStopped, ExecutionPolicy
-from simulation.parallel import ParallelModel
 from simulation.toy import ToyRC
+from simulation.workers.arena import Arena, recover_arenas
+from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.parallel import ParallelModel
 
 sys.path.insert(0, str(Path(__file__).parent))
 from slow_models import (
@@ -153,7 +153,7 @@ def test_a_model_that_dies_when_opened_is_an_error_of_the_user():
 
 
 def test_a_model_that_does_not_open_is_told_of_or_stopped(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.workforce._MIN_OPENING_S", 0.2)
+    monkeypatch.setattr("simulation.workers.workforce._MIN_OPENING_S", 0.2)
     warnings: list[str] = []
     with ParallelModel(SlowlyOpeningToy().open, 1, on_warning=warnings.append) as model:
         assert not model.simulate(_rows(3, 0)).failed.any()
@@ -214,7 +214,7 @@ def test_a_forgotten_model_leaves_no_process():
 
 
 def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("simulation.campaign._SLOW_S", 0.3)
+    monkeypatch.setattr("simulation.workers.campaign._SLOW_S", 0.3)
     warnings: list[str] = []
     rows = _rows(20, 1)
     policy = ExecutionPolicy(timeout_s=1.0)

@@ -24,8 +24,8 @@ import sys
 from pathlib import Path
 sys.path[:0] = {places!r}
 import numpy as np
-from simulation.arena import recover_arenas
-from simulation.parallel import ParallelModel
+from simulation.workers.arena import recover_arenas
+from simulation.workers.parallel import ParallelModel
 from simulation.trajectories import Trajectories
 from slow_models import SlowToy
 

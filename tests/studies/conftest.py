@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from simulation.design import uniform_design
-from simulation.row_set import RowSet
-from simulation.store import SimulationStore
+from simulation.store.row_set import RowSet
+from simulation.store.store import SimulationStore
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths

@@ -14,7 +14,7 @@ import pytest
 from tuning_checks import ignore
 
 from simulation.errors import InputError
-from simulation.row_set import RowSet
+from simulation.store.row_set import RowSet
 from studies.champion import ChampionInfo, load_champion, read_champion, restore_champion, write_champion
 from studies.mlflow_registry import model_name
 from studies.mlflow_tracker import MlflowTracker

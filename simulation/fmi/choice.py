@@ -1,0 +1,101 @@
+"""Which solver an FMU gets, and how it may be started over."""
+
+from pathlib import Path
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.fmi.cosimulation import CoSimulation, SharedWarmup
+from simulation.fmi.description import FmuDescription
+from simulation.fmi.instance import FmuInstance
+from simulation.fmi.plan import RunPlan
+from simulation.fmi.restart import RestartingRunner, Way
+from simulation.fmi.runner import Solver
+from simulation.fmi.start import Start
+from simulation.fmi.variable import FmuInterface, Interface
+
+
+def open_runner(
+    description: FmuDescription,
+    plan: RunPlan,
+    folder: Path,
+    *,
+    interface: Interface,
+    warmup: FloatArray | None,
+) -> RestartingRunner:
+    """Load an FMU and choose what drives it.
+
+    Args:
+        description: What the FMU says of itself.
+        plan: What is set, stepped through and read.
+        folder: Where it is unpacked.
+        interface: How it is to be driven.
+        warmup: Parameters of a warm-up that all rows share, None for a warm-up of each row's own. Shape (p,).
+            [FMU's units]
+
+    Returns:
+        What answers rows.
+
+    Raises:
+        InputError: If the FMU cannot be loaded or cannot do what is asked for.
+    """
+    instance = FmuInstance(description, interface, folder)
+    try:
+        return _restarting(description, plan, instance, interface=interface, warmup=warmup)
+    except BaseException:
+        instance.close()
+        raise
+
+
+def _restarting(
+    description: FmuDescription,
+    plan: RunPlan,
+    instance: FmuInstance,
+    *,
+    interface: Interface,
+    warmup: FloatArray | None,
+) -> RestartingRunner:
+    where = str(description.path)
+    said = description.interface(interface, where)
+    start = Start(instance, plan, where)
+    if warmup is not None:
+        _check_shared_warmup(where, interface, said, plan)
+        shared = SharedWarmup(CoSimulation(instance, plan, start, where), plan, start, warmup)
+        return RestartingRunner(
+            instance, shared, ways=("state",), trusting=True, prepare=shared.prepare, n_ignored=plan.n_warmup
+        )
+    solver: Solver
+    if interface == "co-simulation":
+        solver = CoSimulation(instance, plan, start, where)
+    else:
+        for variable in plan.input_variables:
+            if variable.kind not in ("Real", "Float64"):
+                raise InputError(
+                    f"{where}: input {variable.name} is a {variable.kind}, and model exchange sets only "
+                    "Float64; export the FMU for co-simulation"
+                )
+        # Here, because it loads CVODE and compiles its callbacks.
+        from simulation.fmi.exchange import ModelExchange
+
+        solver = ModelExchange(instance, plan, start, description=description)
+    once = said.can_be_instantiated_only_once_per_process
+    ways: tuple[Way, ...] = ("reset", "state") if said.can_get_and_set_state else ("reset",)
+    # With one instance there is no second try: the surer way goes first.
+    return RestartingRunner(instance, solver, ways=ways[::-1] if once else ways, trusting=once)
+
+
+def _check_shared_warmup(where: str, interface: Interface, said: FmuInterface, plan: RunPlan) -> None:
+    if interface != "co-simulation" or not said.can_get_and_set_state:
+        raise InputError(
+            f"{where}: shared_warmup = true needs a co-simulation FMU that can get and set its state; "
+            "this one cannot, drop shared_warmup"
+        )
+    if not plan.n_warmup:
+        raise InputError(
+            f"{where}: shared_warmup = true without a warm-up; set start_d or drop shared_warmup"
+        )
+    for variable in plan.calibrated:
+        if variable.causality != "parameter" or variable.variability != "tunable":
+            raise InputError(
+                f"{where}: shared_warmup = true, but {variable.name} can only be set before the warm-up "
+                f"(it is {variable.variability}, not tunable); drop shared_warmup"
+            )

@@ -1,0 +1,129 @@
+"""What an FMU declares in its modelDescription.xml, as fmpy reads it, in this package's words."""
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any, Final
+from xml.etree import ElementTree
+
+import fmpy
+
+from simulation.errors import InputError
+from simulation.fmi.variable import FmiVersion, FmuInterface, FmuVariable
+from simulation.units import BASE_UNITS, Unit, UnitDefinition
+
+# Folder of this platform's binaries, by FMI version.
+PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
+
+
+def binary_member(fmi_version: str, model_identifier: str) -> str:
+    """Name the archive member that is the binary for this platform.
+
+    Args:
+        fmi_version: "2.0" or "3.0".
+        model_identifier: Name of the binary.
+
+    Returns:
+        Its path in the FMU.
+    """
+    return f"binaries/{PLATFORM_FOLDERS[fmi_version]}/{model_identifier}{fmpy.sharedLibraryExtension}"
+
+
+def declared_unit(unit: Any) -> UnitDefinition:
+    """Say what a unit definition of fmpy says."""
+    base = unit.baseUnit
+    return UnitDefinition(
+        base=None
+        if base is None
+        else Unit.of({name: int(getattr(base, name)) for name in BASE_UNITS}, base.factor, base.offset),
+        displayed={str(shown.name): (shown.factor, shown.offset) for shown in unit.displayUnits},
+    )
+
+
+def read_model(path: Path, content: bytes) -> tuple[Any, str]:
+    """Read the description; where it breaks rules of the standard but is complete, say which rules."""
+    complaint = ""
+    for validate in (True, False):
+        try:
+            # From memory: fmpy leaves the file open when the description is not valid.
+            model = fmpy.read_model_description(io.BytesIO(content), validate=validate)
+            _complete(model, content)
+            return model, complaint
+        except Exception as error:  # fmpy raises plain exceptions of many kinds
+            complaint = complaint or " ".join(str(error).split())
+    raise InputError(f"{path}: its modelDescription.xml is not valid ({complaint}); export it again")
+
+
+def _complete(model: Any, content: bytes) -> None:
+    """Read what fmpy overlooks: in FMI 3.0 the attribute's name is a plural."""
+    if str(model.fmiVersion) == "2.0":
+        return
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    for tag, interface in (("ModelExchange", model.modelExchange), ("CoSimulation", model.coSimulation)):
+        element = root.find(tag)
+        if element is not None and element.get("providesDirectionalDerivatives") in ("true", "1"):
+            interface.providesDirectionalDerivative = True
+
+
+def declared_version(path: Path, said: str) -> FmiVersion:
+    """Say which of the versions that can be run it is; InputError where it is none of them."""
+    if said == "2.0":
+        return "2.0"
+    # 3.0.1 and 3.0.2 are corrections of the text.
+    if said.split(".")[:2] == ["3", "0"]:
+        return "3.0"
+    raise InputError(f"{path}: speaks FMI {said}; export it as FMI 2.0 or 3.0")
+
+
+def declared_interface(declared: Any) -> FmuInterface:
+    """Say what an interface of fmpy says."""
+    return FmuInterface(
+        model_identifier=str(declared.modelIdentifier),
+        can_get_and_set_state=bool(declared.canGetAndSetFMUstate),
+        provides_directional_derivatives=bool(declared.providesDirectionalDerivative),
+        can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
+        needs_execution_tool=bool(declared.needsExecutionTool),
+        can_handle_variable_step=bool(getattr(declared, "canHandleVariableCommunicationStepSize", False)),
+        has_event_mode=bool(getattr(declared, "hasEventMode", False)),
+        internal_step_s=number_or_none(getattr(declared, "fixedInternalStepSize", None)),
+    )
+
+
+def declared_variable(variable: Any) -> FmuVariable:
+    """Say what a variable of fmpy says, its declared type included."""
+    declared = variable.declaredType
+    causality = str(variable.causality or "local")
+    return FmuVariable(
+        name=str(variable.name),
+        reference=int(variable.valueReference),
+        causality=causality,
+        kind=str(variable.type),
+        unit=str(variable.unit or (declared.unit if declared is not None else None) or ""),
+        start=number_or_none(variable.start),
+        minimum=number_or_none(variable.min or (declared.min if declared is not None else None)),
+        maximum=number_or_none(variable.max or (declared.max if declared is not None else None)),
+        description=str(variable.description or ""),
+        is_difference=bool(
+            declared.relativeQuantity
+            if variable.relativeQuantity is None and declared is not None
+            else variable.relativeQuantity
+        ),
+        variability=str(variable.variability or ("fixed" if causality == "parameter" else "continuous")),
+        initial=str(variable.initial or ""),
+        start_text="" if variable.start is None else str(variable.start),
+        shape=tuple(int(size) for size in variable.shape or ()),
+        items={
+            str(item.name): int(item.value)
+            for item in (declared.items if declared is not None else [])
+            if item.value is not None
+        },
+    )
+
+
+def number_or_none(text: object) -> float | None:
+    """Read a number where there is one."""
+    try:
+        return float(str(text))
+    except ValueError:
+        return None

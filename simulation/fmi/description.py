@@ -1,0 +1,259 @@
+"""What an FMU says about itself: variables, units, interfaces, binaries; read without unpacking it."""
+
+import difflib
+import hashlib
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from simulation.errors import InputError
+from simulation.fmi.declared import (
+    PLATFORM_FOLDERS,
+    binary_member,
+    declared_interface,
+    declared_unit,
+    declared_variable,
+    declared_version,
+    number_or_none,
+    read_model,
+)
+from simulation.fmi.variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
+from simulation.units import UnitDefinition
+
+_NO_NUMBERS = ("String", "Binary", "Clock")
+
+
+@dataclass(frozen=True)
+class FmuDescription:
+    """What a model description says, as far as running the FMU needs it.
+
+    Attributes:
+        path: The FMU.
+        guid: Identity that ties the description to the binary.
+        model_name: Name of the model.
+        generation_tool: Tool that made the FMU, "" for nothing said.
+        sha256: SHA-256 of the FMU's bytes, in hexadecimal.
+        platforms: Platforms the FMU has a binary for.
+        variables: All variables by name.
+        fmi_version: "2.0" or "3.0".
+        interfaces: Interfaces by name, "co-simulation" or "model-exchange"; at least one.
+        default_experiment: What it suggests for a simulation.
+        states: Names of the continuous states (model exchange), in the order of the FMU.
+        derivatives: Names of their derivatives, in the same order.
+        n_event_indicators: Functions whose change of sign is an event (model exchange).
+        description: What the model is, "" for nothing said.
+        complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
+        units: What it says of its units, by their names.
+    """
+
+    path: Path
+    guid: str
+    model_name: str
+    generation_tool: str
+    sha256: str
+    platforms: tuple[str, ...]
+    variables: Mapping[str, FmuVariable]
+    fmi_version: FmiVersion
+    interfaces: Mapping[str, FmuInterface]
+    default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
+    states: tuple[str, ...] = ()
+    derivatives: tuple[str, ...] = ()
+    n_event_indicators: int = 0
+    description: str = ""
+    complaint: str = ""
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict)
+
+    @property
+    def model_identifier(self) -> str:
+        """Name of the binary of the first interface."""
+        return next(iter(self.interfaces.values())).model_identifier
+
+    @cached_property
+    def _names_by_causality(self) -> dict[str, list[str]]:
+        names: dict[str, list[str]] = {}
+        for variable in self.variables.values():
+            names.setdefault(variable.causality, []).append(variable.name)
+        return names
+
+    def names(self, causality: str) -> tuple[str, ...]:
+        """List the variables of a causality in the order of the description.
+
+        Args:
+            causality: "parameter", "input", "output", "local", ...
+
+        Returns:
+            Their names.
+        """
+        return tuple(self._names_by_causality.get(causality, []))
+
+    def interface(self, name: str, where: str) -> FmuInterface:
+        """Find an interface.
+
+        Args:
+            name: "co-simulation" or "model-exchange".
+            where: What asks for it, for the message.
+
+        Returns:
+            The interface.
+
+        Raises:
+            InputError: If the FMU does not have it.
+        """
+        if name in self.interfaces:
+            return self.interfaces[name]
+        other = next(iter(self.interfaces))
+        raise InputError(
+            f"{where}: {self.path.name} has no {name} interface; "
+            f'write interface = "{other}" in the case file, or export it for {name}'
+        )
+
+    def require(self, name: str, causality: str, where: str) -> FmuVariable:
+        """Find a real scalar of a given causality; an input may also be a whole number or true or false.
+
+        Args:
+            name: Name of the variable.
+            causality: What it must be; a "parameter" may also be a start value (an initial state).
+            where: What asks for it, for the message.
+
+        Returns:
+            The variable.
+
+        Raises:
+            InputError: If there is none of this name, or it is something else.
+        """
+        variable = self.find(name, causality, where)
+        if variable.kind not in REAL_KINDS and not (
+            causality == "input" and variable.kind not in _NO_NUMBERS
+        ):
+            remedy = "choose another" if causality == "output" else "hold it under [fixed]"
+            numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
+            raise InputError(
+                f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
+            )
+        return variable
+
+    def find(self, name: str, causality: str, where: str, *, may_be_input: bool = False) -> FmuVariable:
+        """Find a scalar of any type and a given causality.
+
+        Args:
+            name: Name of the variable.
+            causality: What it must be; a "parameter" may also be a structural one or a start value.
+            where: What asks for it, for the message.
+            may_be_input: Whether it may also be an input, to be held at a value.
+
+        Returns:
+            The variable.
+
+        Raises:
+            InputError: If there is none of this name, it has another causality, or it is an array.
+        """
+        variable = self.variables.get(name)
+        if variable is None:
+            candidates = self.names(causality)
+            close = difflib.get_close_matches(name, candidates, n=1, cutoff=0.5)
+            if not close:
+                by_lower = {candidate.lower(): candidate for candidate in candidates}
+                close = [by_lower[name.lower()]] if name.lower() in by_lower else []
+            hint = f"did you mean {close[0]}?" if close else f"its {causality}s: {_listed(candidates)}"
+            raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
+        settable = causality == "parameter" and (
+            variable.is_start_value
+            or variable.causality == "structuralParameter"
+            or (may_be_input and variable.causality == "input")
+        )
+        if variable.causality != causality and not settable:
+            raise InputError(
+                f"{where}: {name} is a {variable.causality} of {self.path.name}, not its {causality}; "
+                f"choose one of: {_listed(self.names(causality))}"
+            )
+        if variable.shape:
+            size = " x ".join(map(str, variable.shape))
+            raise InputError(
+                f"{where}: {name} is an array ({size}) of {self.path.name}; "
+                "choose another, only scalars can be used"
+            )
+        return variable
+
+
+def read_description(path: Path) -> FmuDescription:
+    """Read the model description of an FMI 2.0 or 3.0 FMU.
+
+    Args:
+        path: The FMU.
+
+    Returns:
+        Its description, with the interfaces that can be run on this platform.
+
+    Raises:
+        InputError: If the file is missing, no FMU, of another FMI version, without co-simulation and model
+            exchange, or has no binary for this platform.
+    """
+    try:
+        content = path.read_bytes()
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = archive.namelist()
+    except FileNotFoundError:
+        raise InputError(
+            f"{path}: no such file; correct `fmu` in the case file or put the FMU there"
+        ) from None
+    except (OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not an FMU ({error}); export it again, an FMU is a zip archive") from None
+    if "modelDescription.xml" not in members:
+        raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
+    model, complaint = read_model(path, content)
+    version = declared_version(path, str(model.fmiVersion))
+    declared = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
+    interfaces = {name: declared_interface(one) for name, one in declared.items() if one is not None}
+    if not interfaces:
+        raise InputError(
+            f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
+        )
+    platforms = {
+        name.split("/")[1] for name in members if name.startswith("binaries/") and name.count("/") > 1
+    }
+    binaries = {name: binary_member(version, one.model_identifier) for name, one in interfaces.items()}
+    runnable = {name: one for name, one in interfaces.items() if binaries[name] in members}
+    if not runnable:
+        held = f"it has one for {', '.join(sorted(platforms))}" if platforms else "it has none at all"
+        raise InputError(
+            f"{path}: no binary for this platform ({next(iter(binaries.values()))} is missing, {held}); "
+            f"export or compile it for {PLATFORM_FOLDERS[version]}"
+        )
+    derivatives = [unknown.variable for unknown in model.derivatives]
+    experiment = model.defaultExperiment
+    return FmuDescription(
+        path=path,
+        guid=str(model.guid),
+        model_name=str(model.modelName),
+        generation_tool=str(model.generationTool or ""),
+        sha256=hashlib.sha256(content).hexdigest(),
+        platforms=tuple(sorted(platforms)),
+        variables={str(variable.name): declared_variable(variable) for variable in model.modelVariables},
+        fmi_version=version,
+        interfaces=runnable,
+        default_experiment=DefaultExperiment()
+        if experiment is None
+        else DefaultExperiment(
+            start_s=number_or_none(experiment.startTime),
+            stop_s=number_or_none(experiment.stopTime),
+            step_s=number_or_none(experiment.stepSize),
+            tolerance=number_or_none(experiment.tolerance),
+        ),
+        states=tuple(str(one.derivative.name) for one in derivatives if one.derivative is not None),
+        derivatives=tuple(str(one.name) for one in derivatives if one.derivative is not None),
+        n_event_indicators=len(model.eventIndicators)
+        if version == "3.0"
+        else int(model.numberOfEventIndicators),
+        description=str(model.description or ""),
+        complaint=complaint,
+        units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},
+    )
+
+
+def _listed(names: tuple[str, ...], most: int = 20) -> str:
+    if not names:
+        return "none"
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

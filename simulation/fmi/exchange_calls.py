@@ -1,0 +1,289 @@
+"""The model-exchange functions of FMI 2.0 and 3.0 as compiled calls by address; CVODE's callbacks among them.
+
+Everything a simulation needs lies in one table of 64-bit integers: addresses, counts, and what went wrong
+last. It travels as CVODE's user data, so that right-hand side and roots run without the interpreter.
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, NamedTuple, TypeVar, cast
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
+
+from simulation.arrays import FloatArray
+from simulation.fmi.call import call_status
+from simulation.fmi.instance import FATAL, WARNING
+
+# The FMU's functions that the loop calls, without the version: FMI 2.0's name and FMI 3.0's.
+FUNCTIONS: Final = {
+    "fmi2": (
+        "SetReal",
+        "GetReal",
+        "EnterEventMode",
+        "NewDiscreteStates",
+        "EnterContinuousTimeMode",
+        "CompletedIntegratorStep",
+        "SetTime",
+        "SetContinuousStates",
+        "GetContinuousStates",
+        "GetDerivatives",
+        "GetNominalsOfContinuousStates",
+        "GetEventIndicators",
+    ),
+    "fmi3": (
+        "SetFloat64",
+        "GetFloat64",
+        "EnterEventMode",
+        "UpdateDiscreteStates",
+        "EnterContinuousTimeMode",
+        "CompletedIntegratorStep",
+        "SetTime",
+        "SetContinuousStates",
+        "GetContinuousStates",
+        "GetContinuousStateDerivatives",
+        "GetNominalsOfContinuousStates",
+        "GetEventIndicators",
+    ),
+}
+
+
+class _Slots(NamedTuple):
+    """Where a thing lies in the table; the FMU's functions come first, in the order of FUNCTIONS."""
+
+    SET_REAL: int = 0
+    GET_REAL: int = 1
+    ENTER_EVENT: int = 2
+    UPDATE_DISCRETE: int = 3
+    ENTER_CONTINUOUS: int = 4
+    COMPLETED: int = 5
+    SET_TIME: int = 6
+    SET_STATES: int = 7
+    GET_STATES: int = 8
+    GET_DERIVATIVES: int = 9
+    GET_NOMINALS: int = 10
+    GET_INDICATORS: int = 11
+    IS_FMI3: int = 12
+    COMPONENT: int = 13
+    N_STATES: int = 14
+    N_INDICATORS: int = 15
+    FAILED_STATUS: int = 16  # of a call that CVODE made
+    FAILED_STAGE: int = 17
+    NOT_FINITE: int = 18  # 1 + index of a derivative that was none
+    VECTOR_DATA: int = 19  # N_VGetArrayPointer
+    SOLVE: int = 20
+    RESTART: int = 21
+    STOP_AT: int = 22
+    INTERPOLATE: int = 23
+    TOLERANCES: int = 24
+    SOLVER: int = 25  # CVODE's memory
+    X: int = 26  # N_Vector of the states
+    X_BETWEEN: int = 27  # N_Vector of the states at a time inside the last step
+    ABSOLUTE: int = 28  # N_Vector of the absolute tolerances
+    DIRECTIONAL: int = 29  # of the FMU; 0 where it has none
+    LAST_ORDER: int = 30
+    SIZE: int = 31
+
+
+SLOT: Final = _Slots()
+
+_pointer: Any = types.CPointer
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
+# that carries the digest of all of them is never found with an old body.
+_SOURCES: Final = (
+    *("call", "exchange_calls", "exchange_loop"),
+    *("sensitivity_calls", "sensitivity_loop", "sensitivity_radau"),
+)
+_DIGEST: Final = hashlib.sha256(
+    b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
+).hexdigest()[:12]
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile a function without the interpreter's lock, from the cache on disk where there can be one.
+
+    Args:
+        function: The function.
+
+    Returns:
+        The compiled function.
+    """
+    function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
+    try:
+        result: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:
+        # numba found no folder to cache in (read-only package, no writable home): compile in every process.
+        result = njit(nogil=True, error_model="numpy")(function)
+    return cast(_Function, result)
+
+
+def _callback(function: Callable[..., Any]) -> Any:
+    """Compile a function that CVODE calls with (t, vector, result, user data)."""
+    function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
+    signature = types.int32(types.float64, types.intp, types.intp, _pointer(types.int64))
+    try:
+        return cfunc(signature, cache=True, error_model="numpy")(function)
+    except RuntimeError:
+        return cfunc(signature, error_model="numpy")(function)
+
+
+def _call_address_of(_typing_context: Any, address: Any, argument: Any) -> Any:
+    """Call a C function that takes an address and returns one."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+        word = ir.IntType(64)
+        return builder.call(
+            builder.inttoptr(values[0], ir.FunctionType(word, [word]).as_pointer()), values[1:]
+        )
+
+    return types.intp(types.intp, types.intp), generate
+
+
+_call_address: Any = intrinsic(_call_address_of)
+
+
+def _as_doubles_of(_typing_context: Any, address: Any) -> Any:
+    """Read an address as the place of float64 values."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.inttoptr(values[0], context.get_value_type(signature.return_type))
+
+    return _pointer(types.float64)(types.intp), generate
+
+
+_as_doubles: Any = intrinsic(_as_doubles_of)
+
+
+@compiled
+def set_real(table: Any, references: Any, n: int, values: Any) -> Any:
+    """Set n float variables, by the addresses of references and values."""
+    if n == 0:
+        return 0
+    if table[SLOT.IS_FMI3] != 0:
+        return call_status(table[SLOT.SET_REAL], (table[SLOT.COMPONENT], references, n, values, n))
+    return call_status(table[SLOT.SET_REAL], (table[SLOT.COMPONENT], references, n, values))
+
+
+@compiled
+def get_real(table: Any, references: Any, n: int, values: Any) -> Any:
+    """Get n float variables, by the addresses of references and values."""
+    if table[SLOT.IS_FMI3] != 0:
+        return call_status(table[SLOT.GET_REAL], (table[SLOT.COMPONENT], references, n, values, n))
+    return call_status(table[SLOT.GET_REAL], (table[SLOT.COMPONENT], references, n, values))
+
+
+@compiled
+def directional_derivative(
+    table: Any, unknowns: Any, n_unknowns: int, knowns: Any, n_knowns: int, seed: Any, result: Any
+) -> Any:
+    """Get the derivative of unknowns along a direction of knowns, all given by address."""
+    function, component = table[SLOT.DIRECTIONAL], table[SLOT.COMPONENT]
+    if table[SLOT.IS_FMI3] != 0:
+        return call_status(
+            function,
+            (component, unknowns, n_unknowns, knowns, n_knowns, seed, n_knowns, result, n_unknowns),
+        )
+    return call_status(function, (component, unknowns, n_unknowns, knowns, n_knowns, seed, result))
+
+
+@compiled
+def update_discrete_states(table: Any, info: FloatArray) -> tuple[int, bool, bool, bool, bool, float]:
+    """Iterate once over the discrete states.
+
+    Args:
+        table: The table.
+        info: Four numbers of scratch.
+
+    Returns:
+        Status; whether another iteration is needed; whether the FMU wants to end; whether nominal values and
+        whether values of states changed; the time of the next time event, infinite for none. [s]
+    """
+    address = np.intp(info.ctypes.data)
+    component = table[SLOT.COMPONENT]
+    info[:] = 0.0
+    if table[SLOT.IS_FMI3] != 0:
+        status = call_status(
+            table[SLOT.UPDATE_DISCRETE],
+            (component, address, address + 1, address + 2, address + 3, address + 4, address + 24),
+        )
+        said = info.view(np.uint8)
+        again, end, nominals, values, defined = said[0], said[1], said[2], said[3], said[4]
+        return status, again != 0, end != 0, nominals != 0, values != 0, info[3] if defined != 0 else np.inf
+    # fmi2EventInfo: five 32-bit booleans, padding, one double.
+    status = call_status(table[SLOT.UPDATE_DISCRETE], (component, address))
+    flags = info.view(np.int32)
+    later = info[3] if flags[4] != 0 else np.inf
+    return status, flags[0] != 0, flags[1] != 0, flags[2] != 0, flags[3] != 0, later
+
+
+@compiled
+def completed_step(table: Any, info: FloatArray) -> tuple[int, bool, bool]:
+    """Report a step of the integrator; status, whether an event follows, whether the FMU wants to end."""
+    address = np.intp(info.ctypes.data)
+    info[:2] = 0.0
+    status = call_status(table[SLOT.COMPLETED], (table[SLOT.COMPONENT], np.int32(1), address, address + 8))
+    # A C bool is one byte, an fmi2Boolean four; the bytes around it are zero.
+    said = info.view(np.int64)
+    return status, said[0] != 0, said[1] != 0
+
+
+@compiled
+def at_point(table: Any, time: float, states: Any) -> tuple[int, int]:
+    """Set time and, where there are any, states by address; status and stage of the last call."""
+    status = call_status(table[SLOT.SET_TIME], (table[SLOT.COMPONENT], time))
+    if status > WARNING or table[SLOT.N_STATES] == 0:
+        return status, SLOT.SET_TIME
+    status = call_status(table[SLOT.SET_STATES], (table[SLOT.COMPONENT], states, table[SLOT.N_STATES]))
+    return status, SLOT.SET_STATES
+
+
+@compiled
+def get_states(table: Any, slot: int, values: Any) -> Any:
+    """Get states, derivatives or nominal values into an address."""
+    return call_status(table[slot], (table[SLOT.COMPONENT], values, table[SLOT.N_STATES]))
+
+
+@_callback
+def derivatives(time: Any, vector: Any, result: Any, user_data: Any) -> int:
+    """CVODE's right-hand side: 0 good, 1 try a smaller step, -1 give up."""
+    table = carray(user_data, SLOT.SIZE)
+    values = _call_address(table[SLOT.VECTOR_DATA], result)
+    slopes = carray(_as_doubles(values), max(1, table[SLOT.N_STATES]))
+    if table[SLOT.N_STATES] == 0:
+        slopes[0] = 0.0
+        return 0
+    status, stage = at_point(table, time, _call_address(table[SLOT.VECTOR_DATA], vector))
+    if status <= WARNING:
+        stage = SLOT.GET_DERIVATIVES
+        status = get_states(table, SLOT.GET_DERIVATIVES, values)
+    if status > WARNING:
+        table[SLOT.FAILED_STATUS] = status
+        table[SLOT.FAILED_STAGE] = stage
+        return -1 if status >= FATAL else 1
+    for index in range(slopes.size):
+        if not np.isfinite(slopes[index]):
+            table[SLOT.NOT_FINITE] = index + 1
+            return 1
+    return 0
+
+
+@_callback
+def indicators(time: Any, vector: Any, result: Any, user_data: Any) -> int:
+    """CVODE's root function: 0 good, -1 give up."""
+    table = carray(user_data, SLOT.SIZE)
+    status, stage = at_point(table, time, _call_address(table[SLOT.VECTOR_DATA], vector))
+    if status <= WARNING:
+        stage = SLOT.GET_INDICATORS
+        status = call_status(
+            table[SLOT.GET_INDICATORS], (table[SLOT.COMPONENT], result, table[SLOT.N_INDICATORS])
+        )
+    if status > WARNING:
+        table[SLOT.FAILED_STATUS] = status
+        table[SLOT.FAILED_STAGE] = stage
+        return -1
+    return 0

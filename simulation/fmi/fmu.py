@@ -1,0 +1,297 @@
+"""FmuModel: an FMU as a forward model, run in this process."""
+
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.fmi.choice import open_runner
+from simulation.fmi.description import read_description
+from simulation.fmi.numbers import wrong_number, wrong_output
+from simulation.fmi.plan import run_plan
+from simulation.fmi.runner import Runner
+from simulation.fmi.unpack import UnpackedFmu
+from simulation.fmi.variable import Interface
+from simulation.parameters import ParameterSpace
+from simulation.scenario import Scenario
+from simulation.trajectories import Trajectories
+
+if TYPE_CHECKING:
+    from simulation.fmi.sensitivity import TrajectorySensitivities
+
+
+@dataclass(frozen=True, eq=False)
+class FmuSettings:
+    """Everything needed to open an FMU as a forward model; plain data that travels to worker processes.
+
+    Attributes:
+        path: The FMU.
+        parameter_space: The parameters, by the FMU's names, in the declared units.
+        scenario: Inputs and times.
+        output_names: The FMU's output variables.
+        output_offsets: Added to the FMU's outputs, for instance -273.15 from K to degC. Shape (k,).
+        fixed: FMU parameters of any type held at a value, in the FMU's units.
+        interface: How the FMU is driven.
+        relative_tolerance: Of the solver; None for the FMU's own.
+        accepted: Band outside of which an output makes its row a failed one, None for no band. Shape (k, 2).
+            [declared output units]
+        shared_warmup: Whether the warm-up is simulated once, with warmup_theta, and every row starts from the
+            state at its end.
+        warmup_theta: Parameters of that warm-up. Shape (p,). [declared units]
+        output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
+        parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
+        parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
+    """
+
+    path: Path
+    parameter_space: ParameterSpace
+    scenario: Scenario
+    output_names: tuple[str, ...]
+    output_offsets: FloatArray
+    fixed: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    interface: Interface = "co-simulation"
+    relative_tolerance: float | None = None
+    accepted: FloatArray | None = None
+    shared_warmup: bool = False
+    warmup_theta: FloatArray | None = None
+    output_factors: FloatArray | None = None
+    parameter_factors: FloatArray | None = None
+    parameter_offsets: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        both = [name for name in self.fixed if name in self.parameter_space.names]
+        if both:
+            raise InputError(f"{self.path}: {both[0]} is both fixed and calibrated; drop one of the two")
+        k, p = len(self.output_names), self.parameter_space.n_parameters
+        if self.accepted is not None and self.accepted.shape != (k, 2):
+            raise ValueError(f"accepted has shape {self.accepted.shape}; expected {(k, 2)}")
+        if self.shared_warmup and (self.warmup_theta is None or self.warmup_theta.shape != (p,)):
+            raise ValueError(f"a shared warm-up needs warmup_theta of shape {(p,)}")
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        return self.scenario.time
+
+    def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
+        """Convert a row from the declared units to the FMU's. Shape (p,)."""
+        if self.parameter_factors is not None:
+            row = row * self.parameter_factors
+        return row if self.parameter_offsets is None else row + self.parameter_offsets
+
+    @property
+    def warmup_for_fmu(self) -> FloatArray | None:
+        """Parameters of the shared warm-up, None for none. Shape (p,). [FMU's units]."""
+        if not self.shared_warmup or self.warmup_theta is None:
+            return None
+        return self.parameters_for_fmu(self.warmup_theta)
+
+    def open(self) -> "FmuModel":
+        """Open the model; the bound method is the picklable recipe that worker processes are given."""
+        return FmuModel(self)
+
+
+class FmuModel:
+    """An FMU that answers parameter rows.
+
+    One instance lives as long as the model and is started over between rows (a fresh one costs tens of times
+    as much, and processes die after about a thousand). Not for use from several threads at once. The FMU's
+    code runs in this process, and takes it along when it crashes: ParallelModel keeps it in others.
+    """
+
+    def __init__(self, settings: FmuSettings) -> None:
+        """Unpack, load and instantiate the FMU.
+
+        Args:
+            settings: What to open, and how to drive it.
+
+        Raises:
+            InputError: If the FMU cannot be opened or does not have the variables.
+        """
+        self._settings = settings
+        self._sensitivities: TrajectorySensitivities | None = None
+        scenario = settings.scenario
+        description = read_description(settings.path)
+        description.interface(settings.interface, str(settings.path))
+        plan = run_plan(
+            description,
+            scenario,
+            calibrated=settings.parameter_space.names,
+            fixed=settings.fixed,
+            outputs=settings.output_names,
+            tolerance=settings.relative_tolerance,
+        )
+        # The warm-up is simulated into rows that are not handed out.
+        self._y_simulated = np.empty((plan.n_simulated, len(settings.output_names)))
+        unpacked = UnpackedFmu(settings.path)
+        try:
+            self._runner = open_runner(
+                description,
+                plan,
+                unpacked.folder,
+                interface=settings.interface,
+                warmup=settings.warmup_for_fmu,
+            )
+        except BaseException:
+            unpacked.remove()
+            raise
+        self._opened = (description, plan, unpacked.folder)
+        # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
+        self._finalizer = weakref.finalize(self, _close, self._runner, unpacked)
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The parameters to calibrate."""
+        return self._settings.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs."""
+        return self._settings.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        return self._settings.scenario.time
+
+    @property
+    def way(self) -> str:
+        """How rows are started over: "undecided" (yet), "reset", "state", "new instance" or "new process"."""
+        return self._runner.way
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row; one that is NaN, is refused by the FMU or ends in NaN fails with the reason.
+
+        Args:
+            theta: Parameters. Shape (n, p). [model's units]
+
+        Returns:
+            The trajectories. y of shape (n, t, k). [declared output units]
+
+        Raises:
+            NeedsFreshProcess: If the FMU cannot go on in this process; the answers so far are lost.
+        """
+        theta = np.asarray(theta, dtype=np.float64)
+        failures = [""] * len(theta)
+        y = np.empty((len(theta), len(self.time), len(self.output_names)))
+        self.simulate_into(theta, y, before=_nothing, after=failures.__setitem__)
+        return Trajectories(
+            np.array(theta), y, self.time, self.parameter_space.names, self.output_names, tuple(failures)
+        )
+
+    def simulate_into(
+        self,
+        theta: FloatArray,
+        y: FloatArray,
+        *,
+        before: Callable[[int], None],
+        after: Callable[[int, str], None],
+    ) -> None:
+        """Simulate row after row into an array, telling of each when it starts and when it is done.
+
+        Args:
+            theta: Parameters. Shape (n, p). [model's units]
+            y: Filled with the outputs; NaN throughout in failed rows. Shape (n, t, k).
+                [declared output units]
+            before: Called with the row's number just before it starts.
+            after: Called with the row's number and why it failed ("" when it is good) once its y is complete.
+
+        Raises:
+            NeedsFreshProcess: If the row last told of by before() can only be answered by another process.
+        """
+        if not self._finalizer.alive:
+            raise ValueError("the model is closed; open it again")
+        if theta.ndim != 2 or theta.shape[1] != self.parameter_space.n_parameters:
+            raise ValueError(
+                f"theta has shape {theta.shape}; expected (n, {self.parameter_space.n_parameters})"
+            )
+        for i, row in enumerate(np.ascontiguousarray(theta, dtype=np.float64)):
+            before(i)
+            after(i, self._simulate_row(row, y[i]))
+
+    def _simulate_row(self, row: FloatArray, y: FloatArray) -> str:
+        """Fill y with one row's outputs; return why it failed, "" when it did not."""
+        settings = self._settings
+        reason = wrong_number(settings.parameter_space.names, row)
+        if not reason:
+            # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
+            reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)
+        if not reason:
+            simulated = self._y_simulated[settings.scenario.n_warmup :]
+            if settings.output_factors is not None:
+                simulated = np.multiply(simulated, settings.output_factors, out=y)
+            np.add(simulated, settings.output_offsets, out=y)
+            reason = wrong_output(self.output_names, self.time, y, accepted=settings.accepted)
+        if reason:
+            y[:] = np.nan
+        return reason
+
+    @property
+    def provides_sensitivities(self) -> bool:
+        """Whether sensitivities() can answer: directional derivatives in model exchange, no state events."""
+        from simulation.fmi.sensitivity import why_no_sensitivities
+
+        return not self._settings.shared_warmup and not why_no_sensitivities(*self._opened[:2])
+
+    def sensitivities(self, theta: FloatArray) -> tuple[Trajectories, FloatArray]:
+        """Simulate every row, and differentiate its outputs by the FMU's own derivatives.
+
+        Args:
+            theta: Parameters. Shape (n, p). [model's units]
+
+        Returns:
+            The trajectories, and dy/dtheta, NaN in failed rows. Shape (n, t, k, p). [declared units]
+
+        Raises:
+            InputError: If the FMU does not provide them, or its derivatives contradict finite differences.
+            NeedsFreshProcess: If the FMU cannot go on in this process; the answers so far are lost.
+        """
+        # Here, because it loads CVODE and compiles its callbacks.
+        from simulation.fmi.sensitivity import TrajectorySensitivities
+
+        settings, answer = self._settings, self.simulate(theta)
+        if self._sensitivities is None:
+            self._sensitivities = TrajectorySensitivities(*self._opened, shared_warmup=settings.shared_warmup)
+            weakref.finalize(self, self._sensitivities.close)
+        return self._sensitivities.differentiate(
+            answer,
+            settings.parameters_for_fmu(answer.theta),
+            output_factors=settings.output_factors,
+            output_offsets=settings.output_offsets,
+            parameter_factors=settings.parameter_factors,
+            simulate=self._runner.run,
+        )
+
+    def close(self) -> None:
+        """Free the instance and remove the unpacked folder; closing twice does no harm."""
+        if self._sensitivities is not None:
+            self._sensitivities.close()
+        self._finalizer()
+
+    def __enter__(self) -> "FmuModel":
+        """Return the open model."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the model."""
+        self.close()
+
+
+def _close(runner: Runner, unpacked: UnpackedFmu) -> None:
+    runner.close()
+    unpacked.remove()
+
+
+def _nothing(_row: int) -> None:
+    """Nobody is told."""

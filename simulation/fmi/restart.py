@@ -1,0 +1,211 @@
+"""Every row as if it were the first: how an FMU is started over, and what is believed about that."""
+
+import ctypes
+import math
+import time
+from collections.abc import Callable
+from typing import Final, Literal
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.fmi.instance import WARNING, FmuInstance
+from simulation.fmi.runner import NeedsFreshProcess, Solver
+
+Way = Literal["reset", "state"]
+
+# A row as quick as this is repeated without a thought.
+_CHEAP_S: Final = 0.1
+# A second instance that differs by less has rounded differently; by more, it remembers something.
+_SAME_ANSWER: Final = 1e-6
+
+
+class RestartingRunner:
+    """Runs a solver row by row on one instance that is started over in between.
+
+    A reset that says OK and yet leaves something behind would falsify rows without a sign, so none is
+    believed unseen: until one is proven, every row gets a new instance. The proof repeats the first good row
+    after another one and asks for the same bits; it takes one more row, once per process. It is made at the
+    second row where rows are quick, and else as soon as new instances have cost as much time as a row, so
+    that it never costs more than it saves: where a row takes an hour and an instance a second, resets are not
+    even tried. A reset that is an error, or lies, is given up for setting a saved state (where the FMU can),
+    and that for new instances. An FMU of which not even a new instance repeats the row gets a process for
+    every row.
+
+    Two FMUs cannot be given new instances before the proof, one that allows one instance per process and one
+    whose rows share a warm-up: their second row is started over on trust and handed out after the proof.
+
+    What no run in one process can show is an FMU that keeps its first parameters for good, over resets and
+    instances: its first row repeats well. That takes the same row in two processes.
+    """
+
+    def __init__(
+        self,
+        instance: FmuInstance,
+        solver: Solver,
+        *,
+        ways: tuple[Way, ...],
+        trusting: bool = False,
+        prepare: Callable[[], str] | None = None,
+        n_ignored: int = 0,
+    ) -> None:
+        """Take over an instance.
+
+        Args:
+            instance: The FMU, just instantiated.
+            solver: What takes it through one row.
+            ways: How it may be started over, apart from a new instance; tried in this order.
+            trusting: Whether the second row is started over before that is proven.
+            prepare: What every new instance goes through before its first row; says why it failed.
+            n_ignored: Outputs at the start of a row that are not compared.
+        """
+        self._instance = instance
+        self._solver = solver
+        self._ways = list(ways)
+        self._trusting = trusting and bool(ways)
+        self._prepare = prepare
+        self._n_ignored = n_ignored
+        self._proven = not ways
+        self._untouched = True
+        self._prepared = False
+        self._no_start = ""
+        self._first: tuple[FloatArray, FloatArray] | None = None
+        self._state = ctypes.c_void_p(None)
+        self._renewed_s = 0.0
+        self._remembers = False
+
+    @property
+    def way(self) -> Way | Literal["undecided", "new instance", "new process"]:
+        """How rows are started over, as far as that is settled."""
+        if self._remembers:
+            return "new process"
+        if not self._proven:
+            return "undecided"
+        return self._ways[0] if self._ways else "new instance"
+
+    def run(self, values: FloatArray, y: FloatArray) -> str:
+        """Simulate one row; see Runner."""
+        if self._remembers:
+            raise NeedsFreshProcess("the FMU remembers earlier rows for as long as its process lives")
+        if self._proven:
+            return self._start_over() or self._solve(values, y)
+        began = time.perf_counter()
+        if failure := self._start_over():
+            return failure
+        renewed = time.perf_counter()
+        on_trust = not self._untouched
+        reason = self._solve(values, y)
+        took_s = time.perf_counter() - renewed
+        self._renewed_s += renewed - began
+        if self._instance.damaged:
+            if on_trust:
+                raise NeedsFreshProcess("a row failed before it was proven that the FMU can be started over")
+            return reason
+        if self._first is None:
+            self._first = (values.copy(), y.copy())
+        elif np.array_equal(values, self._first[0]):
+            if on_trust and not self._same(y, self._first[1]):
+                raise NeedsFreshProcess("the FMU does not repeat its first row")
+        elif on_trust or max(_CHEAP_S, self._renewed_s) >= took_s:
+            self._prove(values, y)
+        return ""
+
+    def close(self) -> None:
+        """Free the FMU."""
+        self._forget_state()
+        self._instance.close()
+
+    def _solve(self, values: FloatArray, y: FloatArray) -> str:
+        self._untouched = False
+        reason = self._solver.solve(values, y)
+        # Not every FMU can be started over out of an error, or out of numbers that are none.
+        self._instance.damaged = reason != "" or not math.isfinite(y[self._n_ignored :].sum())
+        return reason
+
+    def _start_over(self) -> str:
+        """Make the instance as if just made; return why that failed, "" when it did not."""
+        if not self._untouched:
+            tried = bool(self._ways) and (self._proven or self._trusting) and not self._instance.damaged
+            if not (tried and self._back(self._ways[0])):
+                return self._renew()
+        return "" if self._prepared else self._make_ready()
+
+    def _renew(self) -> str:
+        """Replace the instance by a new one."""
+        self._forget_state()
+        self._prepared = False
+        self._instance.replace()
+        self._untouched = True
+        return self._make_ready()
+
+    def _make_ready(self) -> str:
+        if self._prepare is not None:
+            # It is the same for every row, and so is its failure.
+            self._no_start = self._no_start or self._prepare()
+            if self._no_start:
+                return self._no_start
+        self._prepared = True
+        if "state" in self._ways[:1]:
+            self._save_state()
+        return ""
+
+    def _back(self, way: Way) -> bool:
+        """Bring the instance back by one of the ways; return whether the FMU says that it is."""
+        if way == "reset":
+            return self._instance.reset()
+        return bool(self._state) and self._instance.call("SetFMUstate", self._state) <= WARNING
+
+    def _prove(self, values: FloatArray, y: FloatArray) -> None:
+        """Settle how rows are started over, just after the row of these values and outputs.
+
+        Raises:
+            NeedsFreshProcess: If a new instance does not repeat the first row either.
+        """
+        assert self._first is not None
+        first_values, first_y = self._first
+        again = np.empty_like(y)
+        # On trust, the same answer to other parameters may mean that they never arrived.
+        told_apart = not (self._trusting and self._same(y, first_y))
+        while self._ways and told_apart:
+            if (
+                self._back(self._ways[0])
+                and not self._solve(first_values, again)
+                and self._same(again, first_y)
+            ):
+                self._settle()
+                return
+            self._ways.pop(0)
+            # On trust, the row at hand was answered by an instance that had not forgotten another.
+            if self._ways and (self._renew() or self._solve(values, y if self._trusting else again)):
+                break
+        self._ways = []
+        failed = self._renew() or self._solve(first_values, again)
+        if failed or not np.allclose(
+            again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
+        ):
+            self._remembers = True
+            raise NeedsFreshProcess("a new instance of the FMU does not repeat the first row of its process")
+        if self._trusting:
+            reason = self._renew() or self._solve(values, y)
+            if reason:
+                raise NeedsFreshProcess(f"a row failed once its FMU was new: {reason}")
+        self._settle()
+
+    def _settle(self) -> None:
+        self._proven = True
+        self._first = None
+
+    def _same(self, y: FloatArray, other: FloatArray) -> bool:
+        return np.array_equal(y[self._n_ignored :], other[self._n_ignored :])
+
+    def _save_state(self) -> None:
+        status = self._instance.call("GetFMUstate", ctypes.addressof(self._state))
+        if status > WARNING:
+            self._state = ctypes.c_void_p(None)
+        self._instance.keeps_state = bool(self._state)
+
+    def _forget_state(self) -> None:
+        if self._state and not self._instance.lost:
+            self._instance.call("FreeFMUstate", ctypes.addressof(self._state))
+        self._state = ctypes.c_void_p(None)
+        self._instance.keeps_state = False

@@ -1,0 +1,1 @@
+"""Keeping every simulated row once."""

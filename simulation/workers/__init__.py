@@ -1,0 +1,1 @@
+"""Simulating in supervised processes: here, on any executor, on a cluster."""

@@ -1,0 +1,245 @@
+"""The near end of worker processes: start one, hear it, kill it, and leave nothing of any behind."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import tempfile
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import send_handle
+from typing import Any, Final
+
+from simulation.errors import InputError
+from simulation.workers.messages import (
+    Ended,
+    Fire,
+    Hire,
+    Hired,
+    Learnt,
+    Limits,
+    Opened,
+    Ran,
+    Ready,
+    Refused,
+    Run,
+)
+from simulation.workers.recipe import Recipe, packed
+from simulation.workers.worker import command
+
+# Rows are spread over processes: threads below that would only get into each other's way.
+_THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_GRACE_S: Final = 1.0
+
+
+@dataclass(eq=False)
+class Worker:
+    """One worker process.
+
+    Attributes:
+        number: Its number, never used again.
+        connection: To it; closed when it has hung up.
+        hired_at: When it was asked for, on the monotonic clock. [s]
+        is_open: Whether its model is open.
+        is_leaving: Whether it will end by itself, or has been told to.
+        runs: What it has been given and not reported on, oldest first.
+        n_rows: Rows that it has finished.
+    """
+
+    number: int
+    connection: Connection
+    hired_at: float
+    pid: int | None = None
+    is_open: bool = False
+    is_leaving: bool = False
+    runs: deque[Run] = field(default_factory=deque)
+    n_rows: int = 0
+
+    def give(self, run: Run) -> None:
+        """Give it a run of rows, which it works off after those that it has."""
+        self.runs.append(run)
+        # One that has just died will be buried, and its runs given to another.
+        with contextlib.suppress(OSError):
+            self.connection.send(run)
+
+
+Event = Opened | Refused | Ran | Ended
+
+
+class NurseryEnded(RuntimeError):  # noqa: N818 - somebody's doing, perhaps not the model's
+    """The process ended before it was ready."""
+
+
+class Nursery:
+    """A process that has imported a recipe's modules, and the workers that are forked from it."""
+
+    def __init__(self, make_model: Recipe, limits: Limits) -> None:
+        """Start the process and wait until it is ready.
+
+        Args:
+            make_model: Recipe for the model; must be picklable, and importable from a module.
+            limits: When workers shall ask to be replaced.
+
+        Raises:
+            InputError: If the recipe's modules say so.
+            RuntimeError: If they cannot be imported.
+            NurseryEnded: If the process ends before it is ready.
+        """
+        near, far = socket.socketpair()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
+        environment = dict.fromkeys(_THREADS, "1") | os.environ
+        with far:
+            self._process = subprocess.Popen(
+                command(far.fileno()),
+                stdin=subprocess.DEVNULL,
+                stdout=self._log,
+                stderr=self._log,
+                pass_fds=[far.fileno()],
+                env=environment,
+                # Ctrl-C reaches only the process that decides what it means.
+                start_new_session=True,
+            )
+        self._control = Connection(near.detach())
+        self._owner = os.getpid()
+        self._next = 0
+        self._known: set[bytes] = set()
+        self.workers: dict[int, Worker] = {}
+        try:
+            self._control.send((packed(make_model), limits))
+            answer = self._control.recv()
+        except (EOFError, OSError):
+            self._log.seek(0)
+            said = self._log.read().decode("utf-8", "replace").strip()
+            self.close()
+            raise NurseryEnded(f"the process for simulations does not start: {said or 'killed'}") from None
+        except BaseException:
+            self.close()
+            raise
+        if not isinstance(answer, Ready):
+            self.close()
+            raise error_of(answer)
+
+    def hire(self) -> Worker:
+        """Start a worker; an Opened, Refused or Ended tells what became of it."""
+        near, far = socket.socketpair()
+        worker = Worker(self._next, Connection(near.detach()), time.monotonic())
+        self._next += 1
+        self.workers[worker.number] = worker
+        with far, contextlib.suppress(OSError):
+            self._control.send(Hire(worker.number))
+            send_handle(self._control, far.fileno(), self._process.pid)
+        return worker
+
+    def fire(self, worker: Worker) -> None:
+        """Kill a worker; an Ended tells when it is gone."""
+        with contextlib.suppress(OSError):
+            self._control.send(Fire(worker.number))
+
+    def wait(self, timeout_s: float) -> list[tuple[Worker, Event]]:
+        """Wait for something to happen.
+
+        Args:
+            timeout_s: Longest time to wait. [s]
+
+        Returns:
+            What happened to whom, in an order that a worker's Ended is its last.
+        """
+        connections: dict[Any, Worker] = {
+            worker.connection: worker for worker in self.workers.values() if not worker.connection.closed
+        }
+        ready = wait([self._control, *connections], timeout_s)
+        events: list[tuple[Worker, Event]] = []
+        for connection in ready:
+            if connection is not self._control:
+                worker = connections[connection]
+                # One message: asking for more costs more than being told of them in the next round.
+                events += [(worker, heard) for heard in self._from(worker.connection)]
+        if self._control in ready:
+            events += self._from_nursery()
+        return events
+
+    def _from_nursery(self) -> list[tuple[Worker, Event]]:
+        events: list[tuple[Worker, Event]] = []
+        try:
+            while self._control.poll():
+                message = self._control.recv()
+                worker = self.workers[message.worker]
+                if isinstance(message, Hired):
+                    worker.pid = message.pid
+                else:
+                    events += self._bury(worker, message)
+        except (EOFError, OSError):
+            # Killed: its workers end as their connections close, and nobody can say how.
+            self._process.wait()
+            for worker in list(self.workers.values()):
+                events += self._bury(worker, Ended(worker.number, None, ""))
+        return events
+
+    def _bury(self, worker: Worker, ended: Ended) -> list[tuple[Worker, Event]]:
+        """Hear what the worker said last, and forget it."""
+        heard: list[Event] = self._all_from(worker.connection)
+        worker.connection.close()
+        del self.workers[worker.number]
+        return [(worker, event) for event in (*heard, ended)]
+
+    def _from(self, connection: Connection) -> list[Any]:
+        """Receive a message that lies ready; close the connection where there is nothing more to come."""
+        try:
+            message = connection.recv()
+            if not isinstance(message, Learnt):
+                return [message]
+            if message.known not in self._known:
+                self._known.add(message.known)
+                self._control.send(message)
+        except (EOFError, OSError):
+            connection.close()
+        return []
+
+    def _all_from(self, connection: Connection) -> list[Any]:
+        messages: list[Any] = []
+        while not connection.closed and connection.poll():
+            messages += self._from(connection)
+        return messages
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can hire."""
+        return self._process.poll() is None and not self._control.closed
+
+    def close(self, *, at_once: bool = False) -> None:
+        """End all workers and the process itself; closing twice does no harm.
+
+        Args:
+            at_once: Kill workers in the middle of what they do, instead of letting them close their model.
+        """
+        if self._control.closed or os.getpid() != self._owner:
+            return
+        if not at_once and self.is_alive:
+            deadline = time.monotonic() + _GRACE_S
+            for worker in self.workers.values():
+                with contextlib.suppress(OSError):
+                    worker.connection.send(None)
+            while self.workers and (left := deadline - time.monotonic()) > 0 and self.is_alive:
+                self.wait(left)
+        for worker in self.workers.values():
+            worker.connection.close()
+        self.workers.clear()
+        # It kills what is left, removes the scratch folder and ends.
+        self._control.close()
+        try:
+            self._process.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._log.close()
+
+
+def error_of(refused: Refused) -> Exception:
+    """Return the exception for a model that cannot be opened.
+
+    Args:
+        refused: What its process said.
+    """
+    return InputError(refused.line) if refused.is_input_error else RuntimeError(refused.line)
