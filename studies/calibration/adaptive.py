@@ -28,9 +28,8 @@ GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
 GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
 LEAST_RADIUS = 1e-4
 N_DESIGNS = 200
-# Looks at the surrogate for another valley, and how far away its bottom must lie in some coordinate.
-N_LOOKS = 10
-AWAY = 0.3
+# A leg elsewhere begins at the surrogate's minimum within this distance of a random point.
+AWAY = 0.5
 # Relative gain that a leg elsewhere owes in half of `stall_rounds`.
 OWED_ELSEWHERE = 0.2
 
@@ -273,16 +272,12 @@ class _Search:
         return process
 
     def _elsewhere(self, process: ResidualProcess) -> FloatArray:
-        """Return where the surrogate sees the lowest errors away from the best row, and from each other."""
+        """Return the surrogate's minima around points drawn anew, one for each parallel row."""
+        margin = self._settings.margin
         expand = partial(process.expand, caution=self._settings.caution)
-        corners = np.zeros(self._p), np.ones(self._p)
-        ends = [descend(expand, start, *corners) for start in self._rng.random((N_LOOKS, self._p))]
-        points = [self._u[np.argmin(self._mse)]]
-        for u, _ in sorted(ends, key=lambda end: end[1].value):
-            if min(float(np.abs(u - point).max()) for point in points) > AWAY:
-                points.append(u)
-        points += list(self._rng.random((self._settings.n_parallel, self._p)))
-        return np.array(points[1 : 1 + self._settings.n_parallel])
+        starts = margin + (1.0 - 2.0 * margin) * self._rng.random((self._settings.n_parallel, self._p))
+        ends = [descend(expand, u, np.maximum(u - AWAY, 0.0), np.minimum(u + AWAY, 1.0)) for u in starts]
+        return np.array([u for u, _ in ends])
 
     def _propose(self, process: ResidualProcess, centre: FloatArray) -> tuple[FloatArray, Expansion]:
         """Return the points to simulate next, the favourite first, and what is expected of it."""
