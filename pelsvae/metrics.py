@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class Errors:
-    """Two summaries of the absolute prediction error over a data set. [output's unit].
+    """Two summaries of the absolute prediction error over a data set. [first output's unit].
 
     Attributes:
         mae: Mean over rows, times and outputs.
@@ -21,12 +21,18 @@ class Errors:
     p90: float
 
 
-def errors(predicted: npt.NDArray[np.float64], true: npt.NDArray[np.float64]) -> Errors:
+def errors(
+    predicted: npt.NDArray[np.float64],
+    true: npt.NDArray[np.float64],
+    output_scales: npt.NDArray[np.float64] | None = None,
+) -> Errors:
     """Summarize the absolute errors of predicted trajectories.
 
     Args:
         predicted: Predicted outputs. Shape (n, t, k). [output's unit]
         true: Simulated outputs. Shape (n, t, k). [output's unit]
+        output_scales: What makes errors of different units comparable, by which they are multiplied; None
+            for 1. Shape (k,). [first output's unit / output's unit]
 
     Returns:
         Mean and 90th percentile of the absolute error.
@@ -38,5 +44,8 @@ def errors(predicted: npt.NDArray[np.float64], true: npt.NDArray[np.float64]) ->
         raise ValueError(
             f"errors need two equal shapes (n, t, k), n > 0; got {predicted.shape} and {true.shape}"
         )
-    per_row = np.abs(predicted - true).mean(axis=(1, 2))
+    error = np.abs(predicted - true)
+    if output_scales is not None:
+        error *= output_scales
+    per_row = error.mean(axis=(1, 2))
     return Errors(mae=float(per_row.mean()), p90=float(np.percentile(per_row, 90)))

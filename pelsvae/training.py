@@ -84,6 +84,7 @@ def fit(
     config: SurrogateConfig,
     seed: int,
     log_columns: npt.ArrayLike | None = None,
+    output_scales: Array | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> FitResult:
     """Train a PELS-VAE by Eq. 5 and keep the weights with the smallest validation error.
@@ -96,6 +97,8 @@ def fit(
         seed: Of initial weights, batches and draws; the same seed gives the same surrogate on a machine.
         log_columns: Parameters whose logarithm is a feature too, for theta_features "linear+log"; None
             means every column that is positive throughout. Shape (p,), bool.
+        output_scales: Makes validation errors of different units comparable (see `metrics.errors`).
+            Shape (k,).
         on_epoch: Called after each validated epoch; what it raises ends the training and reaches the caller.
 
     Returns:
@@ -130,7 +133,14 @@ def fit(
     x = torch.from_numpy(output_map.standardized(y)).to(device, torch.float32)  # (n, d)
     with n_threads_set(config.n_threads), denormals_flushed():
         history, best_epoch, stop_reason = _train(
-            surrogate, features, x, (theta_validation, y_validation), generator, on_epoch
+            surrogate,
+            features,
+            x,
+            validation_error=lambda: (
+                errors(surrogate.predict(theta_validation), y_validation, output_scales).mae
+            ),
+            generator=generator,
+            on_epoch=on_epoch,
         )
     network.eval().requires_grad_(False)
     return FitResult(
@@ -150,7 +160,8 @@ def _train(
     surrogate: Surrogate,
     theta: Tensor,  # (n, f)
     x: Tensor,  # (n, d)
-    validation: tuple[Array, Array],
+    *,
+    validation_error: Callable[[], float],
     generator: torch.Generator,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> tuple[list[tuple[float, ...]], int, str]:
@@ -185,7 +196,7 @@ def _train(
                 sums += torch.stack(terms).detach() * (len(x_batch) / n)
         if epoch % config.validate_every and epoch != config.max_epochs:
             continue
-        mae = errors(surrogate.predict(validation[0]), validation[1]).mae
+        mae = validation_error()
         row = (float(epoch), *sums.tolist(), mae)
         if not all(map(math.isfinite, row)):
             raise TrainingDiverged(

@@ -137,6 +137,15 @@ class Measurement:
         shares = np.sqrt(self.weights * n.sum() / (self.weights.sum() * n))
         return np.asarray(uncertainty[0] / uncertainty * shares)
 
+    @property
+    def error_scales(self) -> FloatArray:
+        """What makes absolute errors of the outputs comparable with the first one's. Shape (k,).
+
+        By uncertainty and weight alone, for errors on the output grid; 1 for a single output.
+        """
+        share = self.weights / np.mean(self.weights)
+        return np.asarray(self.uncertainty[0] / self.uncertainty * share, dtype=np.float64)
+
     def differences(self, y: FloatArray, output: int) -> FloatArray:
         """Return simulated minus measured at the samples of one output.
 

@@ -18,11 +18,13 @@ from studies.stages_tracking import tracker_of
 def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     """Tune one surrogate per training-set size."""
     budget, sizes = study.profile.tuning, study.profile.data.n_train
+    scales = tuple(study.case.measurement.error_scales.tolist())
     inputs = {
         "simulate": simulated.digest,
         # Rows that were asked again after a failure are other data.
         "data": simulated.summary["digests"],
         "is_log": study.case.parameter_space.is_log.tolist(),
+        "output_scales": scales,
         "sizes": list(sizes),
         "tuning": asdict(budget),
         "variant": VARIANTS[budget.variant].to_dict(),
@@ -51,6 +53,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 case_digest=study.case.digest,
                 fmu_sha256=study.case.fmu_sha256,
                 output_unit=study.case.outputs[0].unit,
+                output_scales=scales,
                 variant=budget.variant,
                 overrides=overrides,
                 search=budget.search,
@@ -100,6 +103,8 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
 
 def show_tuning(study: Study, outcome: Outcome) -> None:
     """Print the best surrogate of each size."""
+    from studies.study_spec import output_metric
+
     unit = difference_unit(study.case.outputs[0].unit)
     columns = [
         Column("n_train", True),
@@ -109,12 +114,15 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
     ]
     behind = f" [{unit}]" if unit else ""
     columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "MAE test", "P90 test")]
+    several = study.case.outputs if len(study.case.outputs) > 1 else ()
+    columns += [Column(f"{one.name} [{difference_unit(one.unit)}]", True) for one in several]
     columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
     rows = []
     for found in outcome.summary["studies"]:
         errors, config = found["best_metrics"], found["best_config"]
         cells = [found["n_train"], found["n_trials"], found["n_pruned"], found["n_failed"]]
         cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
+        cells += [f"{errors[f'test/{output_metric(one.name)}']:.3g}" for one in several]
         rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
     study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -31,7 +32,9 @@ class StudySpec:
         fmu_sha256: sha256 of the FMU.
         parameter_space: physical parameters; the surrogate is told which ones are logarithmic.
         output_names: simulated outputs.
-        output_unit: unit of the outputs and so of the errors.
+        output_unit: unit of the first output and so of the errors.
+        output_scales: what an error of each output is multiplied with to be comparable with the first
+            output's. Length k. [first output's unit / output's unit]
         train_file: training set, at least `n_train` rows.
         validation_file: set that chooses epochs and hyperparameters.
         test_file: set that only judges.
@@ -53,6 +56,7 @@ class StudySpec:
     parameter_space: ParameterSpace
     output_names: tuple[str, ...]
     output_unit: str
+    output_scales: tuple[float, ...]
     train_file: Path
     validation_file: Path
     test_file: Path
@@ -150,6 +154,7 @@ class StudySpec:
             "test": self.test_digest,
             "settings": settings,
             "search": asdict(self.search),
+            "output_scales": self.output_scales,
             "seed": self.seed,
         }
         return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
@@ -166,6 +171,11 @@ class StudySpec:
     def folder(self, mlruns: Path) -> Path:
         """Folder of the study's finished trials."""
         return mlruns / "trials" / self.label / f"{size_name(self.n_train)}-{self.digest[:8]}"
+
+
+def output_metric(output_name: str) -> str:
+    """Return the name of the error of one of several outputs, of characters that MLflow allows."""
+    return "mae_" + re.sub(r"[^\w.-]", "_", output_name, flags=re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -213,7 +223,8 @@ class StudySummary:
         n_pruned: trials stopped early.
         n_failed: trials that failed for a reason of their own.
         best_index: best completed trial, None without one.
-        best_metrics: its errors by name (`val/mae`, `val/p90`, `test/mae`, `test/p90`). [output's unit]
+        best_metrics: its errors by name (`val/mae`, `val/p90`, `test/mae`, `test/p90`) [first output's unit];
+            with several outputs also each one's own (see `output_metric`). [output's unit]
         best_config: its settings.
         wall_s: training time of all trials together. [s]
         champion: folder of the best surrogate, None without one.

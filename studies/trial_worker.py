@@ -19,7 +19,7 @@ from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from studies.search_space import PastTrial, derived_seed, suggest, to_settings
 from studies.study_data import StudyData, load_data
-from studies.study_spec import EventKind, StudySpec, TrialState, TuneEvent
+from studies.study_spec import EventKind, StudySpec, TrialState, TuneEvent, output_metric
 from studies.study_store import StudyStore
 from studies.trial_record import (
     SURROGATE_FOLDER,
@@ -199,6 +199,7 @@ def _train(
 ) -> None:
     """Train a surrogate, judge it, and note in `outcome` how it went."""
     steps = report_epochs(config.max_epochs)
+    scales = np.array(spec.output_scales)
 
     def on_epoch(report: EpochReport) -> None:
         if should_stop():
@@ -222,6 +223,7 @@ def _train(
             config=config,
             seed=seed,
             log_columns=spec.parameter_space.is_log,
+            output_scales=scales,
             on_epoch=on_epoch,
         )
     except _PrunedError:
@@ -231,8 +233,15 @@ def _train(
         return
     judged: dict[str, float] = {}
     for name, (theta, y) in {"val": data.validation, "test": data.test}.items():
-        error = errors(fitted.surrogate.predict(theta), y)
+        predicted = fitted.surrogate.predict(theta)
+        error = errors(predicted, y, scales)
         judged |= {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
+        if len(spec.output_names) > 1:
+            by_output = np.abs(predicted - y).mean(axis=(0, 1))
+            judged |= {
+                f"{name}/{output_metric(output)}": float(mae)
+                for output, mae in zip(spec.output_names, by_output, strict=True)
+            }
     outcome.n_epochs = fitted.n_epochs
     if not all(map(math.isfinite, judged.values())):
         raise TrainingDiverged("the errors of the trained surrogate are not finite")

@@ -60,3 +60,11 @@ def test_errors_of_a_known_case() -> None:
 def test_errors_refuse_shapes_that_do_not_fit(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="two equal shapes"):
         errors(np.zeros(shape), np.zeros((3, 2, 1) if shape != (0, 2, 1) else shape))
+
+
+def test_errors_of_several_outputs_are_scaled_to_the_first_ones_unit() -> None:
+    true = np.zeros((3, 4, 2))
+    predicted = true + np.array([1.0, 40.0])
+    result = errors(predicted, true, np.array([1.0, 0.05]))
+    assert result.mae == pytest.approx(1.5)  # mean of 1 K and 40 W * 0.05 K/W
+    assert result.p90 == pytest.approx(1.5)

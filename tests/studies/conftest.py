@@ -62,6 +62,7 @@ def make_spec(toy_data: Path) -> Callable[..., StudySpec]:
             case_digest="c" * 64,
             fmu_sha256="f" * 64,
             output_unit="K",
+            output_scales=(1.0,),
             variant="refined",
             overrides=SMALL_TRAINING,
             search=SMALL_SEARCH,
