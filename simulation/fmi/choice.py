@@ -59,20 +59,14 @@ def _restarting(
     start = Start(instance, plan, where)
     if warmup is not None:
         _check_shared_warmup(where, interface, said, plan)
-        shared = SharedWarmup(CoSimulation(instance, plan, start, where), plan, start, warmup)
+        shared = SharedWarmup(CoSimulation(instance, plan, start), plan, start, warmup)
         return RestartingRunner(
             instance, shared, ways=("state",), trusting=True, prepare=shared.prepare, n_ignored=plan.n_warmup
         )
     solver: Solver
     if interface == "co-simulation":
-        solver = CoSimulation(instance, plan, start, where)
+        solver = CoSimulation(instance, plan, start)
     else:
-        for variable in plan.input_variables:
-            if variable.kind not in ("Real", "Float64"):
-                raise InputError(
-                    f"{where}: input {variable.name} is a {variable.kind}, and model exchange sets only "
-                    "Float64; export the FMU for co-simulation"
-                )
         # Here, because it loads CVODE and compiles its callbacks.
         from simulation.fmi.exchange import ModelExchange
 

@@ -7,7 +7,6 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.fmi.call import make_ready
 from simulation.fmi.instance import DISCARD, WARNING, FmuInstance
 from simulation.fmi.log import last_message
@@ -30,23 +29,17 @@ _TERMINATED: Final = 3
 class CoSimulation:
     """A Solver of co-simulation FMUs."""
 
-    def __init__(self, instance: FmuInstance, plan: RunPlan, start: Start, where: str) -> None:
+    def __init__(self, instance: FmuInstance, plan: RunPlan, start: Start) -> None:
         """Look up the functions.
 
         Args:
             instance: The FMU.
             plan: What is set, stepped through and read.
             start: Sets the parameters and initializes.
-            where: The FMU's file, for messages.
 
         Raises:
-            InputError: If the FMU's binary lacks a function, or an input or output is a Float32.
+            InputError: If the FMU's binary lacks a function.
         """
-        for variable in plan.outputs:
-            if variable.kind == "Float32":
-                raise InputError(
-                    f"{where}: output {variable.name} is a Float32; export it as Float64, outputs must be"
-                )
         self._instance = instance
         self._plan = plan
         self._start = start

@@ -4,7 +4,7 @@ import difflib
 import hashlib
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,10 +20,15 @@ from simulation.fmi.declared import (
     number_or_none,
     read_model,
 )
+from simulation.fmi.kinds import SETTERS
 from simulation.fmi.variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
 from simulation.units import UnitDefinition
 
-_NO_NUMBERS = ("String", "Binary", "Clock")
+# The loops read outputs into an array of doubles; inputs are set by the function of their kind.
+_USABLE_KINDS: Mapping[str, Container[str]] = {
+    "output": ("Real", "Float64"),
+    "input": [kind for setters in SETTERS.values() for kind, (_, dtype) in setters.items() if dtype],
+}
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,8 @@ class FmuDescription:
 
         Args:
             name: Name of the variable.
-            causality: What it must be; a "parameter" may also be a start value (an initial state).
+            causality: What it must be; a "parameter" may also be a start value (an initial state), an
+                "output" a local variable.
             where: What asks for it, for the message.
 
         Returns:
@@ -125,11 +131,13 @@ class FmuDescription:
             InputError: If there is none of this name, or it is something else.
         """
         variable = self.find(name, causality, where)
-        if variable.kind not in REAL_KINDS and not (
-            causality == "input" and variable.kind not in _NO_NUMBERS
-        ):
+        if variable.kind not in _USABLE_KINDS.get(causality, REAL_KINDS):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
+            if variable.is_out_of_reach:
+                remedy = "leave it out"
             numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
+            if causality == "output":
+                numbers = numbers.removesuffix(" or Float32")
             raise InputError(
                 f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
             )
@@ -140,7 +148,8 @@ class FmuDescription:
 
         Args:
             name: Name of the variable.
-            causality: What it must be; a "parameter" may also be a structural one or a start value.
+            causality: What it must be; a "parameter" may also be a structural one or a start value, an
+                "output" a local variable, as many tools declare no others.
             where: What asks for it, for the message.
             may_be_input: Whether it may also be an input, to be held at a value.
 
@@ -152,19 +161,20 @@ class FmuDescription:
         """
         variable = self.variables.get(name)
         if variable is None:
-            candidates = self.names(causality)
+            candidates = self.names(causality) + (self.names("local") if causality == "output" else ())
             close = difflib.get_close_matches(name, candidates, n=1, cutoff=0.5)
             if not close:
                 by_lower = {candidate.lower(): candidate for candidate in candidates}
                 close = [by_lower[name.lower()]] if name.lower() in by_lower else []
-            hint = f"did you mean {close[0]}?" if close else f"its {causality}s: {_listed(candidates)}"
+            hint = f"did you mean {close[0]}?" if close else f"it has: {_listed(candidates)}"
             raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
-        settable = causality == "parameter" and (
+        stands_in = causality == "output" and variable.causality == "local"
+        stands_in |= causality == "parameter" and (
             variable.is_start_value
             or variable.causality == "structuralParameter"
             or (may_be_input and variable.causality == "input")
         )
-        if variable.causality != causality and not settable:
+        if variable.causality != causality and not stands_in:
             raise InputError(
                 f"{where}: {name} is a {variable.causality} of {self.path.name}, not its {causality}; "
                 f"choose one of: {_listed(self.names(causality))}"
@@ -244,9 +254,7 @@ def read_description(path: Path) -> FmuDescription:
         ),
         states=tuple(str(one.derivative.name) for one in derivatives if one.derivative is not None),
         derivatives=tuple(str(one.name) for one in derivatives if one.derivative is not None),
-        n_event_indicators=len(model.eventIndicators)
-        if version == "3.0"
-        else int(model.numberOfEventIndicators),
+        n_event_indicators=int(model.numberOfEventIndicators),
         description=str(model.description or ""),
         complaint=complaint,
         units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},

@@ -7,7 +7,7 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.exchange_calls import FUNCTIONS, SLOT
+from simulation.fmi.exchange_calls import FIRST_INPUT, FUNCTIONS, SLOT
 from simulation.fmi.exchange_cvode import Cvode, flag_in_words
 from simulation.fmi.exchange_loop import (
     BAD_CALL,
@@ -48,13 +48,13 @@ class ModelExchange:
             description: What the FMU says of itself.
 
         Raises:
-            InputError: If the FMU's binary lacks a function, or a variable has the wrong type.
+            InputError: If the FMU's binary lacks a function, or a state is an array.
         """
-        for variable in plan.outputs:
-            if variable.kind not in ("Real", "Float64"):
+        for name in description.states:
+            if description.variables[name].shape:
                 raise InputError(
-                    f"{description.path}: output {variable.name} is a {variable.kind}; "
-                    "model exchange reads Float64 only, choose another output or co-simulation"
+                    f"{description.path}: state {name} is an array, which model exchange cannot integrate; "
+                    "export the FMU for co-simulation"
                 )
         self._instance = instance
         self.plan = plan
@@ -89,7 +89,7 @@ class ModelExchange:
         self.table[SLOT.COMPONENT] = self._instance.component
         kind, detail, stage, time = simulate_row(
             self.table,
-            plan.input_references,
+            self._start.inputs.table,
             plan.inputs,
             plan.output_references,
             plan.edges,
@@ -116,8 +116,7 @@ class ModelExchange:
         """
         at = f"at {time:g} s"
         if kind == BAD_CALL:
-            name = "GetDirectionalDerivative" if stage == SLOT.DIRECTIONAL else self._functions[stage]
-            return self._instance.failure(name, detail, time)
+            return self._instance.failure(self._name(stage), detail, time)
         if kind == BAD_STEP:
             return f"{flag_in_words(detail)} {at}{self._fault(time)}"
         if kind == STUCK:
@@ -132,6 +131,12 @@ class ModelExchange:
         if kind == ENDLESS_ITERATION:
             return f"the model's event did not settle in {MOST_ITERATIONS} iterations {at}"
         return f"state {self._states[detail]} is not finite {at}"
+
+    def _name(self, stage: int) -> str:
+        """Return the function of a stage, without the version."""
+        if stage >= FIRST_INPUT:
+            return self._start.inputs.name(stage - FIRST_INPUT)
+        return "GetDirectionalDerivative" if stage == SLOT.DIRECTIONAL else self._functions[stage]
 
     def _fault(self, time: float) -> str:
         """Say what CVODE met with in the FMU in this communication step, if anything."""

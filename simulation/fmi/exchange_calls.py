@@ -16,12 +16,12 @@ from numba.extending import intrinsic
 
 from simulation.arrays import FloatArray
 from simulation.fmi.call import call_status
+from simulation.fmi.inputs import COUNT, FUNCTION, REFERENCES, STRIDE, VALUES
 from simulation.fmi.instance import FATAL, WARNING
 
 # The FMU's functions that the loop calls, without the version: FMI 2.0's name and FMI 3.0's.
 FUNCTIONS: Final = {
     "fmi2": (
-        "SetReal",
         "GetReal",
         "EnterEventMode",
         "NewDiscreteStates",
@@ -35,7 +35,6 @@ FUNCTIONS: Final = {
         "GetEventIndicators",
     ),
     "fmi3": (
-        "SetFloat64",
         "GetFloat64",
         "EnterEventMode",
         "UpdateDiscreteStates",
@@ -54,41 +53,42 @@ FUNCTIONS: Final = {
 class _Slots(NamedTuple):
     """Where a thing lies in the table; the FMU's functions come first, in the order of FUNCTIONS."""
 
-    SET_REAL: int = 0
-    GET_REAL: int = 1
-    ENTER_EVENT: int = 2
-    UPDATE_DISCRETE: int = 3
-    ENTER_CONTINUOUS: int = 4
-    COMPLETED: int = 5
-    SET_TIME: int = 6
-    SET_STATES: int = 7
-    GET_STATES: int = 8
-    GET_DERIVATIVES: int = 9
-    GET_NOMINALS: int = 10
-    GET_INDICATORS: int = 11
-    IS_FMI3: int = 12
-    COMPONENT: int = 13
-    N_STATES: int = 14
-    N_INDICATORS: int = 15
-    FAILED_STATUS: int = 16  # of a call that CVODE made
-    FAILED_STAGE: int = 17
-    NOT_FINITE: int = 18  # 1 + index of a derivative that was none
-    VECTOR_DATA: int = 19  # N_VGetArrayPointer
-    SOLVE: int = 20
-    RESTART: int = 21
-    STOP_AT: int = 22
-    INTERPOLATE: int = 23
-    TOLERANCES: int = 24
-    SOLVER: int = 25  # CVODE's memory
-    X: int = 26  # N_Vector of the states
-    X_BETWEEN: int = 27  # N_Vector of the states at a time inside the last step
-    ABSOLUTE: int = 28  # N_Vector of the absolute tolerances
-    DIRECTIONAL: int = 29  # of the FMU; 0 where it has none
-    LAST_ORDER: int = 30
-    SIZE: int = 31
+    GET_REAL: int = 0
+    ENTER_EVENT: int = 1
+    UPDATE_DISCRETE: int = 2
+    ENTER_CONTINUOUS: int = 3
+    COMPLETED: int = 4
+    SET_TIME: int = 5
+    SET_STATES: int = 6
+    GET_STATES: int = 7
+    GET_DERIVATIVES: int = 8
+    GET_NOMINALS: int = 9
+    GET_INDICATORS: int = 10
+    IS_FMI3: int = 11
+    COMPONENT: int = 12
+    N_STATES: int = 13
+    N_INDICATORS: int = 14
+    FAILED_STATUS: int = 15  # of a call that CVODE made
+    FAILED_STAGE: int = 16
+    NOT_FINITE: int = 17  # 1 + index of a derivative that was none
+    VECTOR_DATA: int = 18  # N_VGetArrayPointer
+    SOLVE: int = 19
+    RESTART: int = 20
+    STOP_AT: int = 21
+    INTERPOLATE: int = 22
+    TOLERANCES: int = 23
+    SOLVER: int = 24  # CVODE's memory
+    X: int = 25  # N_Vector of the states
+    X_BETWEEN: int = 26  # N_Vector of the states at a time inside the last step
+    ABSOLUTE: int = 27  # N_Vector of the absolute tolerances
+    DIRECTIONAL: int = 28  # of the FMU; 0 where it has none
+    LAST_ORDER: int = 29
+    SIZE: int = 30
 
 
 SLOT: Final = _Slots()
+# The stages from here on are rows of the table of inputs (see inputs).
+FIRST_INPUT: Final = SLOT.SIZE
 
 _pointer: Any = types.CPointer
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -96,7 +96,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 # numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
 # that carries the digest of all of them is never found with an old body.
 _SOURCES: Final = (
-    *("call", "exchange_calls", "exchange_loop"),
+    *("call", "inputs", "exchange_calls", "exchange_loop"),
     *("sensitivity_calls", "sensitivity_loop", "sensitivity_radau"),
 )
 _DIGEST: Final = hashlib.sha256(
@@ -160,13 +160,19 @@ _as_doubles: Any = intrinsic(_as_doubles_of)
 
 
 @compiled
-def set_real(table: Any, references: Any, n: int, values: Any) -> Any:
-    """Set n float variables, by the addresses of references and values."""
-    if n == 0:
-        return 0
-    if table[SLOT.IS_FMI3] != 0:
-        return call_status(table[SLOT.SET_REAL], (table[SLOT.COMPONENT], references, n, values, n))
-    return call_status(table[SLOT.SET_REAL], (table[SLOT.COMPONENT], references, n, values))
+def set_inputs(table: Any, inputs: Any, step: int) -> tuple[int, int]:
+    """Set the inputs of a step; status and stage of the last call."""
+    component = table[SLOT.COMPONENT]
+    for row in range(inputs.shape[0]):
+        function, references, n = inputs[row, FUNCTION], inputs[row, REFERENCES], inputs[row, COUNT]
+        values = inputs[row, VALUES] + step * inputs[row, STRIDE]
+        if table[SLOT.IS_FMI3] != 0:
+            status = call_status(function, (component, references, n, values, n))
+        else:
+            status = call_status(function, (component, references, n, values))
+        if status > WARNING:
+            return status, FIRST_INPUT + row
+    return 0, FIRST_INPUT
 
 
 @compiled

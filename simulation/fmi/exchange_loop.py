@@ -18,7 +18,7 @@ from simulation.fmi.exchange_calls import (
     completed_step,
     get_real,
     get_states,
-    set_real,
+    set_inputs,
     update_discrete_states,
 )
 from simulation.fmi.instance import WARNING
@@ -99,15 +99,19 @@ def restart(
 
 @compiled
 def go_through_event(
-    table: Any, info: FloatArray, references: Any, n_inputs: int, inputs: Any
+    table: Any, info: FloatArray, inputs: Any, step: int
 ) -> tuple[int, int, int, bool, float]:
-    """Go through an event and set n inputs; kind, detail, stage, nominals changed, next time event."""
+    """Go through an event; kind, detail, stage, nominals changed, next time event.
+
+    The inputs of a step are set in it, none for step -1.
+    """
     status = call_status(table[SLOT.ENTER_EVENT], (table[SLOT.COMPONENT],))
     if status > WARNING:
         return BAD_CALL, status, SLOT.ENTER_EVENT, False, np.inf
-    status = set_real(table, references, n_inputs, inputs)
-    if status > WARNING:
-        return BAD_CALL, status, SLOT.SET_REAL, False, np.inf
+    if step >= 0:
+        status, stage = set_inputs(table, inputs, step)
+        if status > WARNING:
+            return BAD_CALL, status, stage, False, np.inf
     kind, detail, nominals, _, later = _iterate(table, info)
     if kind != GOOD:
         return kind, detail, SLOT.UPDATE_DISCRETE, nominals, later
@@ -118,7 +122,7 @@ def go_through_event(
 @compiled
 def simulate_row(
     table: Any,
-    input_references: Any,
+    input_table: Any,
     inputs: FloatArray,
     output_references: Any,
     edges: FloatArray,
@@ -136,8 +140,8 @@ def simulate_row(
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SLOT.SIZE,).
-        input_references: Value references. Shape (n_inputs,), uint32.
-        inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
+        input_table: What sets the inputs (see inputs). Shape (n_functions, 5), intp.
+        inputs: Constant input of every step. Shape (m, n_inputs). [model's units]
         output_references: Value references. Shape (k,), uint32.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
@@ -150,9 +154,7 @@ def simulate_row(
     Returns:
         How it ended, a detail of it, the stage (a Slot) and the time. [s]
     """
-    n_steps, n_inputs, n_outputs = edges.size - 1, input_references.size, output_references.size
-    input_list = np.intp(input_references.ctypes.data)
-    inputs_address, inputs_stride = np.intp(inputs.ctypes.data), n_inputs * inputs.itemsize
+    n_steps, n_outputs = edges.size - 1, output_references.size
     output_list = np.intp(output_references.ctypes.data)
     y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
     x_address, between_address = np.intp(x.ctypes.data), np.intp(x_between.ctypes.data)
@@ -235,9 +237,7 @@ def simulate_row(
             n_events += 1
             if n_events > MOST_EVENTS:
                 return TOO_MANY_EVENTS, n_events, SLOT.UPDATE_DISCRETE, time
-            kind, detail, stage, nominals, later = go_through_event(
-                table, info, input_list, 0, inputs_address
-            )
+            kind, detail, stage, nominals, later = go_through_event(table, info, input_table, -1)
             if kind == GOOD and integrates:
                 kind, detail, stage = restart(table, time, x, absolute, rtol, nominals)
             if kind != GOOD:
@@ -254,8 +254,7 @@ def simulate_row(
             if status > WARNING:
                 return BAD_CALL, status, SLOT.GET_REAL, time
         if passed == stop_edge and passed < n_steps:
-            values = inputs_address + passed * inputs_stride
-            kind, detail, stage, nominals, later = go_through_event(table, info, input_list, n_inputs, values)
+            kind, detail, stage, nominals, later = go_through_event(table, info, input_table, passed)
             if kind == GOOD and integrates:
                 kind, detail, stage = restart(table, time, x, absolute, rtol, nominals)
             if kind != GOOD:

@@ -19,9 +19,8 @@ class RunPlan:
     Attributes:
         calibrated: The parameters that differ from row to row, in the order of a row. Length p.
         fixed: The parameters held at a value, with their values. [FMU's units]
-        input_references: Value references. Shape (n_inputs,), uint32.
         input_variables: The inputs. Length n_inputs.
-        inputs: Input of each step, constant over it, contiguous. Shape (m, n_inputs). [FMU's units]
+        inputs: Input of each step, constant over it. Shape (m, n_inputs). [FMU's units]
         output_references: Value references. Shape (k,), uint32.
         outputs: The outputs. Length k.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
@@ -32,7 +31,6 @@ class RunPlan:
 
     calibrated: tuple[FmuVariable, ...]
     fixed: tuple[tuple[FmuVariable, float | int | bool | str], ...]
-    input_references: Any
     input_variables: tuple[FmuVariable, ...]
     inputs: FloatArray
     output_references: Any
@@ -94,7 +92,6 @@ def run_plan(
             (description.find(name, "parameter", where, may_be_input=True), value)
             for name, value in fixed.items()
         ),
-        input_references=references(input_variables),
         input_variables=input_variables,
         inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
         output_references=references(output_variables),

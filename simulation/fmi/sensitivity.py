@@ -46,8 +46,14 @@ def why_no_sensitivities(description: FmuDescription, plan: RunPlan) -> str:
         return "it has state events"
     if not description.states:
         return "it has no continuous states"
-    wrong = [one.name for one in (*plan.calibrated, *plan.outputs) if one.kind not in ("Real", "Float64")]
-    return f"{wrong[0]} is no Float64" if wrong else ""
+    for variable in plan.calibrated:
+        if variable.kind not in ("Real", "Float64"):
+            return f"{variable.name} is no Float64"
+    for variable in plan.outputs:
+        # The standard has derivatives of outputs only.
+        if variable.causality != "output":
+            return f"{variable.name} is no declared output"
+    return ""
 
 
 class TrajectorySensitivities:

@@ -50,7 +50,7 @@ _MOST_RADAU_STEPS: Final = 10_000
 @compiled
 def simulate_sensitivities(
     table: Any,
-    input_references: Any,
+    input_table: Any,
     inputs: FloatArray,
     output_references: Any,
     edges: FloatArray,
@@ -74,8 +74,8 @@ def simulate_sensitivities(
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SLOT.SIZE,).
-        input_references: Value references. Shape (n_inputs,), uint32.
-        inputs: Constant input of every step, contiguous. Shape (m, n_inputs). [model's units]
+        input_table: What sets the inputs (see inputs). Shape (n_functions, 5), intp.
+        inputs: Constant input of every step. Shape (m, n_inputs). [model's units]
         output_references: Value references. Shape (k,), uint32.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
@@ -98,9 +98,7 @@ def simulate_sensitivities(
         How it ended, a detail of it, the stage (a slot) and the time. [s]
     """
     n, p = s.shape
-    n_steps, n_inputs = edges.size - 1, input_references.size
-    input_list, inputs_address = np.intp(input_references.ctypes.data), np.intp(inputs.ctypes.data)
-    inputs_stride = n_inputs * inputs.itemsize
+    n_steps = edges.size - 1
     info, reached, states = np.zeros(4), np.zeros(1), np.empty(n)
     jacobians, forcings = np.zeros((4, n, n)), np.zeros((4, n, p))
     ends, coefficients, n_pieces = np.zeros(64), np.zeros((64, MOST_COEFFICIENTS, n)), 0
@@ -220,8 +218,7 @@ def simulate_sensitivities(
             if kind != GOOD:
                 return kind, detail, stage, end
         if step + 1 == stop_edge and stop_edge < n_steps:
-            values = inputs_address + (step + 1) * inputs_stride
-            kind, detail, stage, nominals, later = go_through_event(table, info, input_list, n_inputs, values)
+            kind, detail, stage, nominals, later = go_through_event(table, info, input_table, step + 1)
             if kind == GOOD and later <= edges[n_steps]:
                 return HAS_EVENTS, 0, SLOT.UPDATE_DISCRETE, later
             if kind == GOOD:

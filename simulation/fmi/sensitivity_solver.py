@@ -91,7 +91,7 @@ class SensitivitySolver:
         n, k = plan.n_simulated, len(plan.outputs)
         kind, detail, stage, time = simulate_sensitivities(
             exchange.table,
-            plan.input_references,
+            self._start.inputs.table,
             plan.inputs,
             plan.output_references,
             plan.edges,

@@ -57,6 +57,11 @@ class FmuVariable:
             and self.variability != "constant"
         )
 
+    @property
+    def is_out_of_reach(self) -> bool:
+        """Whether nothing here can set or read it: an array, a clock, bytes."""
+        return bool(self.shape) or self.kind in ("Binary", "Clock")
+
 
 @dataclass(frozen=True)
 class FmuInterface:

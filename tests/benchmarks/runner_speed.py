@@ -154,7 +154,10 @@ def simulated_by_c(model: FmuModel, rows: np.ndarray, folder: Path) -> tuple[Cal
     for index, name in enumerate((*FUNCTIONS, f"Set{kind}", f"Get{kind}")):
         if two or name != "SetupExperiment":
             addresses[index] = instance.addresses(name)[0]
-    references = np.array([one.reference for one in plan.calibrated], dtype=np.uint32)
+    references, input_references = (
+        np.array([one.reference for one in variables], dtype=np.uint32)
+        for variables in (plan.calibrated, plan.input_variables)
+    )
     y = np.empty((len(rows), plan.n_steps + 1, len(plan.outputs)))
 
     def address(array: np.ndarray) -> ctypes.c_void_p:
@@ -169,7 +172,7 @@ def simulated_by_c(model: FmuModel, rows: np.ndarray, folder: Path) -> tuple[Cal
             address(references),
             ctypes.c_size_t(rows.shape[1]),
             address(rows),
-            address(plan.input_references),
+            address(input_references),
             ctypes.c_size_t(plan.inputs.shape[1]),
             address(plan.inputs),
             address(plan.output_references),

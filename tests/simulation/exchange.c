@@ -1,7 +1,7 @@
 /* Small models behind the model-exchange functions of FMI 2.0 or, with -DFMI3, FMI 3.0; `mode` chooses one.
  *
  * References: 0 mode, 1 a, 2 b, 3 u (input), 4 x0, 5 x1, 6 der(x0), 7 der(x1), 8 y (output), 9 n (output: events),
- * 10 nominal of the states.
+ * 10 nominal of the states, 11 off (Boolean input), 12 level (whole-number input).
  */
 #include <math.h>
 #include <stdlib.h>
@@ -21,7 +21,7 @@ typedef fmi3Status Status;
 typedef fmi2Status Status;
 #endif
 
-enum { MODE, A, B, U, X0, X1, D0, D1, Y, N, NOMINAL, SIZE };
+enum { MODE, A, B, U, X0, X1, D0, D1, Y, N, NOMINAL, OFF, LEVEL, SIZE };
 enum {
     BALL,        /* falls from 1 m, bounces with a restitution of a, rests when slower than b */
     THERMOSTAT,  /* der(x0) = u - a x0 while on; on below 1, off above 2 */
@@ -38,7 +38,7 @@ enum {
     NOISY,       /* der(x0) = 1e9 cos(1e9 t) */
     SAMPLED,     /* y is u, sampled every a seconds */
     LATE,        /* no states: an indicator crosses zero at a */
-    LINEAR,      /* der(x0) = u - a x0, der(x1) = x0 - b x1, y = x1 + u, x0 starts at b */
+    LINEAR,      /* der(x0) = (off ? 0 : u) + level - a x0, der(x1) = x0 - b x1, y = x1 + u, x0 starts at b */
     PULSED,      /* der(x0) = -a x0, in each event x0 doubles; events are inputs' */
 };
 
@@ -97,7 +97,7 @@ static Status derivatives(Model *m)
         v[D0] = 1e9 * cos(1e9 * m->t);
         break;
     case LINEAR:
-        v[D0] = v[U] - v[A] * v[X0];
+        v[D0] = (v[OFF] != 0.0 ? 0.0 : v[U]) + v[LEVEL] - v[A] * v[X0];
         v[D1] = v[X0] - v[B] * v[X1];
         break;
     case PULSED:
@@ -291,6 +291,11 @@ Status fmi3EnterInitializationMode(Instance c, fmi3Boolean a, double b, double t
     return OK;
 }
 Status fmi3SetFloat64(Instance c, REFERENCES, const double values[], size_t k) { return k == n ? set(c, r, n, values) : ERROR; }
+#define SETS(NAME, TYPE) \
+    Status fmi3Set##NAME(Instance c, REFERENCES, const TYPE values[], size_t k) \
+    { for (size_t i = 0; i < n; i++) ((Model *)c)->v[r[i]] = values[i]; return k == n ? OK : ERROR; }
+SETS(Boolean, fmi3Boolean)
+SETS(Int32, fmi3Int32)
 Status fmi3GetFloat64(Instance c, REFERENCES, double values[], size_t k) { return k == n ? get(c, r, n, values) : ERROR; }
 Status fmi3GetContinuousStateDerivatives(Instance c, double d[], size_t n) { return slopes(c, d, n); }
 Status fmi3UpdateDiscreteStates(Instance c, fmi3Boolean *needed, fmi3Boolean *end, fmi3Boolean *nominals,
@@ -335,6 +340,11 @@ Status fmi2SetupExperiment(Instance c, fmi2Boolean a, double b, double t, fmi2Bo
 }
 Status fmi2EnterInitializationMode(Instance c) { (void)c; return OK; }
 Status fmi2SetReal(Instance c, REFERENCES, const double values[]) { return set(c, r, n, values); }
+#define SETS(NAME, TYPE) \
+    Status fmi2Set##NAME(Instance c, REFERENCES, const TYPE values[]) \
+    { for (size_t i = 0; i < n; i++) ((Model *)c)->v[r[i]] = values[i]; return OK; }
+SETS(Boolean, fmi2Boolean)
+SETS(Integer, fmi2Integer)
 Status fmi2GetReal(Instance c, REFERENCES, double values[]) { return get(c, r, n, values); }
 Status fmi2GetDerivatives(Instance c, double d[], size_t n) { return slopes(c, d, n); }
 Status fmi2NewDiscreteStates(Instance c, fmi2EventInfo *info)

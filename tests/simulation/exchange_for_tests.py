@@ -69,6 +69,11 @@ def _description_2(n_states: int, n_indicators: int) -> str:
             f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
             f'variability="{variability}"><Real{start}{state}/></ScalarVariable>'
         )
+    for reference, name, kind, start in ((11, "off", "Boolean", "false"), (12, "level", "Integer", "0")):
+        variables += (
+            f'<ScalarVariable name="{name}" valueReference="{reference}" causality="input" '
+            f'variability="discrete"><{kind} start="{start}"/></ScalarVariable>'
+        )
     slopes = "".join(f'<Unknown index="{7 + i}"/>' for i in range(n_states))
     return (
         '<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="exchange" '
@@ -91,6 +96,8 @@ def _description_3(n_states: int, n_indicators: int) -> str:
             f'<Float64 name="{name}" valueReference="{reference}" causality="{causality}" '
             f'variability="{variability}"{start}{state}/>'
         )
+    variables += '<Boolean name="off" valueReference="11" causality="input" start="false"/>'
+    variables += '<Int32 name="level" valueReference="12" causality="input" start="0"/>'
     variables += "".join(f'<Float64 name="z{i}" valueReference="{20 + i}"/>' for i in range(n_indicators))
     slopes = "".join(f'<ContinuousStateDerivative valueReference="{6 + i}"/>' for i in range(n_states))
     roots = "".join(f'<EventIndicator valueReference="{20 + i}"/>' for i in range(n_indicators))

@@ -1,5 +1,6 @@
 """Model exchange with events, failures and both FMI versions, against closed forms."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,27 @@ def test_inputs_hold_over_their_step_and_jump_after_it(fmu: Path, output_every: 
     np.testing.assert_allclose(
         answer.y[0, :, 0], linear_by_steps(0.3, 0.05, u, 2.0)[::output_every], rtol=1e-8, atol=5e-7
     )
+
+
+def test_inputs_of_every_type_hold_over_their_step_and_a_local_variable_is_read(fmu: Path):
+    rng = np.random.default_rng(1)
+    u, off, level = rng.normal(size=60), rng.integers(0, 2, 60), rng.integers(-3, 4, 60)
+    chosen = settings(fmu, "LINEAR", edges=np.arange(61) * 2.0, u=u, rtol=1e-8)
+    scenario = dataclasses.replace(
+        chosen.scenario,
+        inputs=np.column_stack([level, u, off]).astype(np.float64),
+        input_names=("level", "u", "off"),
+    )
+    with FmuModel(dataclasses.replace(chosen, scenario=scenario, output_names=("x0", "x1"))) as model:
+        answer = model.simulate(np.array([[0.3, 0.05]]))
+    assert answer.failures == ("",)
+    driven = np.where(off, 0.0, u) + level
+    x1 = linear_by_steps(0.3, 0.05, driven, 2.0)[1:] - driven
+    np.testing.assert_allclose(answer.y[0, 1:, 1], x1, rtol=1e-8, atol=2e-6)
+    x0 = [0.05]
+    for value in driven:
+        x0.append(x0[-1] * np.exp(-0.6) + value * (1.0 - np.exp(-0.6)) / 0.3)
+    np.testing.assert_allclose(answer.y[0, :, 0], x0, rtol=1e-8, atol=2e-6)
 
 
 def test_only_changes_of_inputs_are_events(fmu: Path):
