@@ -219,7 +219,7 @@ def load_case(
     fmu = read_description((path.parent / file.fmu).resolve())
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
-    window = window_d if window_d is not None else file.time.window_d
+    window = window_d if window_d is not None else file.time.window
     case = _compared_over(path, file, fmu, data, plain_period(path, file, window))
     period = validation_period(path, file, window, is_overridden=window_d is not None)
     if period is None:
@@ -280,7 +280,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         references=tuple(
             KnownError(table.label, table.mse, table.target)
             for table in file.references
-            if table.window_d == period.compared_d
+            if table.window == period.compared_d
         ),
     )
 

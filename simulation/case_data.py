@@ -11,9 +11,9 @@ from simulation.errors import InputError
 from simulation.measurement import Samples
 from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
+from simulation.time_unit import DAYS, TimeUnit
 from simulation.timestamps import zero_of
 
-DAY_S = 86400.0
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
 
@@ -26,11 +26,13 @@ class CaseData:
         path: The case file.
         recordings: By their names in the case file, on one time axis.
         day_zero_s: Model time at which the days of the case file begin to count. [s]
+        unit: Unit in which the case file gives its periods.
     """
 
     path: Path
     recordings: dict[str, Recording]
     day_zero_s: float
+    unit: TimeUnit
 
     def samples(self, table: OutputTable, begin_s: float, end_s: float, seen_s: float) -> Samples:
         """Return what was measured of an output in a period; gaps have no sample.
@@ -51,10 +53,11 @@ class CaseData:
         inside &= ~(np.abs(recording.time - seen_s) <= slack)
         n_samples = int(np.count_nonzero(inside))
         if n_samples < 2:
-            begin_d, end_d = ((time - self.day_zero_s) / DAY_S for time in (begin_s, end_s))
+            begin_d, end_d = ((time - self.day_zero_s) / DAYS.seconds for time in (begin_s, end_s))
             raise InputError(
                 f"{self.path}: outputs[{table.name}]: {recording.path} has {n_samples} values of "
-                f"{table.column} from day {begin_d:g} to {end_d:g}, 2 are needed; choose other days"
+                f"{table.column} over {self.unit.period((begin_d, end_d))}, 2 are needed; choose another "
+                "window, or correct the file"
             )
         # A sample that a rounding puts outside belongs to the first or last output time.
         return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside])
@@ -73,7 +76,7 @@ class CaseData:
                 return float(recording.columns[table.column][row])
         raise InputError(
             f"{where}: {recording.path} has no value of {table.column} near the start, {start_s:.12g} s; "
-            "give a number, or choose a start_d with a measured value"
+            f"give a number, or choose a start_{self.unit.symbol} with a measured value"
         )
 
     def input_series(
@@ -100,7 +103,7 @@ class CaseData:
             held = f"covers {time[0]:.12g} to {time[-1]:.12g} s" if len(time) else "is empty"
             raise InputError(
                 f"{where}: {recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; "
-                "shorten window_d or record longer"
+                f"shorten window_{self.unit.symbol} or record longer"
             )
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         steps = np.diff(time)
@@ -165,7 +168,7 @@ def read_data(path: Path, file: CaseFile) -> CaseData:
     if file.time.zero is not None:
         zero_s = zero_of(file.time.zero, first.clock, file.timezone, f"{path}: time.zero")
     elif first.clock == "seconds":
-        return CaseData(path, recordings, float(first.time[0]))
+        return CaseData(path, recordings, float(first.time[0]), file.time.unit)
     else:
         zero_s = float(first.time[0])
-    return CaseData(path, {name: one.since(zero_s) for name, one in recordings.items()}, 0.0)
+    return CaseData(path, {name: one.since(zero_s) for name, one in recordings.items()}, 0.0, file.time.unit)

@@ -8,10 +8,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from simulation.errors import InputError
+from simulation.time_unit import DAYS, SECONDS, TimeUnit
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1)]
+# TOML arrays arrive as lists; strict mode would take no list for a tuple.
+Pair = Annotated[tuple[Finite, Finite], Field(strict=False)]
 
 
 class _Table(BaseModel):
@@ -19,21 +22,67 @@ class _Table(BaseModel):
 
 
 class TimeTable(_Table):
-    """Key [time]: periods in days, steps in seconds.
+    """Key [time]: periods in days or, all of them, in seconds; steps in seconds.
 
-    Days count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
+    They count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
     which is the model's time 0 as well. The simulation starts at `start_d` (else with the window); with
     `shared_warmup` the part before the window is simulated once. `validation_d` is not calibrated.
     """
 
-    # TOML arrays arrive as lists; strict mode would take no list for a tuple.
-    window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
+    window_d: Pair | None = None
+    window_s: Pair | None = None
     start_d: Finite | None = None
+    start_s: Finite | None = None
+    validation_d: Pair | None = None
+    validation_s: Pair | None = None
     zero: Name | None = None
     shared_warmup: bool = False
-    validation_d: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
     communication_step_s: Positive
     output_step_s: Positive
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> "TimeTable":
+        _one_window(self.window_d, self.window_s)
+        other = "s" if self.window_s is None else "d"
+        for key in ("start", "validation"):
+            if getattr(self, f"{key}_{other}") is not None:
+                raise ValueError(
+                    f"{key}_{other} beside window_{self.unit.symbol}; write {key}_{self.unit.symbol}: "
+                    "_d counts days, _s seconds, one of them throughout"
+                )
+        return self
+
+    @property
+    def unit(self) -> TimeUnit:
+        """Unit of the periods."""
+        return DAYS if self.window_s is None else SECONDS
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """The part that is compared. [d]."""
+        return _in_days(self.window_d, self.window_s) or (0.0, 0.0)
+
+    @property
+    def validation(self) -> tuple[float, float] | None:
+        """The part that is not calibrated. [d]."""
+        return _in_days(self.validation_d, self.validation_s)
+
+    @property
+    def start(self) -> float | None:
+        """Start of the simulation, None for that of the window. [d]."""
+        return self.start_d if self.start_s is None else SECONDS.to_days(self.start_s)
+
+
+def _one_window(window_d: tuple[float, float] | None, window_s: tuple[float, float] | None) -> None:
+    if (window_d is None) == (window_s is None):
+        what = "both window_d and window_s are given" if window_d else "key window_d is missing"
+        raise ValueError(f"{what}; give one: window_d = [0, 10] in days, or window_s = [0, 10] in seconds")
+
+
+def _in_days(
+    days: tuple[float, float] | None, seconds: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    return days if seconds is None else (SECONDS.to_days(seconds[0]), SECONDS.to_days(seconds[1]))
 
 
 class InputTable(_Table):
@@ -72,7 +121,7 @@ class OutputTable(_Table):
     column: Name
     uncertainty: Positive
     weight: Positive = 1.0
-    accepted: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
+    accepted: Pair | None = None
 
 
 class ParameterTable(_Table):
@@ -116,9 +165,20 @@ class ReferenceTable(_Table):
     """Key [[references]]: a mean squared error that is known for a window, to judge results by."""
 
     label: Name
-    window_d: Annotated[tuple[Finite, Finite], Field(strict=False)]
+    window_d: Pair | None = None
+    window_s: Pair | None = None
     mse: Positive
     target: bool = False
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> "ReferenceTable":
+        _one_window(self.window_d, self.window_s)
+        return self
+
+    @property
+    def window(self) -> tuple[float, float] | None:
+        """The window. [d]."""
+        return _in_days(self.window_d, self.window_s)
 
 
 class CaseFile(_Table):
@@ -186,7 +246,8 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     if location[:1] == ("fixed",):
         return f"{key} = {fault['input']!r}: {_FIXED_REMEDY}"
     value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
-    return f"{key}{value}: {fault['msg'].removeprefix('Value error, ')}; correct it"
+    told = fault["msg"].removeprefix("Value error, ")
+    return f"{key}{value}: {told}" + ("" if "; " in told else "; correct it")
 
 
 _FIXED_REMEDY = (

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.case_data import DAY_S, CaseData
+from simulation.case_data import CaseData
 from simulation.case_file import CaseFile
 from simulation.errors import InputError
 from simulation.measurement import Measurement
+from simulation.time_unit import DAY_S, TimeUnit
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Period:
     """Which days are simulated, reported and compared.
 
     Attributes:
-        key: Key of the case file that asks for it, for messages.
+        key: Key of the case file that asks for it, without its unit, for messages.
         start_d: Start of the simulation. [d]
         reported_d: Part whose outputs are reported; before it lies the warm-up. [d]
         compared_d: Part that is compared with the measurement, at the end of the reported one. [d]
@@ -43,19 +44,20 @@ def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> P
     Raises:
         InputError: If window and start contradict each other.
     """
-    begin_d, end_d = _rising(path, "window_d", window_d)
-    start_d = begin_d if file.time.start_d is None else file.time.start_d
+    unit = file.time.unit
+    begin_d, end_d = _rising(path, "window", window_d, unit)
+    start_d = begin_d if file.time.start is None else file.time.start
     if not 0.0 <= start_d <= begin_d:
         raise InputError(
-            f"{path}: time.start_d = {start_d:g} does not lie between day 0 and the window's start, "
-            f"{begin_d:g}; correct it"
+            f"{path}: time.start_{unit.symbol} = {unit.of_days(start_d):g} does not lie between "
+            f"{unit.moment(0.0)} and the window's start, {unit.of_days(begin_d):g}; correct it"
         )
     if file.time.shared_warmup and start_d == begin_d:
         raise InputError(
-            f"{path}: time.shared_warmup = true, but the simulation starts with the window, day {begin_d:g}; "
-            "set an earlier start_d, or drop shared_warmup"
+            f"{path}: time.shared_warmup = true, but the simulation starts with the window, "
+            f"{unit.moment(begin_d)}; set an earlier start_{unit.symbol}, or drop shared_warmup"
         )
-    return Period("window_d", start_d, (begin_d, end_d), (begin_d, end_d))
+    return Period("window", start_d, (begin_d, end_d), (begin_d, end_d))
 
 
 def validation_period(
@@ -75,25 +77,29 @@ def validation_period(
     Raises:
         InputError: If it overlaps with the window, or begins before the simulation.
     """
-    if file.time.validation_d is None:
+    if file.time.validation is None:
         return None
-    begin_d, end_d = _rising(path, "time.validation_d", file.time.validation_d)
-    where = f"{path}: time.validation_d = [{begin_d:g}, {end_d:g}]"
-    start_d = window_d[0] if file.time.start_d is None else file.time.start_d
+    unit = file.time.unit
+    begin_d, end_d = _rising(path, "time.validation", file.time.validation, unit)
+    where = f"{path}: {_told('time.validation', (begin_d, end_d), unit)}"
+    start_d = window_d[0] if file.time.start is None else file.time.start
     wrong = ""
     if begin_d < window_d[1] and window_d[0] < end_d:
-        wrong = f"overlaps with window_d = [{window_d[0]:g}, {window_d[1]:g}]; choose days that were not seen"
+        wrong = f"overlaps with {_told('window', window_d, unit)}; choose a part that was not seen"
     elif begin_d < start_d:
-        wrong = f"begins before the simulation, day {start_d:g}; choose later days or an earlier start_d"
+        wrong = (
+            f"begins before the simulation, {unit.moment(start_d)}; choose a later part or an earlier "
+            f"start_{unit.symbol}"
+        )
     elif begin_d < window_d[0] and file.time.shared_warmup:
-        wrong = "lies in the warm-up, which is shared; choose days after the window or drop shared_warmup"
+        wrong = "lies in the warm-up, which is shared; choose a part after the window or drop shared_warmup"
     if wrong and is_overridden:
         return None
     if wrong:
         raise InputError(f"{where} {wrong}")
     reported = (min(window_d[0], begin_d), end_d)
     seen_d = next((day for day in (begin_d, end_d) if day in window_d), None)
-    return Period("time.validation_d", start_d, reported, (begin_d, end_d), seen_d)
+    return Period("time.validation", start_d, reported, (begin_d, end_d), seen_d)
 
 
 def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArray, int, int]:
@@ -112,8 +118,8 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
         InputError: If the steps do not fit into it, or the recordings end before.
     """
     (begin_d, end_d), start_d = period.reported_d, period.start_d
-    compared_d = period.compared_d
-    where = f"{path}: {period.key} = [{compared_d[0]:g}, {compared_d[1]:g}]"
+    unit = file.time.unit
+    where = f"{path}: {_told(period.key, period.compared_d, unit)}"
     step, output_step = file.time.communication_step_s, file.time.output_step_s
     if not step > 0:
         raise InputError(f"{path}: communication_step_s = {step:g} is not above 0; correct it")
@@ -124,7 +130,9 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
             f"communication_step_s = {step:g}; choose steps that fit"
         )
     n_reported = _whole_steps(end_d - begin_d, output_step, where)
-    n_warmup = _whole_steps(begin_d - start_d, output_step, f"{path}: time.start_d = {start_d:g}")
+    n_warmup = _whole_steps(
+        begin_d - start_d, output_step, f"{path}: time.start_{unit.symbol} = {unit.of_days(start_d):g}"
+    )
     longest = max(
         (data.recordings[table.file] for table in file.outputs), key=lambda one: float(one.time[-1])
     )
@@ -133,7 +141,8 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
     slack_d = 0.0 if longest.is_even else longest.step_s / DAY_S
     if end_d > length_d + slack_d + 1e-9:
         raise InputError(
-            f"{where}: the recording {longest.path} ends after {length_d:.6g} days; shorten the window"
+            f"{where}: the recording {longest.path} ends after {unit.of_days(length_d):.6g} {unit.plural}; "
+            "shorten the window"
         )
     start = data.day_zero_s + start_d * DAY_S
     n_steps = (n_warmup + n_reported) * output_every
@@ -175,12 +184,17 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
     )
 
 
-def _rising(path: Path, key: str, days: tuple[float, float]) -> tuple[float, float]:
+def _told(key: str, days: tuple[float, float], unit: TimeUnit) -> str:
+    """Say a period as the case file writes it."""
+    return f"{key}_{unit.symbol} = [{unit.of_days(days[0]):g}, {unit.of_days(days[1]):g}]"
+
+
+def _rising(path: Path, key: str, days: tuple[float, float], unit: TimeUnit) -> tuple[float, float]:
     begin_d, end_d = float(days[0]), float(days[1])
     if not (math.isfinite(begin_d) and math.isfinite(end_d) and 0.0 <= begin_d < end_d):
         raise InputError(
-            f"{path}: {key} = [{begin_d:g}, {end_d:g}]: the end must lie after the start and neither before "
-            "day 0; correct it"
+            f"{path}: {_told(key, days, unit)}: the end must lie after the start and neither before "
+            f"{unit.moment(0.0)}; correct it"
         )
     return begin_d, end_d
 
@@ -190,6 +204,6 @@ def _whole_steps(span_d: float, output_step: float, where: str) -> int:
     n_steps = round(span_d * DAY_S / output_step)
     if not math.isclose(n_steps * output_step, span_d * DAY_S, rel_tol=1e-9):
         raise InputError(
-            f"{where}: not a whole number of output steps of {output_step:g} s; choose days that fit"
+            f"{where}: not a whole number of output steps of {output_step:g} s; choose times that fit"
         )
     return n_steps

@@ -167,7 +167,7 @@ def _add_case_options(command: argparse.ArgumentParser) -> None:
         "--window",
         type=cli_values.window,
         metavar="A-B",
-        help="days of the recording, e.g. 8-16; default: the case's own",
+        help="days of the recording, e.g. 8-16, or with a unit: 0-10s, 2-8h; default: the case's own",
     )
     command.add_argument(
         "--seed",

@@ -178,7 +178,7 @@ def open_study(options: argparse.Namespace, console: Console) -> Study:
     profile = load_profile(options.profile)
     label_end = ""
     if options.window is not None:
-        label_end += f"-d{options.window[0]:g}-{options.window[1]:g}"
+        label_end += f"-{options.window.label}"
     if options.seed is not None and options.seed != profile.seed:
         label_end += f"-seed{options.seed}"
         profile = replace(profile, seed=options.seed)
@@ -194,7 +194,7 @@ def open_study(options: argparse.Namespace, console: Console) -> Study:
     from simulation.case import load_case
     from simulation.workers.parallel import available_cores
 
-    case = load_case(file, window_d=options.window)
+    case = load_case(file, window_d=None if options.window is None else options.window.days)
     return Study(
         case=case,
         profile=profile,
@@ -214,7 +214,7 @@ def _command(options: argparse.Namespace) -> str:
     if options.profile != "quick":
         words += ["--profile", options.profile]
     if options.window is not None:
-        words += ["--window", f"{options.window[0]:g}-{options.window[1]:g}"]
+        words += ["--window", str(options.window)]
     if options.seed is not None:
         words += ["--seed", str(options.seed)]
     return shlex.join(words)

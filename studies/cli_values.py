@@ -3,14 +3,49 @@
 import argparse
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 
 
-def window(text: str) -> tuple[float, float]:
-    """Read two ascending days, 0-10."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)", text)
+@dataclass(frozen=True)
+class Window:
+    """A part of the recording.
+
+    Attributes:
+        begin: Its begin. [unit]
+        end: Its end. [unit]
+        unit: s, min, h or d.
+    """
+
+    begin: float
+    end: float
+    unit: str = "d"
+
+    @property
+    def days(self) -> tuple[float, float]:
+        """Begin and end. [d]."""
+        # Here, because the command line imports nothing heavy.
+        from simulation.time_unit import UNITS
+
+        return UNITS[self.unit].to_days(self.begin), UNITS[self.unit].to_days(self.end)
+
+    @property
+    def label(self) -> str:
+        """How results of this window are told apart: d8-16."""
+        return f"{self.unit}{self.begin:g}-{self.end:g}"
+
+    def __str__(self) -> str:
+        """Return what can be typed."""
+        return f"{self.begin:g}-{self.end:g}{'' if self.unit == 'd' else self.unit}"
+
+
+def window(text: str) -> Window:
+    """Read two ascending days, 0-10, or times of another unit, 0-10s."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)(s|min|h|d)?", text)
     if found is None or float(found[1]) >= float(found[2]):
-        raise argparse.ArgumentTypeError(f"{text!r} is no window; give two ascending days, e.g. 0-10")
-    return float(found[1]), float(found[2])
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no window; give two ascending days, e.g. 0-10, or with a unit: 0-600s, 2-8h"
+        )
+    return Window(float(found[1]), float(found[2]), found[3] or "d")
 
 
 def whole(least: int, most: int = 1_000_000) -> Callable[[str], int]:

@@ -10,6 +10,7 @@ from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import Scale
+from simulation.time_unit import DAY_S, DAYS, SECONDS, TimeUnit
 
 MOST_ACTIVE = 20
 """Parameters that a new case calibrates unless the user names them."""
@@ -19,7 +20,6 @@ TEMPERATURE_SPAN_K = 10.0
 WIDEST_TEMPERATURE_K = 100.0
 WIDEST_RATIO, WIDEST_SHIFT = 1e3, 1e2
 """The FMU's own bounds are taken when they are this near to each other, as a ratio or in start values."""
-DAY_S = 86400.0
 N_STEPS = 500
 """Communication steps of a new case whose FMU names no step."""
 
@@ -71,6 +71,11 @@ class Times:
     communication_step_s: float
     output_step_s: float
     why: str
+
+    @property
+    def unit(self) -> TimeUnit:
+        """Unit of the window: days from a day on."""
+        return DAYS if self.stop_s >= DAY_S else SECONDS
 
 
 def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:

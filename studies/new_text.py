@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import FmuVariable
+from simulation.time_unit import DAYS
 from studies.new_choice import Bounds, Choice, Times, bounds_for
 
 EDIT = "EDIT"
 MOST_SHOWN = 40
 """Commented entries of one kind; the rest is told as a number, unless all are asked for."""
 INPUTS_FILE, MEASURED_FILE = "inputs.csv", "measured.csv"
-DAY_S = 86400.0
 _TEMPERATURES = ("K", "degC", "°C")
 
 
@@ -107,15 +107,19 @@ data_origin = {toml_string("save yours there: README.md beside it says how")}
 
 def _time(case: NewCase) -> str:
     times = case.times
-    stop_d = times.stop_s / DAY_S
+    unit = times.unit
+    stop, words, key = times.stop_s / unit.seconds, "days" if unit is DAYS else "seconds", unit.symbol
+    other = "window_s and the like count seconds" if unit is DAYS else "window_d and the like count days"
     return f"""\
-[time]   # {times.why}
-window_d = [0, {_number(stop_d)}]   # {
-        EDIT
-    }: the part of the recording to calibrate with, in days (this is 0 to {times.stop_s:g} s)
-# start_d = 0                 # simulate from here, compare in the window only (a warm-up)
+[time]   # {times.why}; {other}
+window_{key} = [0, {_number(stop)}]   # {EDIT}: the part of the recording to calibrate with, in {
+        words
+    } since its first row
+# start_{key} = 0                 # simulate from here, compare in the window only (a warm-up)
 # shared_warmup = true        # simulate the warm-up once, with the estimates, if the FMU can save its state
-# validation_d = [20, 30]     # days that the calibration does not see; its result is tried on them
+# validation_{key} = [{_number(stop)}, {
+        _number(2.0 * stop)
+    }]   # a part that the calibration does not see, to try its result on
 # zero = "2024-01-01"         # for timestamps: the model's time 0 and day 0; else the first row
 communication_step_s = {
         _number(times.communication_step_s)

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from simulation.errors import InputError
+from simulation.time_unit import told_period
 from studies.origin import versions
 from studies.pipeline import Outcome, Study, Summary, run_stage
 from studies.report import Provenance, Reference, ReportData, build
@@ -98,7 +99,7 @@ def _provenance(study: Study) -> Provenance:
         settings=(
             ("profile", profile.name),
             ("seed", str(profile.seed)),
-            ("window", f"days {case.window_d[0]:g} to {case.window_d[1]:g}"),
+            ("window", told_period(case.window_d)),
             ("communication step", f"{case.communication_step_s:g} s"),
             ("training-set sizes", ", ".join(map(str, profile.data.n_train))),
             ("validation and test", f"{profile.data.n_validation} and {profile.data.n_test} simulations"),

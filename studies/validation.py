@@ -1,4 +1,4 @@
-"""Validation: how estimate, screened and calibrated parameters do on days that the calibration did not see.
+"""Validation: how estimate, screened and calibrated parameters do on a part that was not calibrated.
 
 Its simulations are a few per calibration and decide nothing: the ledger does not count them.
 """
@@ -13,6 +13,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
+from simulation.time_unit import told_period
 from studies.console import Column
 from studies.physical_model import open_physical_model
 from studies.pipeline import Outcome, Study
@@ -202,10 +203,9 @@ def show_validation(study: Study, outcomes: list[Outcome]) -> None:
                     ", ".join(fits) or f"failed: {point['failure']}",
                 ]
             )
-    begin_d, end_d = validation.window_d
     study.console.table(
-        f"{study.label}: validation on days {begin_d:g} to {end_d:g} (MSE in {unit}; its simulations are in "
-        "no count of calls)",
+        f"{study.label}: validation on {told_period(validation.window_d)} (MSE in {unit}; its simulations "
+        "are in no count of calls)",
         columns,
         rows,
     )

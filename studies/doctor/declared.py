@@ -9,6 +9,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.fmi.variable import FmuVariable
 from simulation.parameters import ParameterSpace
+from simulation.time_unit import told_period
 from studies.doctor.finding import Finding
 from studies.report.wording import count
 
@@ -30,13 +31,12 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
 def look_at_data(case: Case) -> Iterator[Finding]:
     """Look at the recordings, as the model and the comparison get them."""
     measurement, scenario = case.measurement, case.scenario
-    begin, end = case.window_d
     n_samples, p = measurement.n_samples, case.parameter_space.n_parameters
     enough = n_samples > p
     yield Finding(
         "data",
         "ok" if enough else "warn",
-        f"days {begin:g} to {end:g} are covered: {count(n_samples, 'measured value')}, "
+        f"{told_period(case.window_d)} are covered: {count(n_samples, 'measured value')}, "
         f"inputs every {case.communication_step_s:g} s",
         "" if enough else f"{p} parameters cannot be told from {n_samples} values; lengthen the window",
     )

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from simulation.time_unit import DAYS, unit_for
 from studies.report.data import ReportData
 from studies.report.findings import (
     best_trials,
@@ -37,8 +38,6 @@ from studies.report.wording import (
     significant,
     squared,
 )
-
-SECONDS_PER_DAY = 86400.0
 
 
 def mse_unit(measurement: MeasuredSeries) -> str:
@@ -87,10 +86,13 @@ def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRec
         if residual is None:
             parts.append(f"{name} could not be simulated")
             continue
-        day, side = residual.largest_at_s / SECONDS_PER_DAY, "high" if residual.bias > 0 else "low"
+        unit_of_time = unit_for(float(measurement.time[-1] - measurement.time[0]))
+        moment = f"{residual.largest_at_s / unit_of_time.seconds:.1f}"
+        when = f"day {moment}" if unit_of_time is DAYS else f"{moment} {unit_of_time.symbol}"
+        side = "high" if residual.bias > 0 else "low"
         part = (
             f"{name} differs from the measurement by {quantity(residual.rms, unit)} (root mean square) and "
-            f"at most by {quantity(abs(residual.largest), unit)} (day {day:.1f}), "
+            f"at most by {quantity(abs(residual.largest), unit)} ({when}), "
             f"its mean is {quantity(abs(residual.bias), unit, 2)} too {side}"
         )
         if math.isfinite(residual.within):

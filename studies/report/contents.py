@@ -106,7 +106,7 @@ def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Pic
         validated = (
             Picture(
                 f"validation-n{c.n_train:04d}",
-                f"The days that were not calibrated (n = {c.n_train})",
+                f"The part that was not calibrated (n = {c.n_train})",
                 validation_caption(validation),
                 lambda path: calibration_figure(
                     validation.measurement,

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from simulation.time_unit import TimeUnit, unit_for
 from studies.report.records import Floats
 
 # Every common kind of color vision tells blue from orange; a color means the same in all pictures.
@@ -39,7 +40,6 @@ SERIES = ("#2a6a9e", "#d27f2b", "#3f9a8c", "#8b6bae", "#c3a23c", "#b9566b")
 
 WIDTH_IN = 8.0
 DPI = 150
-SECONDS_PER_DAY = 86400.0
 
 _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
@@ -236,17 +236,12 @@ def _center(members: Sequence[int], heights: Sequence[float], gaps: Sequence[flo
     return min(max(wish, half), 1.0 - half) if half < 0.5 else 0.5
 
 
-def in_days(time: Floats) -> Floats:
-    """Return times in days. Shape (t,). [d]."""
-    return time / SECONDS_PER_DAY
-
-
 def line_with_gaps(axes: Axes, time: Floats, values: Floats, **style: Any) -> None:
     """Draw a line through samples, broken where they lie further apart than usual; dots where it is broken.
 
     Args:
         axes: Where to.
-        time: Sample times. Shape (m,). [s]
+        time: Sample times. Shape (m,). [unit of the axis]
         values: Samples. Shape (m,).
         style: Color, width and the like of the line.
     """
@@ -255,13 +250,18 @@ def line_with_gaps(axes: Axes, time: Floats, values: Floats, **style: Any) -> No
     if len(gaps) or len(time) == 1:
         # A sample between two gaps has no line.
         style |= {"marker": ".", "markersize": 2.5 * style.get("linewidth", 1.0)}
-    axes.plot(np.insert(in_days(time), gaps, np.nan), np.insert(values, gaps, np.nan), **style)
+    axes.plot(np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan), **style)
 
 
-def day_axis(axes: Axes, time: Floats) -> Floats:
-    """Label the horizontal axis in days, fit it to a time axis, and return that in days. Shape (t,)."""
-    days = in_days(time)
-    first, last = float(days[0]), float(days[-1])
+def time_axis(axes: Axes, time: Floats) -> TimeUnit:
+    """Fit the horizontal axis to times, label it in the unit that suits them, and return that.
+
+    Args:
+        axes: Whose axis.
+        time: Times. Shape (t,). [s]
+    """
+    unit = unit_for(float(time[-1] - time[0]))
+    first, last = (float(end) for end in unit.of_seconds(time[[0, -1]]))
     axes.set_xlim(first, last if last > first else first + 1.0)
-    axes.set_xlabel("time [d]")
-    return days
+    axes.set_xlabel(f"time [{unit.symbol}]")
+    return unit

@@ -21,14 +21,13 @@ from studies.report.drawing import (
     SURROGATE,
     TRAINING,
     EndLabel,
-    day_axis,
     decimal_log,
     drawing,
     end_labels,
-    in_days,
     line_with_gaps,
     log_limits,
     shortened,
+    time_axis,
 )
 from studies.report.records import CalibrationRecord, Floats, MeasuredSeries
 from studies.report.wording import (
@@ -49,7 +48,7 @@ def calibration_figure(
     title: str = "",
     footnote: str = "",
 ) -> Path:
-    """Draw measured, screened and polished outputs over days, and the residual of the polished below.
+    """Draw measured, screened and polished outputs over time, and the residual of the polished below.
 
     Args:
         measurement: What was calibrated against.
@@ -78,19 +77,20 @@ def calibration_figure(
 def _draw_output(
     axes: Axes, measurement: MeasuredSeries, calibration: CalibrationRecord, output: int
 ) -> None:
-    days = day_axis(axes, measurement.time)
+    unit_of_time = time_axis(axes, measurement.time)
+    simulated_at = unit_of_time.of_seconds(measurement.time)
     series = (
         ("screened", calibration.y_screened[:, output], SCREENED, 1.3),
         ("polished", calibration.y_polished[:, output], POLISHED, 1.6),
     )
     measured = measurement.samples[output]
-    measured_days = in_days(measured.time)
+    measured_at = unit_of_time.of_seconds(measured.time)
     axes.plot(
-        measured_days, measured.values, linestyle="none", marker=".", markersize=5, color=MEASURED, zorder=2
+        measured_at, measured.values, linestyle="none", marker=".", markersize=5, color=MEASURED, zorder=2
     )
     labels = [EndLabel(_last(measured.values), "measured", INK)]
     for name, values, color, width in series:
-        axes.plot(days, values, color=color, linewidth=width, zorder=3)
+        axes.plot(simulated_at, values, color=color, linewidth=width, zorder=3)
         labels.append(EndLabel(_last(values), name, color))
     name, unit = measurement.output_names[output], measurement.units[output]
     axes.set_ylabel(axis_label(shortened(name), shortened(shown_unit(unit))))
@@ -101,7 +101,7 @@ def _draw_output(
 def _draw_residual(
     axes: Axes, measurement: MeasuredSeries, calibration: CalibrationRecord, output: int
 ) -> None:
-    day_axis(axes, measurement.time)
+    unit_of_time = time_axis(axes, measurement.time)
     unit = difference_unit(measurement.units[output])
     residual = measurement.residual(calibration.y_polished, output)
     uncertainty = float(measurement.uncertainty[output])
@@ -113,7 +113,8 @@ def _draw_residual(
         axes.axhspan(-uncertainty, uncertainty, color=TRAINING, alpha=0.75, linewidth=0, zorder=0)
         labels.append(EndLabel(uncertainty, f"sensor\n±{uncertainty:g} {unit}", MUTED))
     axes.axhline(0.0, color=INK, linewidth=0.8)
-    line_with_gaps(axes, measurement.samples[output].time, residual, color=POLISHED, linewidth=1.1)
+    measured_at = unit_of_time.of_seconds(measurement.samples[output].time)
+    line_with_gaps(axes, measured_at, residual, color=POLISHED, linewidth=1.1)
     labels.append(EndLabel(_last(residual), "polished", POLISHED))
     axes.set_ylabel(axis_label("residual", shortened(unit, 10)))
     end_labels(axes, labels)

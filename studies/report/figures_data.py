@@ -17,11 +17,11 @@ from studies.report.drawing import (
     POLISHED,
     SIMULATED,
     EndLabel,
-    day_axis,
     drawing,
     end_labels,
     line_with_gaps,
     shortened,
+    time_axis,
 )
 from studies.report.findings import enclosed_fraction, good_rows
 from studies.report.records import CoverageSet, Floats, MeasuredSeries, ParameterBox
@@ -63,11 +63,12 @@ def coverage_figure(
         panels = figure.subplots(n_outputs, 1, sharex=True, squeeze=False)
         for output in range(n_outputs):
             axes = panels[output, 0]
-            days = day_axis(axes, measurement.time)
-            _draw_bundle(axes, days, good[:, :, output])
+            unit_of_time = time_axis(axes, measurement.time)
+            _draw_bundle(axes, unit_of_time.of_seconds(measurement.time), good[:, :, output])
             measured = measurement.samples[output]
-            line_with_gaps(axes, measured.time, measured.values, color="white", linewidth=3.6, zorder=4)
-            line_with_gaps(axes, measured.time, measured.values, color=INK, linewidth=1.8, zorder=5)
+            measured_at = unit_of_time.of_seconds(measured.time)
+            line_with_gaps(axes, measured_at, measured.values, color="white", linewidth=3.6, zorder=4)
+            line_with_gaps(axes, measured_at, measured.values, color=INK, linewidth=1.8, zorder=5)
             axes.autoscale_view(scalex=False)
             name, unit = measurement.output_names[output], shown_unit(measurement.units[output])
             axes.set_ylabel(axis_label(shortened(name), shortened(unit)))
@@ -83,12 +84,12 @@ def coverage_figure(
     return path
 
 
-def _draw_bundle(axes: Axes, days: Floats, rows: Floats) -> None:
+def _draw_bundle(axes: Axes, time: Floats, rows: Floats) -> None:
     """Draw many trajectories, each the fainter the more there are. Shape of rows (n, t)."""
     if not len(rows):
         return
     segments = np.empty((*rows.shape, 2))
-    segments[:, :, 0], segments[:, :, 1] = days, rows
+    segments[:, :, 0], segments[:, :, 1] = time, rows
     alpha = float(np.clip(60.0 / len(rows), 0.07, 0.6))
     axes.add_collection(
         LineCollection(list(segments), colors=SIMULATED, linewidths=0.8, alpha=alpha, zorder=2)

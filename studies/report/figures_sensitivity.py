@@ -13,10 +13,10 @@ from studies.report.drawing import (
     MUTED,
     SERIES,
     EndLabel,
-    day_axis,
     drawing,
     end_labels,
     shortened,
+    time_axis,
 )
 from studies.report.findings import mean_over_time, ranking
 from studies.report.records import Integers, SensitivityRecord
@@ -66,17 +66,17 @@ def _color(rank: int) -> str:
 
 
 def _draw_stack(axes: Axes, sensitivity: SensitivityRecord, output: int, order: Integers) -> None:
-    days = day_axis(axes, sensitivity.time)
+    time = time_axis(axes, sensitivity.time).of_seconds(sensitivity.time)
     indices = sensitivity.first_order[:, output][:, order]
     defined = np.asarray(np.isfinite(indices).all(axis=1), dtype=np.bool_)
     # An estimate may lie a little below zero; a share of the variance does not.
     upper = np.cumsum(np.clip(indices, 0.0, None), axis=1)
-    lower = np.concatenate([np.zeros((len(days), 1)), upper[:, :-1]], axis=1)
+    lower = np.concatenate([np.zeros((len(time), 1)), upper[:, :-1]], axis=1)
     last = int(np.flatnonzero(defined)[-1]) if defined.any() else 0
     labels = []
     for rank in range(len(order)):
         axes.fill_between(
-            days,
+            time,
             lower[:, rank],
             upper[:, rank],
             where=defined.tolist(),

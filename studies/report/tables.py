@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from simulation.time_unit import told_period
 from studies.report.data import ReportData
 from studies.report.findings import at_bound, mean_over_time, ranking
 from studies.report.records import CalibrationRecord, ParameterBox
@@ -253,7 +254,7 @@ def validation_table(record: ValidationRecord) -> Table:
     unit = squared(difference_unit(record.measurement.units[0]))
     columns = (
         Column("parameters", "parameters"),
-        Column("mse_window", "MSE, calibrated days", unit),
+        Column("mse_window", "MSE, calibrated part", unit),
         Column("mse", "MSE, validation", unit),
         Column("output", "output"),
         Column("unit", "unit"),
@@ -278,8 +279,7 @@ def validation_table(record: ValidationRecord) -> Table:
             )  # fmt: skip
         if not point.fits:
             rows.append((point.name, *errors, "failed", "", None, None, None, None, None))
-    days = f"days {record.period_d[0]:g} to {record.period_d[1]:g}"
-    title = f"Validation on {days} (bias: simulated minus measured)"
+    title = f"Validation on {told_period(record.period_d)} (bias: simulated minus measured)"
     return Table(f"validation-n{record.n_train:04d}", title, columns, tuple(rows))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from simulation.time_unit import told_period
 from studies.report.records import CalibrationRecord, Floats, MeasuredSeries, require_shape
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 
@@ -86,7 +87,7 @@ class ValidationRecord:
     def sentence(self) -> str:
         """Say what the calibrated parameters do on the period."""
         unit = squared(difference_unit(self.measurement.units[0]))
-        days = f"days {self.period_d[0]:g} to {self.period_d[1]:g}"
+        days = told_period(self.period_d)
         polished = self.points[-1]
         if not math.isfinite(polished.mse):
             return f"On {days}, which the calibration did not see, the polished model could not be simulated"
@@ -103,7 +104,7 @@ def validation_caption(record: ValidationRecord) -> str:
     parts = [f"{record.sentence}."]
     window = record.points[-1].mse_window
     if math.isfinite(window):
-        parts.append(f"On the calibrated days its MSE is {quantity(window, unit)}.")
+        parts.append(f"On the calibrated part its MSE is {quantity(window, unit)}.")
     fits = []
     for fit, units in zip(record.points[-1].fits, record.measurement.units, strict=False):
         said = f"{fit.output} differs by {quantity(fit.rmse, difference_unit(units))} (root mean square)"

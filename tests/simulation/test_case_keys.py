@@ -286,3 +286,63 @@ def test_a_wrong_key_is_one_line(decay_case: Path, old: str, new: str, message: 
     with pytest.raises(InputError, match=message) as caught:
         load_case(decay_case)
     assert "\n" not in str(caught.value)
+
+
+def in_seconds(folder: Path) -> None:
+    edit(
+        folder,
+        ("window_d = [0.25, 0.75]\ncomm", "window_s = [21600, 64800]\ncomm"),
+        ("[time]\n", "[time]\nstart_s = 0\nvalidation_s = [70200, 86400]\n"),
+    )
+
+
+def test_seconds_mean_the_same_as_days(decay_case: Path):
+    text = (decay_case / "case.toml").read_text()
+    edit(decay_case, ("[time]\n", "[time]\nstart_d = 0\nvalidation_d = [0.8125, 1.0]\n"))
+    days = load_case(decay_case)
+    (decay_case / "case.toml").write_text(text)
+    in_seconds(decay_case)
+    seconds = load_case(decay_case)
+    assert (seconds.digest, seconds.model_digest) == (days.digest, days.model_digest)
+    assert seconds.measurement.digest == days.measurement.digest
+    assert seconds.references == days.references
+    assert seconds.validation is not None
+    assert days.validation is not None
+    assert seconds.validation.measurement.digest == days.validation.measurement.digest
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ([("start_s = 0", "start_d = 0")], r"time: start_d beside window_s; write start_s"),
+        (
+            [("validation_s = [7", "validation_d = [7")],
+            r"time: validation_d beside window_s; write validation_s",
+        ),
+        ([("start_s = 0", "window_d = [0, 1]")], r"time: both window_d and window_s are given; give one"),
+        ([("window_s = [21600, 64800]\ncomm", "comm")], r"time: key window_d is missing; give one.* seconds"),
+        ([("start_s = 0", "start_s = 30000")], r"start_s = 30000 does not lie between 0 s and .* 21600;"),
+        (
+            [("window_s = [21600, 64800]", "window_s = [21600, 90000]")],
+            r"window_s = .* ends after 86400 s; sh",
+        ),
+        (
+            [("window_s = [21600, 64800]", "window_s = [21600, 64801]")],
+            r"window_s = .* choose times that fit",
+        ),
+        (
+            [("[70200, 86400]", "[60000, 86400]")],
+            r"validation_s = .* overlaps with window_s = \[21600, 64800\]",
+        ),
+        ([("[70200, 86400]", "[86400, 70200]")], r"validation_s = .* neither before 0 s"),
+    ],
+)
+def test_what_is_wrong_with_seconds_is_told_in_seconds(
+    decay_case: Path, pairs: list[tuple[str, str]], message: str
+):
+    in_seconds(decay_case)
+    load_case(decay_case)
+    edit(decay_case, *pairs)
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(decay_case)
+    assert "\n" not in str(caught.value)

@@ -286,7 +286,7 @@ def test_files_with_different_clocks_are_refused(decay_case: Path):
         (
             ["0,1", "22000,2", "86400,3"],
             "time_s,T_degC",
-            r"outputs\[y\]: .* has 1 values of T_degC from day 0.25",
+            r"outputs\[y\]: .* has 1 values of T_degC over days 0.25 to 0.75",
         ),
         (
             ["50000,1", "50600,1", "60000,2", "86400,3"],
