@@ -30,6 +30,7 @@ _REMEDIES = {
     "shared object": "install the system library that it names, or export the FMU with its libraries inside",
 }
 """What to do, by a sign in the reason of a failure."""
+_GENERAL_REMEDY = "try the FMU in another tool; correct the estimates, or have its exporter corrected"
 
 
 @dataclass(frozen=True)
@@ -237,12 +238,16 @@ def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Traject
 
 
 def cannot_open(reason: str) -> Finding:
-    """Say what to do about an FMU that cannot be opened."""
-    return Finding("opening the FMU", "fail", reason, _remedy(reason))
+    """Say what to do about an FMU that cannot be opened: the reason may know it."""
+    found, separator, own = reason.rpartition("; ")
+    remedy = _remedy(reason)
+    if remedy != _GENERAL_REMEDY or not separator:
+        return Finding("opening the FMU", "fail", reason, remedy)
+    return Finding("opening the FMU", "fail", found, own)
 
 
 def _remedy(reason: str) -> str:
     for sign, remedy in _REMEDIES.items():
         if sign in reason.lower():
             return remedy
-    return "try the FMU in another tool; correct the estimates, or have its exporter corrected"
+    return _GENERAL_REMEDY

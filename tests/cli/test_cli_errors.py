@@ -134,7 +134,17 @@ def test_an_fmu_with_a_damaged_binary_is_refused(project: Path, studies: Run) ->
     middle = binary.header_offset + binary.compress_size // 2
     content[middle : middle + 200] = bytes(byte ^ 0x55 for byte in content[middle : middle + 200])
     fmu.write_bytes(content)
-    assert_refused(studies("check"), "Office.fmu", "unpacked", "export it again")
+    # Its description is whole, so the doctor examines it; whatever simulates refuses it.
+    answer = studies("check", "--json")
+    assert answer.code == 1
+    found = answer.document["findings"][-1]
+    assert (found["what"], found["remedy"]) == ("opening the FMU", "export it again")
+    assert "unpacked" in found["found"]
+    answer = studies("simulate")
+    assert answer.code == 2
+    assert answer.err.splitlines()[-1].startswith("studies: error: ")
+    assert "Office.fmu: cannot be unpacked" in answer.err
+    assert "Traceback" not in answer.err
 
 
 def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> None:
