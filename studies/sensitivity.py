@@ -1,12 +1,10 @@
 """Sobol indices of every output at every time step; the only module that knows SALib."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from SALib.analyze.sobol import first_order as salib_first_order
-from SALib.analyze.sobol import total_order as salib_total_order
 from SALib.sample import sobol as salib_sobol
 from scipy.stats import norm
 
@@ -142,14 +140,11 @@ def sobol_indices(
         "bounds": np.column_stack([space.lower, space.upper]).tolist(),
     }
     theta = np.asarray(salib_sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
-    y = _simulate(model, theta, on_progress)
-    blocks = y.reshape(n_base, p + 2, -1)
-    blocks = blocks[np.isfinite(blocks).all(axis=(1, 2))]
-
     shape = (len(model.time), len(model.output_names))
-    estimates = _estimate(blocks, np.random.default_rng(seed), n_resamples)
-    first, total, first_ci, total_ci = (estimate.reshape(*shape, p) for estimate in estimates)
-    variance = blocks[:, [0, -1]].reshape(-1, blocks.shape[2]).var(axis=0) if len(blocks) else np.nan
+    sums = _Sums(_weights(np.random.default_rng(seed), n_base, n_resamples), shape[0] * shape[1], p)
+    for blocks in _saltelli_blocks(model, theta, on_progress):
+        sums.add(blocks)
+    first, total, first_ci, total_ci = (estimate.reshape(*shape, p) for estimate in sums.estimates())
     return SobolIndices(
         time=np.asarray(model.time, dtype=np.float64),
         names=space.names,
@@ -158,83 +153,128 @@ def sobol_indices(
         total_order=total,
         first_order_ci=first_ci,
         total_order_ci=total_ci,
-        variance=np.broadcast_to(variance, shape[0] * shape[1]).reshape(shape).copy(),
+        variance=sums.variance()[0].reshape(shape),
         n_base=n_base,
-        n_dropped=n_base - len(blocks),
+        n_dropped=n_base - sums.n_good,
         n_calls=len(theta),
     )
 
 
-def _simulate(model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None) -> FloatArray:
-    """Ask the model block by block. Shape (n, t*k). [output's unit]."""
+def _saltelli_blocks(
+    model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None
+) -> Iterator[FloatArray]:
+    """Ask the model and yield whole Saltelli blocks. Shape (m, p + 2, t*k). [output's unit]."""
 
     def advance(n_done: int) -> None:
         if on_progress is not None:
             on_progress(n_done, len(theta))
 
-    y = np.empty((len(theta), len(model.time) * len(model.output_names)))
-    n_done = 0
-    for block in streamed(model, theta, on_progress=advance, block_rows=CHUNK):
-        y[n_done : n_done + block.n] = block.y.reshape(block.n, -1)
-        n_done += block.n
-    return y
+    size = theta.shape[1] + 2
+    rest = np.empty((0, len(model.time) * len(model.output_names)))
+    for answer in streamed(model, theta, on_progress=advance, block_rows=CHUNK):
+        rows = np.concatenate([rest, answer.y.reshape(answer.n, -1)])
+        whole = len(rows) // size * size
+        rest = rows[whole:].copy()
+        yield rows[:whole].reshape(-1, size, rows.shape[1])
 
 
-def _estimate(
-    blocks: FloatArray, rng: np.random.Generator, n_resamples: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Estimate first and total order and their confidence half widths for every column.
+class _Sums:
+    """All that the indices of d columns follow from, over the Saltelli blocks so far.
 
-    Args:
-        blocks: Rows A, AB_1 ... AB_p, B of every Saltelli block. Shape (n, p + 2, d). [output's unit]
-        rng: Source of the bootstrap.
-        n_resamples: Bootstrap samples.
-
-    Returns:
-        Four arrays of shape (d, p); NaN where a column does not vary.
+    Every sum is there once per row of weights: the first counts each block once, the others are bootstrap
+    samples. No output is kept, so that memory does not grow with the number of blocks.
     """
-    n, p, d = len(blocks), blocks.shape[1] - 2, blocks.shape[2]
-    result = np.full((4, d, p), np.nan)
-    if n < 2:
+
+    def __init__(self, weights: FloatArray, d: int, p: int) -> None:
+        self._weights, self._p = weights, p
+        self._n_seen = self.n_good = 0
+        self._n = np.zeros((len(weights), 1))
+        self._low, self._high = np.full(d, np.inf), np.full(d, -np.inf)
+        # Of a first guess at the mean, so that nothing large is subtracted from something large.
+        self._shift: FloatArray | None = None
+        self._all = np.zeros(d)
+        self._ends, self._squares = np.zeros((2, len(weights), d))
+        self._steps, self._steps_by_b, self._squared_steps = np.zeros((3, p, len(weights), d))
+
+    def add(self, blocks: FloatArray) -> None:
+        """Add blocks, except those with a failed row.
+
+        Args:
+            blocks: Rows A, AB_1 ... AB_p, B of every block. Shape (m, p + 2, d). [output's unit]
+        """
+        good = np.isfinite(blocks).all(axis=(1, 2))
+        weights = self._weights[:, self._n_seen : self._n_seen + len(blocks)][:, good]
+        self._n_seen += len(blocks)
+        if not good.any():
+            return
+        self.n_good += int(good.sum())
+        self._n += weights.sum(axis=1, keepdims=True)
+        blocks = blocks[good]
+        self._low = np.minimum(self._low, blocks.min(axis=(0, 1)))
+        self._high = np.maximum(self._high, blocks.max(axis=(0, 1)))
+        if self._shift is None:
+            self._shift = blocks.mean(axis=(0, 1))
+        z = blocks - self._shift
+        self._all += z.sum(axis=(0, 1))
+        a, b = z[:, 0], z[:, -1]
+        self._ends += weights @ (a + b)
+        self._squares += weights @ (a**2 + b**2)
+        for j in range(self._p):
+            step = z[:, j + 1] - a
+            self._steps[j] += weights @ step
+            self._steps_by_b[j] += weights @ (b * step)
+            self._squared_steps[j] += weights @ step**2
+
+    def variance(self) -> FloatArray:
+        """Return the variance per row of weights. Shape (r + 1, d). [output's unit squared]."""
+        if not self.n_good:
+            return np.full_like(self._ends, np.nan)
+        n = 2.0 * np.maximum(self._n, 1.0)
+        # Rounding alone must not make it negative.
+        variance: FloatArray = np.maximum(self._squares / n - (self._ends / n) ** 2, 0.0)
+        return variance
+
+    def estimates(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return first and total order and their confidence half widths.
+
+        Returns:
+            Four arrays of shape (d, p); NaN where a column does not vary. [1]
+        """
+        result = np.full((4, len(self._all), self._p), np.nan)
+        size = np.maximum(np.abs(self._low), np.abs(self._high))
+        if self.n_good >= 2:
+            varies = self._high - self._low > CONSTANT * size
+            n, variance = np.maximum(self._n, 1.0), self.variance()
+            # The first-order estimator is biased for outputs that are not centered, so SALib standardizes:
+            # only the mean makes a difference.
+            mean = self._all / (self.n_good * (self._p + 2))
+            half_width = norm.ppf(0.5 + CONFIDENCE_LEVEL / 2.0)
+            for j in range(self._p):
+                first = _share((self._steps_by_b[j] - mean * self._steps[j]) / n, variance)
+                total = _share(self._squared_steps[j] / (2.0 * n), variance)
+                for i, share in enumerate((first, total)):
+                    result[i, varies, j] = share[0, varies]
+                    result[2 + i, varies, j] = half_width * share[1:, varies].std(axis=0, ddof=1)
         return result[0], result[1], result[2], result[3]
-    size = np.abs(blocks).max(axis=(0, 1))
-    varies = np.ptp(blocks, axis=(0, 1)) > CONSTANT * size
-    if not varies.any():
-        return result[0], result[1], result[2], result[3]
-    # The first-order estimator is biased for outputs that are not centered, so SALib standardizes; so do we.
-    z = blocks[:, :, varies]
-    z = (z - z.mean(axis=(0, 1))) / z.std(axis=(0, 1))
-    a, b = z[:, 0], z[:, -1]
-    counts = _bootstrap_counts(rng, n, n_resamples)
-    variance = counts @ (a**2 + b**2) / 2.0 - (counts @ (a + b) / 2.0) ** 2
-    half_width = norm.ppf(0.5 + CONFIDENCE_LEVEL / 2.0)
-    for j in range(p):
-        ab = z[:, j + 1]
-        result[0, varies, j] = salib_first_order(a, ab, b)
-        result[1, varies, j] = salib_total_order(a, ab, b)
-        first = _share(counts @ (b * (ab - a)), variance)
-        total = _share(counts @ (a - ab) ** 2 / 2.0, variance)
-        result[2, varies, j] = half_width * first.std(axis=0, ddof=1)
-        result[3, varies, j] = half_width * total.std(axis=0, ddof=1)
-    return result[0], result[1], result[2], result[3]
 
 
 def _share(part: FloatArray, variance: FloatArray) -> FloatArray:
     """Divide a part by the variance of its resample; 0 where the resample does not vary, as SALib does."""
-    some = variance > np.finfo(np.float64).eps
+    some = variance > np.finfo(np.float64).eps * variance[0]
     return np.divide(part, variance, out=np.zeros_like(part), where=some)
 
 
-def _bootstrap_counts(rng: np.random.Generator, n: int, n_resamples: int) -> FloatArray:
-    """Draw bootstrap samples as the share of each block in each of them, so that means are matrix products.
+def _weights(rng: np.random.Generator, n: int, n_resamples: int) -> FloatArray:
+    """Draw bootstrap samples as how often each block is in them, so that sums are matrix products.
 
     Returns:
-        Shares, rows summing to 1. Shape (r, n). [1]
+        Ones, then one row per sample. Shape (r + 1, n). [1]
     """
     drawn: IntArray = rng.integers(n, size=(n, n_resamples))
-    counts = np.zeros((n_resamples, n))
-    np.add.at(counts, (np.broadcast_to(np.arange(n_resamples), drawn.shape), drawn), 1.0)
-    return counts / n
+    counts = np.zeros((1 + n_resamples, n))
+    counts[0] = 1.0
+    np.add.at(counts, (np.broadcast_to(1 + np.arange(n_resamples), drawn.shape), drawn), 1.0)
+    return counts
 
 
 def _mean_over_time(indices: FloatArray) -> FloatArray:
