@@ -1,10 +1,17 @@
 """A lock on a file that the operating system releases when its owner dies, however it dies."""
 
+import errno
 import os
 import sys
 import time
 from pathlib import Path
 from types import TracebackType
+from typing import Final
+
+from simulation.errors import InputError
+
+# What systems say of a lock that somebody else holds.
+_HELD: Final = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 
 
 class FileLock:
@@ -24,14 +31,22 @@ class FileLock:
         self._descriptor: int | None = None
 
     def try_acquire(self) -> bool:
-        """Take the lock if no other process is in the way; return whether it is held now."""
+        """Take the lock if no other process is in the way; return whether it is held now.
+
+        Raises:
+            InputError: If there are no locks where the file lies.
+        """
         self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             _lock_now(descriptor, shared=self._shared)
-        except OSError:
+        except OSError as error:
             os.close(descriptor)
-            return False
+            if error.errno in _HELD:
+                return False
+            raise InputError(
+                f"{self._file}: this file system has no locks ({error.strerror}); work on a local disk"
+            ) from error
         self._descriptor = descriptor
         return True
 

@@ -1,18 +1,14 @@
-"""Simulated series with the parameters that made them, on disk and in memory."""
+"""Simulated series with the parameters that made them."""
 
 import hashlib
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from simulation.arrays import BoolArray, FloatArray
-from simulation.errors import InputError
-from simulation.whole_file import whole_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,49 +161,3 @@ class Trajectories:
             output_names=first.output_names,
             failures=tuple(reason for part in parts for reason in part.failures),
         )
-
-    def save(self, path: Path) -> None:
-        """Write to an .npz file; a killed process leaves the old file or the new one, never half of one.
-
-        Args:
-            path: File to write; its folder is created when missing.
-        """
-        with whole_file(Path(path)) as file:
-            np.savez(
-                file,
-                theta=self.theta,
-                y=self.y,
-                time=self.time,
-                parameter_names=np.array(self.parameter_names, dtype=np.str_),
-                output_names=np.array(self.output_names, dtype=np.str_),
-                failures=np.array(self.failures, dtype=np.str_),
-            )
-
-    @classmethod
-    def load(cls, path: Path) -> "Trajectories":
-        """Read a file written by save().
-
-        Args:
-            path: The .npz file.
-
-        Returns:
-            The same trajectories, bit for bit.
-
-        Raises:
-            InputError: If the file is missing or damaged.
-        """
-        try:
-            # Opened here: NumPy leaves a damaged file open.
-            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as content:
-                return cls(
-                    theta=content["theta"],
-                    y=content["y"],
-                    time=content["time"],
-                    parameter_names=tuple(str(name) for name in content["parameter_names"]),
-                    output_names=tuple(str(name) for name in content["output_names"]),
-                    failures=tuple(str(reason) for reason in content["failures"]),
-                )
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such file; simulate it first") from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a readable trajectory file ({error}); delete it") from error

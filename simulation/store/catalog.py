@@ -1,6 +1,7 @@
 """Which parts a store has at the moment, and where each row lies in them."""
 
 import logging
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import chain
@@ -16,6 +17,7 @@ from simulation.store.rows import Layout, Rows
 from simulation.trajectories import Trajectories
 
 _MAX_OPEN: Final = 32
+_END_OF_TIME: Final = 2**62
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +37,7 @@ class Catalog:
         # Parts are numbered as they are met, so that an index need not hold names.
         self._numbers: dict[str, int] = {}
         self._n_numbered = 0
+        self._latest = 0
         self._sizes: dict[str, int] = {}
         self._open: dict[str, Part] = {}
         self._index = RowIndex(len(layout.parameter_names))
@@ -50,6 +53,10 @@ class Catalog:
         if any(entries is None for entries in found):
             # What could be saved of a damaged part lies in a new one.
             self.refresh()
+
+    def now(self) -> int:
+        """Return the time, later than that of all rows even where a clock was put back. [µs since 1970]."""
+        return max(time.time_ns() // 1000, min(self._latest + 1, _END_OF_TIME))
 
     def look_up(self, theta: FloatArray) -> tuple[BoolArray, Entries]:
         """Find rows as of the last refresh: which are known, shape (n,), and where they lie.
@@ -146,6 +153,7 @@ class Catalog:
     def _numbered(self, name: str, theta: FloatArray, good: BoolArray, written: IntArray) -> Entries:
         number = self._numbers[name] = self._n_numbered
         self._n_numbered += 1
+        self._latest = max(self._latest, int(written.max(initial=0)))
         return Entries.of_part(number, theta, good, written)
 
     def _forget(self, names: list[str]) -> None:

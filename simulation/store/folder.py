@@ -140,7 +140,7 @@ class StoreFolder:
         writers = self._writers(shared=False)
         if writers.try_acquire():
             try:
-                for partial in self.path.glob(f".{_PREFIX}*{_PARTIAL}"):
+                for partial in self.path.glob(f".*{_PARTIAL}"):
                     partial.unlink(missing_ok=True)
             finally:
                 writers.release()
@@ -160,10 +160,11 @@ class StoreFolder:
         described = _describe(layout)
         if not path.exists():
             text = _README_TEXT.format(output=layout.output_names[0])
-            with whole_file(self.path / _README) as file:
-                file.write(text.encode())
-            with whole_file(path, synced=True) as file:
-                file.write(json.dumps(described, indent=1).encode())
+            with self._writers(shared=True):
+                with whole_file(self.path / _README) as file:
+                    file.write(text.encode())
+                with whole_file(path, synced=True) as file:
+                    file.write(json.dumps(described, indent=1).encode())
             return
         found = _manifest(path)
         for key, value in described.items():

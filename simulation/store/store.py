@@ -105,6 +105,10 @@ class SimulationStore:
         self._catalog.refresh()
         return self._catalog.theta()
 
+    def now(self) -> int:
+        """Return a moment after all that is stored, and not after what will be. [µs since 1970]."""
+        return self._catalog.now()
+
     def find(self, theta: FloatArray) -> BoolArray:
         """Say which rows are stored, failed ones included.
 
@@ -194,7 +198,7 @@ class SimulationStore:
         ):
             raise ValueError("these rows have other names or times than the store")
         if rows.n:
-            moment = np.full(rows.n, time.time_ns() // 1000, dtype=np.int64)
+            moment = np.full(rows.n, self.now(), dtype=np.int64)
             rows = replace(rows, failures=tuple(_as_utf8(reason) for reason in rows.failures))
             self._catalog.add(Rows(rows, moment), synced=time.monotonic() > self._dear_from)
             self._catalog.merge_small()

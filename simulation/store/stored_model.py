@@ -1,6 +1,5 @@
 """A model that is asked for no row twice: what it answered lies in a store."""
 
-import time
 from collections.abc import Iterator
 from contextlib import closing
 
@@ -34,7 +33,7 @@ class StoredModel(WrappedModel):
         """
         super().__init__(model)
         self._store = store
-        self._retry_before = time.time_ns() // 1000 if retry_failed else None
+        self._retry_before = store.now() if retry_failed else None
         self.n_simulated = self.n_reused = 0
 
     @property

@@ -1,6 +1,7 @@
 """Recipes: how a process learns what a model is without opening it, and how another process opens it."""
 
 import pickle
+import pickletools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -65,13 +66,19 @@ def packed(recipe: Recipe) -> bytes:
         recipe: The recipe.
 
     Raises:
-        RuntimeError: If no other process could find it.
+        RuntimeError: If no other process could read it.
     """
-    owner = getattr(recipe, "__self__", None)
-    homes = {getattr(recipe, "__module__", None), getattr(type(owner), "__module__", None)}
-    if "__main__" in homes:
+    try:
+        content = pickle.dumps(recipe)
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise RuntimeError(
+            f"the recipe {recipe!r} cannot be sent to worker processes ({said}); give a function of a "
+            "module, or a method of an object that can be pickled"
+        ) from error
+    if any(argument == "__main__" for _, argument, _ in pickletools.genops(content)):
         raise RuntimeError(
             f"the recipe {recipe!r} is defined in the script itself, where worker processes cannot find it; "
             "move it to a module"
         )
-    return pickle.dumps(recipe)
+    return content

@@ -5,13 +5,10 @@ import fcntl
 import os
 import shutil
 import tempfile
-import time
 from pathlib import Path
 from typing import Final
 
 _LOCK: Final = ".in-use"
-# A folder without a lock that is this young may be another process's that has not locked it yet.
-_YOUNG_S: Final = 60.0
 
 
 class ScratchFolder:
@@ -28,9 +25,11 @@ class ScratchFolder:
             prefix: How the names of these folders begin.
         """
         _sweep(prefix)
-        self.folder = Path(tempfile.mkdtemp(prefix=prefix))
-        self._lock = os.open(self.folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        unseen = Path(tempfile.mkdtemp(prefix=f".{prefix}"))
+        self._lock = os.open(unseen / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Nobody who sweeps ever meets it without its lock.
+        self.folder = unseen.rename(unseen.with_name(unseen.name[1:]))
 
     def remove(self) -> None:
         """Remove the folder with all that is in it."""
@@ -41,8 +40,6 @@ class ScratchFolder:
 def _sweep(prefix: str) -> None:
     for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
         with contextlib.suppress(OSError):
-            if time.time() - folder.stat().st_mtime < _YOUNG_S and not (folder / _LOCK).exists():
-                continue
             lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -118,13 +118,15 @@ def test_a_model_that_cannot_be_opened_says_so_in_its_own_line():
     assert str(caught.value) == "picky.fmu: there is no licence; ask for one"
 
 
-def test_a_recipe_that_no_other_process_can_find_is_refused(tmp_path: Path):
+@pytest.mark.parametrize("recipe", ["Own", "partial(Own, fails_above_r=3.0)"])
+def test_a_recipe_that_no_other_process_can_find_is_refused(recipe: str, tmp_path: Path):
     script = tmp_path / "own.py"
     script.write_text(
+        "from functools import partial\n"
         "from simulation.workers.parallel import ParallelModel\n"
         "from simulation.toy import ToyRC\n"
         "class Own(ToyRC): pass\n"
-        "ParallelModel(Own).time\n"
+        f"ParallelModel({recipe}).time\n"
     )
     done = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
@@ -132,6 +134,13 @@ def test_a_recipe_that_no_other_process_can_find_is_refused(tmp_path: Path):
     )  # fmt: skip
     assert done.returncode == 1
     assert "is defined in the script itself" in done.stderr
+
+
+def test_a_recipe_that_cannot_be_pickled_is_told_what_would_do():
+    with pytest.raises(
+        RuntimeError, match=r"cannot be sent to worker processes .*; give a function of a module"
+    ):
+        ParallelModel(lambda: ToyRC()).simulate(_rows(1))
 
 
 SCRIPT = """

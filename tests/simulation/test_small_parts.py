@@ -1,10 +1,20 @@
-"""Counting and toys."""
+"""Counting, toys, locks and scratch folders."""
+
+import errno
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from simulation.counting import BudgetExceeded, CountingModel
+from simulation.errors import InputError
+from simulation.file_lock import FileLock
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
+from simulation.workers.scratch import ScratchFolder
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
@@ -56,3 +66,37 @@ def test_the_ishigami_toy_ends_as_the_classical_function():
 def test_a_toy_can_fail():
     answer = ToyRC(fails_above_r=1.5).simulate(ROWS)
     assert answer.failures == ("", "parameter R is nan", "R = 2 K/W is above 1.5")
+
+
+def test_where_there_are_no_locks_nobody_waits_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(InputError, match=r"journal\.lock: this file system has no locks"):
+        FileLock(tmp_path / "journal.lock").acquire()
+
+
+KILLED = """
+import os
+from simulation.workers.scratch import ScratchFolder
+print(ScratchFolder("test-scratch-").folder, flush=True)
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_a_scratch_folder_is_never_seen_without_its_lock_and_goes_after_its_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    said = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, text=True, check=False).stdout
+    left = Path(said.strip())
+    assert left.is_dir()
+    first = ScratchFolder("test-scratch-")
+    assert not left.exists()
+    second = ScratchFolder("test-scratch-")
+    assert first.folder.is_dir()
+    for scratch in (first, second):
+        scratch.remove()
+    assert not list(tmp_path.iterdir())

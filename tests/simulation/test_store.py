@@ -271,13 +271,14 @@ def test_an_undamaged_row_of_a_damaged_part_is_kept(tmp_path: Path) -> None:
 
 def test_leftovers_of_killed_writers_go_when_nobody_writes(tmp_path: Path) -> None:
     open_store(tmp_path).close()
-    leftover = tmp_path / ".part-00000000000000000001-aaaaaaaa.parquet.tmp"
-    leftover.write_bytes(b"half")
+    leftovers = [tmp_path / name for name in (".part-1-aaaaaaaa.parquet.tmp", "._store.json.aaaaaaaa.tmp")]
+    for leftover in leftovers:
+        leftover.write_bytes(b"half")
     with FileLock(tmp_path / ".writers", shared=True):
         open_store(tmp_path).close()
-        assert leftover.exists()
+        assert all(leftover.exists() for leftover in leftovers)
     open_store(tmp_path).close()
-    assert not leftover.exists()
+    assert not any(leftover.exists() for leftover in leftovers)
 
 
 def test_rows_that_a_killed_process_had_finished_are_taken_over_once(tmp_path: Path) -> None:

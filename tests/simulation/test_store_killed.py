@@ -24,7 +24,7 @@ CAMPAIGN = """
 import os, sys
 from pathlib import Path
 sys.path[:0] = [{tests!r}, {root!r}]
-from simulation.workers import parallel
+from simulation.workers import spooled_model
 from simulation.design import uniform_design
 from simulation.workers.execution import ExecutionPolicy
 from simulation.workers.parallel import ParallelModel
@@ -32,7 +32,7 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from slow_models import SlowToy
 
-parallel.BLOCK_BYTES = 20_000
+spooled_model.BLOCK_BYTES = 20_000
 folder = Path({folder!r})
 toy = SlowToy(row_s=0.003, begun=folder / "begun")
 theta = uniform_design(toy.parameter_space, {n_rows}, 0)

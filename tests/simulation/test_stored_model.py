@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -104,6 +105,23 @@ def test_failed_rows_are_asked_again_once_and_on_request(store: SimulationStore)
     assert again.simulate(design(10)).digest == ToyRC().simulate(design(10)).digest
     again.simulate(design(10))
     assert toy.n_calls == 30
+
+
+def test_a_clock_that_is_put_back_neither_hides_nor_repeats_a_failed_row(
+    store: SimulationStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy, now = Licensed(ToyRC()), time.time_ns()
+    monkeypatch.setattr("time.time_ns", lambda: now + 10**15)
+    StoredModel(toy, store).simulate(design(10))
+    monkeypatch.undo()
+    with open_store(tmp_path / "store") as reopened:
+        patient = StoredModel(toy, reopened, retry_failed=True)
+        patient.simulate(design(10))
+        patient.simulate(design(10))
+        assert toy.n_calls == 20
+        toy.has_licence = True
+        again = StoredModel(toy, reopened, retry_failed=True)
+        assert again.simulate(design(10)).digest == ToyRC().simulate(design(10)).digest
 
 
 class Breaking(CountingModel):

@@ -1,14 +1,11 @@
-"""Trajectories: shapes, failures, selection, files."""
-
-from pathlib import Path
+"""Trajectories: shapes, failures, selection."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from simulation.errors import InputError
 from simulation.trajectories import Trajectories
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
@@ -28,21 +25,6 @@ def _trajectories(theta: np.ndarray, y: np.ndarray, failures: list[str] | None =
         output_names=("T", "q"),
         failures=failures,
     )
-
-
-@settings(deadline=None)
-@given(batches)
-def test_a_file_holds_every_bit(
-    tmp_path_factory: pytest.TempPathFactory, batch: tuple[np.ndarray, np.ndarray]
-):
-    saved = _trajectories(*batch)
-    path = tmp_path_factory.mktemp("t") / "deep" / "chunk.npz"
-    saved.save(path)
-    loaded = Trajectories.load(path)
-    assert loaded.digest == saved.digest
-    assert loaded.theta.tobytes() == saved.theta.tobytes()
-    assert loaded.failures == saved.failures
-    assert [file.name for file in path.parent.iterdir()] == ["chunk.npz"]
 
 
 @given(batches)
@@ -90,17 +72,3 @@ def test_different_models_do_not_stack():
 def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match=r"expected \(1, 2\) and \(1, 3, 2\)"):
         Trajectories(np.zeros((1, 2)), np.zeros((1, 3, 1)), np.zeros(3), ("a", "b"), ("T", "q"), ("",))
-
-
-def test_a_missing_and_a_foreign_file_are_named(tmp_path: Path):
-    with pytest.raises(InputError, match=r"none\.npz: no such file"):
-        Trajectories.load(tmp_path / "none.npz")
-    np.savez(tmp_path / "other.npz", a=1)
-    with pytest.raises(InputError, match=r"other\.npz: not a readable trajectory file"):
-        Trajectories.load(tmp_path / "other.npz")
-
-
-def test_no_pickle_is_ever_opened(tmp_path: Path):
-    np.savez(tmp_path / "evil.npz", theta=np.array([object()], dtype=object), allow_pickle=True)
-    with pytest.raises(InputError, match="not a readable"):
-        Trajectories.load(tmp_path / "evil.npz")

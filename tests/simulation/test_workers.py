@@ -193,9 +193,10 @@ def test_a_batch_is_in_the_spool_until_the_next(tmp_path: Path):
 def test_what_a_model_starts_and_writes_goes_with_its_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
+    before = set(psutil.Process().children(recursive=True))
     with ParallelModel(FamilyToy().open, 1) as model:
         model.simulate(_rows(3, 0))
-        family = psutil.Process().children(recursive=True)
+        family = set(psutil.Process().children(recursive=True)) - before
         assert sum(process.name() == "sleep" for process in family) == 3
         assert list(tmp_path.rglob("left.txt"))
     _, alive = psutil.wait_procs(family, timeout=5)
@@ -204,9 +205,10 @@ def test_what_a_model_starts_and_writes_goes_with_its_worker(tmp_path: Path, mon
 
 
 def test_a_forgotten_model_leaves_no_process():
+    before = set(psutil.Process().children(recursive=True))
     model = ParallelModel(SlowToy().open, 2)
     model.simulate(_rows(20, 0))
-    family = psutil.Process().children(recursive=True)
+    family = set(psutil.Process().children(recursive=True)) - before
     assert family
     del model
     _, alive = psutil.wait_procs(family, timeout=5)

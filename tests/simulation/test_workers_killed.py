@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import pickle
 import random
 import signal
 import subprocess
@@ -20,13 +21,13 @@ N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
 
 # A master with the smallest store there can be: a file per block, and what it holds at each start.
 MASTER = """
-import sys
+import pickle, sys
 from pathlib import Path
 sys.path[:0] = {places!r}
 import numpy as np
+from simulation.whole_file import whole_file
 from simulation.workers.arena import recover_arenas
 from simulation.workers.parallel import ParallelModel
-from simulation.trajectories import Trajectories
 from slow_models import SlowToy
 
 folder = Path({folder!r})
@@ -35,11 +36,12 @@ def keys(theta):
     return [row.tobytes().hex() for row in theta]
 
 def store(block):
-    block.save(folder / f"block-{{len(list(folder.glob('block-*'))):05d}}.npz")
+    with whole_file(folder / f"block-{{len(list(folder.glob('block-*'))):05d}}") as file:
+        pickle.dump(block, file)
 
 for block in recover_arenas(folder / "spool"):
     store(block)
-stored = [key for file in folder.glob("block-*") for key in keys(Trajectories.load(file).theta)]
+stored = [key for file in folder.glob("block-*") for key in keys(pickle.loads(file.read_bytes()).theta)]
 start = len(list(folder.glob("start-*")))
 begun = (folder / "begun").stat().st_size if (folder / "begun").exists() else 0
 (folder / f"start-{{start:03d}}").write_text(" ".join([str(begun), *stored]))
@@ -105,7 +107,7 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
 
 
 def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
-    blocks = [Trajectories.load(file) for file in sorted(folder.glob("block-*"))]
+    blocks = [pickle.loads(file.read_bytes()) for file in sorted(folder.glob("block-*"))]
     answer = Trajectories.concatenate(blocks)
     keys = [row.tobytes().hex() for row in answer.theta]
     assert len(keys) == len(set(keys)) == len(rows), "every row is stored, and once"
