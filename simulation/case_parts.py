@@ -58,7 +58,8 @@ def check_inputs(path: Path, file: CaseFile, fmu: FmuDescription) -> None:
         if name in file.fixed:
             raise InputError(f"{path}: inputs[{name}] is also under [fixed]; drop one of the two")
     for name in fmu.names("input"):
-        if name not in names and name not in file.fixed:
+        # What nothing can set must not stand in the way of the others; the doctor tells of it.
+        if name not in names and name not in file.fixed and not fmu.variables[name].is_out_of_reach:
             raise InputError(
                 f"{path}: the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
                 "start; or hold it at a value under [fixed]"
@@ -72,7 +73,13 @@ def input_values(
     inputs = np.zeros((len(edges) - 1, len(file.inputs)))
     for index, table in enumerate(file.inputs):
         where = f"{path}: inputs[{table.name}]"
-        change = into(fmu, fmu.variables[table.name], table.unit, where)
+        variable = fmu.variables[table.name]
+        change = into(fmu, variable, table.unit, where)
+        if variable.kind not in REAL_KINDS and table.interpolation != "held":
+            raise InputError(
+                f'{where}: interpolation = "{table.interpolation}", but the FMU\'s {table.name} is of type '
+                f'{variable.kind} and knows nothing in between; write interpolation = "held"'
+            )
         for column, weight in table.weights.items():
             time, values = data.input_series(table, column, edges, where)
             inputs[:, index] += weight * values_over_steps(
@@ -81,7 +88,24 @@ def input_values(
         if change.factor != 1.0:
             inputs[:, index] *= change.factor
         inputs[:, index] += change.offset
+        if variable.kind not in REAL_KINDS:
+            _check_whole(variable, inputs[:, index], edges, f"{where}: {' + '.join(table.weights)}")
     return inputs
+
+
+def _check_whole(variable: FmuVariable, values: FloatArray, edges: FloatArray, where: str) -> None:
+    """Check the values of an input that is no real number: whole, and known to its type."""
+    words, known = "whole numbers", values == np.rint(values)
+    if variable.kind == "Boolean":
+        words, known = "0 or 1", np.isin(values, (0.0, 1.0))
+    elif variable.items:
+        words = "one of: " + ", ".join(f"{number} ({item})" for item, number in variable.items.items())
+        known = np.isin(values, list(variable.items.values()))
+    for step in np.flatnonzero(~known)[:1]:
+        raise InputError(
+            f"{where} is {values[step]:g} at {edges[step]:.12g} s, and the FMU's {variable.name} is of type "
+            f"{variable.kind}; give {words}"
+        )
 
 
 def fixed_values(

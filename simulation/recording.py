@@ -17,7 +17,11 @@ from simulation.timestamps import Clock, Timestamps
 TIME_COLUMN: Final = "time_s"
 STAMP_COLUMN: Final = "time"
 # What programs write where there is no value.
-_EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none"})
+# Cells that are no numbers and yet have a meaning: nothing was measured, or a switch.
+_WORDS: Final = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan) | {
+    "true": 1.0,
+    "false": 0.0,
+}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 FIRST_LINE: Final = 2
 
@@ -169,12 +173,12 @@ def _numbers(path: Path, name: str, cells: list[str], delimiter: str) -> FloatAr
         try:
             values[row] = float(cell)
         except ValueError:
-            if cell.casefold() not in _EMPTY:
+            if cell.casefold() not in _WORDS:
                 raise InputError(
                     f"{path}: line {row + FIRST_LINE}, column {name}: {cell!r} is not a number; "
                     "correct it, or leave the cell empty"
                 ) from None
-            values[row] = np.nan
+            values[row] = _WORDS[cell.casefold()]
         if math.isinf(values[row]):
             raise InputError(
                 f"{path}: line {row + FIRST_LINE}, column {name}: {cell} is not finite; leave the cell empty"

@@ -118,13 +118,13 @@ def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
 
 
 def inputs_of(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
-    """Return the inputs that recordings drive."""
-    return tuple(v for v in _of(fmu, "input") if _is_number(v))
+    """Return the inputs that recordings drive: numbers of any kind, and switches."""
+    return tuple(v for v in _of(fmu, "input") if v.kind != "String" and not v.is_out_of_reach)
 
 
 def held_inputs(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
-    """Return the inputs that are no real numbers: a case holds them at a value."""
-    return tuple(v for v in _of(fmu, "input") if v.kind not in REAL_KINDS and not v.shape)
+    """Return the inputs that are texts: a case holds them at a value."""
+    return tuple(v for v in _of(fmu, "input") if v.kind == "String" and not v.is_out_of_reach)
 
 
 def other_parameters(fmu: FmuDescription) -> tuple[FmuVariable, ...]:

@@ -49,10 +49,19 @@ def _example(file: str) -> str:
 
 
 def _csv(variables: tuple[FmuVariable, ...], step_s: float) -> str:
-    values = [0.0 if v.start is None else v.start for v in variables]
+    values = [_start(v) for v in variables]
     lines = [",".join(["time_s", *(_quoted(v.name) for v in variables)])]
     lines += [",".join(f"{value:.10g}" for value in (i * step_s, *values)) for i in range(N_EXAMPLE_ROWS)]
     return "\n".join(lines) + "\n"
+
+
+def _start(variable: FmuVariable) -> float:
+    """Return a value that the variable can have."""
+    if variable.start is not None:
+        return variable.start
+    if variable.kind == "Boolean":
+        return float(variable.start_text.strip().lower() == "true")
+    return float(next(iter(variable.items.values()), 0))
 
 
 def _quoted(name: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.variable import FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.time_unit import DAYS
 from studies.new_choice import Bounds, Choice, Times, bounds_for
 
@@ -130,16 +130,30 @@ output_step_s = {_number(times.output_step_s)}   # {
 
 
 def _input(variable: FmuVariable) -> str:
-    unit = variable.unit
     column = "its unit in the CSV"
+    unit, between = (
+        _unit(variable.unit, column),
+        'linear"   # held: switches, setpoints; linear or smooth: weather',
+    )
+    if variable.kind not in REAL_KINDS:
+        unit = toml_string(variable.unit or "1")
+        between = f'held"   # its values are {_values(variable)}; or hold it at one of them, under [fixed]'
     return f"""\
 [[inputs]]   {_told(variable)}
 name = {toml_string(variable.name)}
 file = "{INPUTS_FILE}"
 column = {toml_string(variable.name)}
-unit = {_unit(unit, column)}
-interpolation = "linear"   # held: switches, setpoints; linear or smooth: weather
+unit = {unit}
+interpolation = "{between}
 # max_gap_s = 7200            # bridge gaps up to this long; else a gap is an error"""
+
+
+def _values(variable: FmuVariable) -> str:
+    """Say which values a variable has that is no real number."""
+    if variable.kind == "Boolean":
+        return "0 and 1"
+    items = ", ".join(f"{number} ({one_line(item)})" for item, number in variable.items.items())
+    return items or "whole numbers"
 
 
 def _output(variable: FmuVariable) -> str:
@@ -214,7 +228,7 @@ def _fixed(case: NewCase) -> str:
     ]
     lines += [
         f"{_key(variable.name)} = {_start(variable)}   # {EDIT}: a {variable.kind} input is held, as "
-        f"only real ones follow a recording. {one_line(variable.description)}".rstrip()
+        f"only numbers follow a recording. {one_line(variable.description)}".rstrip()
         for variable in case.held_inputs
     ]
     shown, n_hidden = _limited(case, case.fixable)

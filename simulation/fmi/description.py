@@ -133,8 +133,6 @@ class FmuDescription:
         variable = self.find(name, causality, where)
         if variable.kind not in _USABLE_KINDS.get(causality, REAL_KINDS):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
-            if variable.is_out_of_reach:
-                remedy = "leave it out"
             numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
             if causality == "output":
                 numbers = numbers.removesuffix(" or Float32")
@@ -157,7 +155,7 @@ class FmuDescription:
             The variable.
 
         Raises:
-            InputError: If there is none of this name, it has another causality, or it is an array.
+            InputError: If there is none of this name, it has another causality, or no case can use it.
         """
         variable = self.variables.get(name)
         if variable is None:
@@ -179,11 +177,11 @@ class FmuDescription:
                 f"{where}: {name} is a {variable.causality} of {self.path.name}, not its {causality}; "
                 f"choose one of: {_listed(self.names(causality))}"
             )
-        if variable.shape:
+        if variable.is_out_of_reach:
             size = " x ".join(map(str, variable.shape))
+            what = f"an array ({size})" if size else f"a {variable.kind}"
             raise InputError(
-                f"{where}: {name} is an array ({size}) of {self.path.name}; "
-                "choose another, only scalars can be used"
+                f"{where}: {name} is {what} of {self.path.name}, which no case can use; leave it out"
             )
         return variable
 

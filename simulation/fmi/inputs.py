@@ -32,7 +32,7 @@ class Inputs:
             where: The FMU's file, for messages.
 
         Raises:
-            InputError: If an input cannot be set, or a value is none of its type.
+            InputError: If a value is none of its type.
         """
         self._instance = instance
         self._kept: list[Any] = []
@@ -40,13 +40,7 @@ class Inputs:
         setters = SETTERS[instance.prefix]
         groups: dict[str, list[int]] = {}
         for column, variable in enumerate(plan.input_variables):
-            name, dtype = setters.get(variable.kind, ("", None))
-            if dtype is None:
-                raise InputError(
-                    f"{where}: input {variable.name} is a {variable.kind}, which no measurement can drive; "
-                    "export the FMU without it"
-                )
-            groups.setdefault(name, []).append(column)
+            groups.setdefault(setters[variable.kind][0], []).append(column)
         self.table: Final = np.zeros((len(groups), 5), dtype=np.intp)
         for row, (name, columns) in enumerate(groups.items()):
             variables = [plan.input_variables[column] for column in columns]

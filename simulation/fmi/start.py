@@ -170,12 +170,7 @@ def _by_setter(
 ) -> list[tuple[str, list[tuple[FmuVariable, _Value]]]]:
     groups: dict[str, list[tuple[FmuVariable, _Value]]] = {}
     for variable, value in fixed:
-        setter = SETTERS[instance.prefix].get(variable.kind)
-        if setter is None:
-            raise InputError(
-                f"fixed.{variable.name}: a {variable.kind} variable cannot be set; drop it from [fixed]"
-            )
-        groups.setdefault(setter[0], []).append((variable, value))
+        groups.setdefault(SETTERS[instance.prefix][variable.kind][0], []).append((variable, value))
     return list(groups.items())
 
 

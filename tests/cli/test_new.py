@@ -250,22 +250,31 @@ def test_fmi_3_model_exchange_and_a_broken_rule(project: Path, studies: Run, tmp
     assert "# n = 4" in (project / "fmus" / "tank" / "case.toml").read_text(encoding="utf-8")
 
 
-def test_an_input_that_no_recording_can_drive_is_held(project: Path, studies: Run, tmp_path: Path) -> None:
+def test_a_switch_follows_a_recording_and_a_text_is_held(project: Path, studies: Run, tmp_path: Path) -> None:
     switch = (
         '<ScalarVariable name="on" valueReference="9" causality="input" variability="discrete">'
         '<Boolean start="true"/></ScalarVariable>'
+        '<ScalarVariable name="word" valueReference="10" causality="input" variability="discrete">'
+        '<String start="warm"/></ScalarVariable>'
     )
     variables = real("k", 1, "parameter", 'start="1"') + real("y", 2, "output") + switch
     answer = studies("new", str(make_fmu(tmp_path / "Switch.fmu", variables)), "--json")
-    assert answer.document["inputs"] == []
-    assert case_of(project, "switch")["fixed"] == {"on": True}
-    assert any("on = true" in edit["text"] for edit in answer.document["edit"])
-    (project / "data" / "switch" / "measured.csv").write_text("time_s,y\n0,1\n86400,2\n", encoding="utf-8")
+    assert answer.document["inputs"] == ["on"]
+    (on,) = case_of(project, "switch")["inputs"]
+    assert (on["unit"], on["interpolation"]) == ("1", "held")
+    assert case_of(project, "switch")["fixed"] == {"word": "warm"}
+    assert any('word = "warm"' in edit["text"] for edit in answer.document["edit"])
+    data = project / "data" / "switch"
+    (data / "measured.csv").write_text("time_s,y\n0,1\n86400,2\n", encoding="utf-8")
+    assert "0,1" in (data / "inputs.example.csv").read_text(encoding="utf-8")
+    (data / "inputs.csv").write_text("time_s,on\n0,true\n43200,false\n86400,0\n", encoding="utf-8")
     case = project / "fmus" / "switch" / "case.toml"
-    assert load_case(case).fixed == {"on": True}
-    case.write_text(case.read_text(encoding="utf-8").replace("on = true", "# on = true"), encoding="utf-8")
+    loaded = load_case(case)
+    assert loaded.fixed == {"word": "warm"}
+    assert set(loaded.scenario.inputs[:, 0]) == {0.0, 1.0}
+    case.write_text(case.read_text(encoding="utf-8").replace("word =", "# word ="), encoding="utf-8")
     answer = studies("check", "switch")
-    assert "the FMU's input on has no [[inputs]] entry" in answer.err
+    assert "the FMU's input word has no [[inputs]] entry" in answer.err
     assert "[fixed]" in answer.err
 
 

@@ -19,7 +19,7 @@
 #define AGAIN HONEST
 #endif
 
-enum { K, X0, U, Y, F, N, B, C, S, SIZE, MANY, ON, LEVEL, N_VARIABLES };
+enum { K, X0, U, Y, F, N, B, C, S, SIZE, MANY, ON, LEVEL, WORD, INNER, N_VARIABLES };
 /* What the parameter n makes a step do from 30000 s on. */
 enum { END = -1, EARLY = -2, DISCARDED = -3 };
 
@@ -70,7 +70,7 @@ static int initialize(Instance *m)
 }
 static double get(const Instance *m, unsigned r)
 {
-    if (r != Y) return m->v[r];
+    if (r != Y && r != INNER) return m->v[r];
     const double whole = m->v[N] + m->v[C] + (double)strlen(m->text) + m->v[SIZE] + m->v[LEVEL];
     return m->x * m->v[F] + whole + (m->v[B] != 0.0 ? 1000.0 : 0.0) + (m->v[ON] != 0.0 ? 10.0 : 0.0);
 }

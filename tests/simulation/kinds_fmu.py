@@ -15,15 +15,18 @@ from simulation.scenario import Scenario
 
 SOURCE = Path(__file__).with_name("kinds.c")
 FLAGS = 'canGetAndSetFMUstate="{state}" canBeInstantiatedOnlyOncePerProcess="{once}"'
+UNITS = '<UnitDefinitions><Unit name="1/s"><BaseUnit s="-1"/></Unit></UnitDefinitions>'
 
 DESCRIPTION_2 = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="Kinds" guid="kinds-1" numberOfEventIndicators="0">
 <CoSimulation modelIdentifier="kinds" {FLAGS}/>
+{UNITS}
 <TypeDefinitions><SimpleType name="Choice"><Enumeration><Item name="low" value="1"/>
 <Item name="high" value="7"/></Enumeration></SimpleType></TypeDefinitions>
 <DefaultExperiment tolerance="1e-7"/>
 <ModelVariables>
-<ScalarVariable name="k" valueReference="0" causality="parameter" variability="tunable"><Real start="1e-4"/>
+<ScalarVariable name="k" valueReference="0" causality="parameter" variability="tunable">
+<Real start="1e-4" unit="1/s"/>
 </ScalarVariable>
 <ScalarVariable name="x0" valueReference="1" causality="local" variability="continuous" initial="exact">
 <Real start="300"/></ScalarVariable>
@@ -45,6 +48,7 @@ DESCRIPTION_2 = f"""<?xml version="1.0" encoding="UTF-8"?>
 </ScalarVariable>
 <ScalarVariable name="word" valueReference="13" causality="input" variability="discrete"><String start=""/>
 </ScalarVariable>
+<ScalarVariable name="inner" valueReference="14" causality="local"><Real/></ScalarVariable>
 </ModelVariables>
 <ModelStructure><Outputs><Unknown index="4"/></Outputs></ModelStructure>
 </fmiModelDescription>
@@ -53,11 +57,13 @@ DESCRIPTION_2 = f"""<?xml version="1.0" encoding="UTF-8"?>
 DESCRIPTION_3 = f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="Kinds" instantiationToken="kinds-1">
 <CoSimulation modelIdentifier="kinds" {FLAGS.replace("FMUstate", "FMUState")}/>
+{UNITS}
 <TypeDefinitions><EnumerationType name="Choice"><Item name="low" value="1"/><Item name="high" value="7"/>
 </EnumerationType></TypeDefinitions>
 <DefaultExperiment tolerance="1e-7"/>
 <ModelVariables>
-<Float64 name="k" valueReference="0" causality="parameter" variability="tunable" start="1e-4"/>
+<Float64 name="k" valueReference="0" causality="parameter" variability="tunable" start="1e-4"
+unit="1/s"/>
 <Float64 name="x0" valueReference="1" causality="local" initial="exact" start="300"/>
 <Float64 name="u" valueReference="2" causality="input" start="0"/>
 <Float64 name="y" valueReference="3" causality="output"><Alias name="also y"/></Float64>
@@ -72,6 +78,11 @@ DESCRIPTION_3 = f"""<?xml version="1.0" encoding="UTF-8"?>
 <Boolean name="on" valueReference="11" causality="input" start="false"/>
 <Int8 name="level" valueReference="12" causality="input" start="0"/>
 <String name="word" valueReference="13" causality="input"><Start value=""/></String>
+<Float64 name="inner" valueReference="14" causality="local"/>
+<Float64 name="field" valueReference="15" causality="input" start="0 0">
+<Dimension valueReference="9"/></Float64>
+<Binary name="blob" valueReference="16" causality="input"><Start value="00"/></Binary>
+<Clock name="tick" valueReference="17" causality="input" intervalVariability="triggered"/>
 </ModelVariables>
 <ModelStructure><Output valueReference="3"/><InitialUnknown valueReference="3"/></ModelStructure>
 </fmiModelDescription>

@@ -1,0 +1,164 @@
+"""Case files around an FMU with variables of every type: driven by switches, read inside, warmed up once."""
+
+from pathlib import Path
+
+import kinds_fmu
+import numpy as np
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError
+
+CASE = """
+schema = 1
+name = "kinds"
+fmu = "{fmu}"
+
+[time]
+window_d = [0.25, 0.5]
+start_d = 0
+{shared}
+communication_step_s = 600
+output_step_s = 1800
+
+[[inputs]]
+name = "u"
+file = "recording.csv"
+column = "u"
+unit = "1"
+interpolation = "linear"
+
+[[inputs]]
+name = "on"
+file = "recording.csv"
+column = "on"
+unit = "1"
+interpolation = "held"
+
+[[inputs]]
+name = "level"
+file = "recording.csv"
+column = "level"
+unit = "1"
+interpolation = "held"
+
+[[outputs]]
+name = "{output}"
+unit = "1"
+file = "recording.csv"
+column = "y"
+uncertainty = 1
+
+[[parameters]]
+name = "k"
+estimate = 0.72
+lower = 0.036
+upper = 3.6
+unit = "1/h"
+
+[fixed]
+word = "warm"
+"""
+ROWS_PER_H = np.array([[0.36], [1.44], [0.36]])
+
+
+@pytest.fixture(scope="module", params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
+def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param, state=True)
+
+
+@pytest.fixture(scope="module")
+def fmu_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=3)
+
+
+def write_case(folder: Path, fmu: Path, *, output: str = "y", shared: bool = False) -> Path:
+    """Write a case of half a day, its inputs known every 1800 s."""
+    warm_up = "shared_warmup = true" if shared else ""
+    path = folder / "case.toml"
+    path.write_text(CASE.format(fmu=fmu, output=output, shared=warm_up))
+    lines = ["time_s,u,on,level,y"]
+    lines += [f"{1800 * i},0.001,{'true' if i % 3 else 'false'},{i % 5 - 2},300" for i in range(26)]
+    (folder / "recording.csv").write_text("\n".join(lines) + "\n")
+    return path
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def expected(k: np.ndarray, x: float) -> np.ndarray:
+    """y every 1800 s with "warm" (4 letters) and size (2), k given step by step. Shape (25,)."""
+    held = [0, *range(24)]
+    states = [x]
+    for each in k:
+        decay = np.exp(-each * 1800.0)
+        states.append(states[-1] * decay + 0.001 * (1.0 - decay) / each)
+    shift = [2 + 4 + i % 5 - 2 + (10 if i % 3 else 0) for i in held]
+    return np.array(states) + shift
+
+
+@pytest.mark.parametrize("output", ["y", "inner"])
+def test_switches_and_levels_follow_a_recording(fmu: Path, tmp_path: Path, output: str):
+    """An output still sees the inputs of the step that ends with it, whether it is declared as one or not."""
+    with load_case(write_case(tmp_path, fmu, output=output)).open_model() as model:
+        answer = model.simulate(ROWS_PER_H)
+    assert answer.failures == ("", "", "")
+    for (k,), y in zip(ROWS_PER_H / 3600.0, answer.y[:, :, 0], strict=True):
+        np.testing.assert_allclose(y, expected(np.full(24, k), 300.0)[12:], rtol=1e-12)
+
+
+def test_the_parameters_of_a_shared_warm_up_are_converted_like_all_others(fmu: Path, tmp_path: Path):
+    with load_case(write_case(tmp_path, fmu, shared=True)).open_model() as model:
+        answer = model.simulate(ROWS_PER_H)
+        assert model.way == "state"
+    assert answer.failures == ("", "", "")
+    for (k,), y in zip(ROWS_PER_H / 3600.0, answer.y[:, :, 0], strict=True):
+        by_step = np.repeat([0.72 / 3600.0, k], 12)
+        np.testing.assert_allclose(y, expected(by_step, 300.0)[12:], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            'column = "on"\nunit = "1"\ninterpolation = "held"',
+            'column = "on"\nunit = "1"\ninterpolation = "linear"',
+            r'inputs\[on\]: interpolation = "linear", but the FMU\'s on is of type Boolean .*"held"',
+        ),
+        ('column = "on"', 'column = "level"', r"inputs\[on\]: level is -2 at 0 s, .* Boolean; give 0 or 1"),
+        ('column = "level"', 'column = "u"', r"inputs\[level\]: u is 0\.001 at 0 s, .*; give whole numbers"),
+        ('name = "u"', 'name = "word"', r"word is of type String; only .* hold it under \[fixed\]"),
+        ('name = "y"', 'name = "z"', r"has no output named z; it has: y.*inner"),
+        ('name = "y"', 'name = "x0x"', r"has no output named x0x; did you mean x0\?"),
+        ('name = "y"', 'name = "k"', r"k is a parameter of .*, not its output"),
+        ('name = "y"', 'name = "level"', r"level is a input of .*, not its output"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(fmu: Path, tmp_path: Path, old: str, new: str, message: str):
+    path = write_case(tmp_path, fmu)
+    edit(path, old, new)
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "u"', 'name = "field"', r"field is an array \(2\) of kinds3\.fmu, .* leave it out"),
+        ('name = "u"', 'name = "blob"', r"blob is a Binary of .*; leave it out"),
+        ('name = "u"', 'name = "tick"', r"tick is a Clock of .*; leave it out"),
+        ('name = "k"', 'name = "many"', r"many is an array \(2\)"),
+        ("[fixed]", "[fixed]\nmany = 1", r"many is an array \(2\)"),
+        ("[fixed]", "[fixed]\ntick = 1", r"fixed\.tick: tick is a Clock"),
+    ],
+)
+def test_what_is_out_of_reach_is_one_line(fmu_3: Path, tmp_path: Path, old: str, new: str, message: str):
+    path = write_case(tmp_path, fmu_3)
+    edit(path, old, new)
+    with pytest.raises(InputError, match=message) as caught:
+        load_case(path)
+    assert "\n" not in str(caught.value)
