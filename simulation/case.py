@@ -24,6 +24,7 @@ from simulation.case_parts import (
     parameter_space,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
+from simulation.case_units import said_units, with_units
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.measurement import Measurement
@@ -85,6 +86,7 @@ class Case:
         output_step_s: Step of the outputs. [s]
         settings: How the model is opened; plain data for worker processes.
         policy: How patiently simulations are run.
+        said_units: Units of variables that the FMU declares none for, by name.
         references: Errors known for this window; they decide nothing.
         validation: The same model compared over the validation period instead, None without one. Its
             simulations start as the case's do and go on; nothing of it decides what is calibrated.
@@ -104,6 +106,7 @@ class Case:
     output_step_s: float
     settings: FmuSettings
     policy: ExecutionPolicy = field(default_factory=ExecutionPolicy)
+    said_units: Mapping[str, str] = field(default_factory=dict)
     references: tuple[KnownError, ...] = ()
     validation: "Case | None" = None
 
@@ -162,6 +165,7 @@ class Case:
             "warmup_theta": settings.warmup_theta if settings.shared_warmup else None,
             "parameter_factors": settings.parameter_factors,
             "parameter_offsets": settings.parameter_offsets,
+            "said_units": dict(self.said_units) or None,
         }
         return {
             "fmu": self.fmu_sha256,
@@ -216,7 +220,7 @@ def load_case(
     if communication_step_s is not None:
         step = {"communication_step_s": communication_step_s}
         file = file.model_copy(update={"time": file.time.model_copy(update=step)})
-    fmu = read_description((path.parent / file.fmu).resolve())
+    fmu = with_units(read_description((path.parent / file.fmu).resolve()), said_units(file), path)
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
     window = window_d if window_d is not None else file.time.window
@@ -277,6 +281,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         output_step_s=file.time.output_step_s,
         settings=settings,
         policy=ExecutionPolicy(**file.simulation.model_dump()),
+        said_units=said_units(file),
         references=tuple(
             KnownError(table.label, table.mse, table.target)
             for table in file.references

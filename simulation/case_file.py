@@ -86,13 +86,17 @@ def _in_days(
 
 
 class InputTable(_Table):
-    """Key [[inputs]]: where an FMU input comes from; gaps up to `max_gap_s` are bridged."""
+    """Key [[inputs]]: where an FMU input comes from; gaps up to `max_gap_s` are bridged.
+
+    `fmu_unit` is the unit that its equations count in, where the FMU declares none.
+    """
 
     name: Name
     file: Name
     column: Name | None = None
     sum: dict[str, Finite] | None = None
     unit: str
+    fmu_unit: Name | None = None
     interpolation: Literal["held", "linear", "smooth"]
     max_gap_s: Positive | None = None
 
@@ -112,11 +116,12 @@ class OutputTable(_Table):
     """Key [[outputs]]: an FMU output and its measurement, which may have times of its own and gaps.
 
     `weight` is the share of the error that it has relative to the others (see Measurement), `accepted` the
-    band outside of which a simulation has failed.
+    band outside of which a simulation has failed; `fmu_unit` as for inputs.
     """
 
     name: Name
     unit: str
+    fmu_unit: Name | None = None
     file: Name
     column: Name
     uncertainty: Positive

@@ -96,7 +96,10 @@ def read_recording(
     time_name = _time_column(path, header, time_column)
     for name in [time_name, *column_names]:
         if name not in header:
-            raise InputError(f"{path}: column {name} is missing; found {', '.join(header)}")
+            raise InputError(
+                f"{path}: column {name} is missing; correct it in the case file; there are "
+                f"{', '.join(header)}"
+            )
         if header.count(name) > 1:
             raise InputError(
                 f"{path}: column {name} stands {header.count(name)} times in the header; keep one"

@@ -138,7 +138,7 @@ def _no_unit(case: Case) -> Iterator[Finding]:
             "units the FMU does not declare",
             "warn",
             f"{count(len(bare), 'variable')} without a unit: {_listed(bare)}",
-            "nothing can be checked for these; see that data and bounds are what its equations expect",
+            "see that data and bounds are what its equations expect; for inputs and outputs fmu_unit says it",
         )
 
 

@@ -1,11 +1,13 @@
 """The keys of a case file beyond the plain case: units, bands, patience, warm-up, validation, other kinds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from simulation.case import load_case
+from simulation.case_units import with_units
 from simulation.errors import InputError
 from simulation.workers.execution import ExecutionPolicy
 
@@ -346,3 +348,19 @@ def test_what_is_wrong_with_seconds_is_told_in_seconds(
     with pytest.raises(InputError, match=message) as caught:
         load_case(decay_case)
     assert "\n" not in str(caught.value)
+
+
+def test_the_case_says_the_unit_that_the_fmu_does_not(decay_case: Path):
+    plain = load_case(decay_case)
+    assert plain.fmu.variables["y"].unit == "K"
+    edit(decay_case, ('unit = "degC"', 'unit = "degC"\nfmu_unit = "degC"'))
+    with pytest.raises(InputError, match=r'y: fmu_unit = "degC" contradicts the FMU\'s "K"; drop it'):
+        load_case(decay_case)
+    edit(decay_case, ('fmu_unit = "degC"', 'fmu_unit = "K"'))
+    said = load_case(decay_case)
+    assert said.settings.output_offsets.tolist() == plain.settings.output_offsets.tolist() == [-273.15]
+    assert said.model_digest != plain.model_digest
+    silent = replace(plain.fmu.variables["y"], unit="")
+    bare = replace(plain.fmu, variables={**plain.fmu.variables, "y": silent})
+    assert with_units(bare, {"y": "K"}, decay_case).variables["y"].unit == "K"
+    assert with_units(bare, {"z": "K"}, decay_case) is bare

@@ -180,7 +180,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "missing column": (
         csv("heating", "heat"),
-        r"recording\.csv: column heating is missing; found time_s, T_degC, heat$",
+        r"recording\.csv: column heating is missing; correct .* there are time_s, T_degC, heat$",
     ),
     "column twice": (csv("T_degC", "heating"), r"column (heating stands 2 times|T_degC is missing)"),
     "empty cell of an input": (
