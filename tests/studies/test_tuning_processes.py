@@ -43,7 +43,7 @@ from studies.tuning import tune
 if __name__ == "__main__":
     specs = pickle.loads(Path(sys.argv[1]).read_bytes())
     tune(specs, paths=ProjectPaths(Path(sys.argv[2])), n_trials=7, n_jobs=2,
-         on_event=lambda event: print(event.kind, event.index, flush=True))
+         on_event=lambda event: print(event.kind, event.n_train, event.index, flush=True))
 """
 
 
@@ -99,11 +99,15 @@ def records_of(spec: StudySpec, paths: ProjectPaths) -> list[TrialRecord]:
     return read_records(spec.folder(paths.mlruns))
 
 
-def wait_for_trial(process: subprocess.Popen[str], index: int) -> None:
-    """Read the command's output until a trial has begun."""
+def wait_for_trial(process: subprocess.Popen[str], index: int, *, n_studies: int) -> None:
+    """Read the command's output until so many studies have begun a trial of this index or a later one."""
     assert process.stdout is not None
+    arrived = set()
     for line in process.stdout:
-        if line.split() == ["trial-started", str(index)]:
+        kind, study, trial = line.split()
+        if kind == "trial-started" and int(trial) >= index:
+            arrived.add(study)
+        if len(arrived) == n_studies:
             return
     raise AssertionError(f"the command ended early: {process.stderr and process.stderr.read()}")
 
@@ -122,7 +126,7 @@ def test_interrupted_and_killed_commands_lose_and_repeat_nothing(
     paths = ProjectPaths(tmp_path)
 
     interrupted = start()
-    wait_for_trial(interrupted, 2)
+    wait_for_trial(interrupted, 2, n_studies=1)
     workers = psutil.Process(interrupted.pid).children(recursive=True)
     os.killpg(interrupted.pid, signal.SIGINT)  # as a terminal does: the whole group
     _, errors = interrupted.communicate(timeout=30)
@@ -133,7 +137,7 @@ def test_interrupted_and_killed_commands_lose_and_repeat_nothing(
         assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
 
     killed = start()
-    wait_for_trial(killed, 4)
+    wait_for_trial(killed, 3, n_studies=2)
     workers = psutil.Process(killed.pid).children(recursive=True)
     killed.send_signal(signal.SIGKILL)
     wait_for_end(workers)
