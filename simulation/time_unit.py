@@ -53,8 +53,8 @@ UNITS = {unit.symbol: unit for unit in (SECONDS, MINUTES, HOURS, DAYS)}
 
 
 def unit_for(span_s: float) -> TimeUnit:
-    """Choose the unit in which a span reads well: the largest that it holds once, minutes and hours twice."""
-    if span_s >= DAY_S:
+    """Choose the unit in which a span reads well: nearly half a day is told in days, two hours in hours."""
+    if span_s >= 0.45 * DAY_S:
         return DAYS
     return next((unit for unit in (HOURS, MINUTES) if span_s >= 2.0 * unit.seconds), SECONDS)
 
