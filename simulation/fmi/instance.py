@@ -165,7 +165,9 @@ class FmuInstance:
         Returns:
             Its status; above WARNING the call failed.
         """
-        return int(self.function(name)(self.component, *arguments))
+        status = int(self.function(name)(self.component, *arguments))
+        self.lost = self.lost or status == FATAL
+        return status
 
     def failure(self, name: str, status: int, time: float) -> str:
         """Say why a call failed, and mark the instance as damaged.
@@ -194,7 +196,6 @@ class FmuInstance:
         Returns:
             Whether it says that it is.
         """
-        forget_messages()
         self._initialized = False
         return self.has("Reset") and self.call("Reset") <= WARNING
 
@@ -204,11 +205,11 @@ class FmuInstance:
         Raises:
             NeedsFreshProcess: If the FMU said that all is lost, or makes no second instance in this process.
         """
+        self._free_instance()
         if self.lost:
             raise NeedsFreshProcess(
                 f"{self._description.path}: after {self.prefix}Fatal no instance of this process can be used"
             )
-        self._free_instance()
         self._instantiate()
         if not self.component:
             said = f" ({message})" if (message := last_message()) else ""
@@ -255,7 +256,7 @@ class FmuInstance:
         else:
             make = self._maker("InstantiateCoSimulation" if co_simulation else "InstantiateModelExchange")
             # The standard wants the folder to end with a separator.
-            arguments = (name, guid, str(resources).encode() + os.sep.encode(), _Bool(False), _Bool(False))
+            arguments = (name, guid, os.fsencode(resources) + os.sep.encode(), _Bool(False), _Bool(False))
             if co_simulation:
                 # No event mode, no early return, no intermediate variables.
                 arguments += (_Bool(False), _Bool(False), None, _Size(0))
@@ -275,9 +276,10 @@ class FmuInstance:
 
     def _free_instance(self) -> None:
         # After a fatal error the standard allows no call at all, not even to free the instance.
+        ends = self.component and self._initialized and not (self.damaged or self.lost)
+        if ends and self.has("Terminate"):
+            self.call("Terminate")
         if self.component and not self.lost:
-            if self._initialized and not self.damaged and self.has("Terminate"):
-                self.call("Terminate")
             free = self._library[self.full_name("FreeInstance")]
             free.restype = None
             free.argtypes = (_Pointer,)

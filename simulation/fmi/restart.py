@@ -10,6 +10,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.instance import WARNING, FmuInstance
+from simulation.fmi.log import forget_messages
 from simulation.fmi.runner import NeedsFreshProcess, Solver
 
 Way = Literal["reset", "state"]
@@ -35,8 +36,9 @@ class RestartingRunner:
     Two FMUs cannot be given new instances before the proof, one that allows one instance per process and one
     whose rows share a warm-up: their second row is started over on trust and handed out after the proof.
 
-    What no run in one process can show is an FMU that keeps its first parameters for good, over resets and
-    instances: its first row repeats well. That takes the same row in two processes.
+    An FMU that keeps its first parameters for as long as its process lives repeats its first row well. It
+    shows in a second row that answers other parameters with the same bits: that row goes to another process.
+    What no run in one process can show is an FMU that keeps some of them; that takes the same row in two.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class RestartingRunner:
         trusting: bool = False,
         prepare: Callable[[], str] | None = None,
         n_ignored: int = 0,
+        answers_differ: bool = True,
     ) -> None:
         """Take over an instance.
 
@@ -58,6 +61,7 @@ class RestartingRunner:
             trusting: Whether the second row is started over before that is proven.
             prepare: What every new instance goes through before its first row; says why it failed.
             n_ignored: Outputs at the start of a row that are not compared.
+            answers_differ: Whether other parameters are to be answered otherwise, to the last bit at least.
         """
         self._instance = instance
         self._solver = solver
@@ -65,6 +69,7 @@ class RestartingRunner:
         self._trusting = trusting and bool(ways)
         self._prepare = prepare
         self._n_ignored = n_ignored
+        self._answers_differ = answers_differ
         self._proven = not ways
         self._untouched = True
         self._prepared = False
@@ -117,6 +122,7 @@ class RestartingRunner:
 
     def _solve(self, values: FloatArray, y: FloatArray) -> str:
         self._untouched = False
+        forget_messages()
         reason = self._solver.solve(values, y)
         # Not every FMU can be started over out of an error, or out of numbers that are none.
         self._instance.damaged = reason != "" or not math.isfinite(y[self._n_ignored :].sum())
@@ -159,14 +165,15 @@ class RestartingRunner:
         """Settle how rows are started over, just after the row of these values and outputs.
 
         Raises:
-            NeedsFreshProcess: If a new instance does not repeat the first row either.
+            NeedsFreshProcess: If a new instance does not repeat the first row either, or the row at hand has
+                the first one's outputs: its parameters may never have arrived.
         """
         assert self._first is not None
         first_values, first_y = self._first
+        if self._answers_differ and self._same(y, first_y):
+            raise NeedsFreshProcess("the FMU answers other parameters like its first ones, to the last bit")
         again = np.empty_like(y)
-        # On trust, the same answer to other parameters may mean that they never arrived.
-        told_apart = not (self._trusting and self._same(y, first_y))
-        while self._ways and told_apart:
+        while self._ways:
             if (
                 self._back(self._ways[0])
                 and not self._solve(first_values, again)

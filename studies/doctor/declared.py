@@ -24,6 +24,7 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     """Look at what the case and the FMU declare."""
     yield _names(case)
     yield _fmu(case)
+    yield from _left_alone(case)
     yield from _no_unit(case)
     yield from _outside_the_fmus_bounds(case)
 
@@ -116,6 +117,17 @@ def _fmu(case: Case) -> Finding:
             "it is used as it is; have its exporter corrected if names or units look wrong",
         )
     return Finding("FMU", "ok", found)
+
+
+def _left_alone(case: Case) -> Iterator[Finding]:
+    variables = [case.fmu.variables[name] for name in case.fmu.names("input")]
+    if left := [one.name for one in variables if one.is_out_of_reach]:
+        yield Finding(
+            "inputs that cannot be driven",
+            "warn",
+            f"arrays, clocks or bytes, which stay as they start: {_listed(left)}",
+            "export the FMU with scalar inputs instead, if they matter",
+        )
 
 
 def _first(complaint: str) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.circumstances import CircumstanceModel
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import Estimates, with_unit
 from studies.doctor.finding import Finding
@@ -23,7 +24,8 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     changed = []
     for column in range(scenario.inputs.shape[1]):
         inputs = scenario.inputs.copy()
-        inputs[:, column] = _changed(inputs[:, column])
+        variable = case.fmu.variables[scenario.input_names[column]]
+        inputs[:, column] = _changed(inputs[:, column], variable)
         changed.append(replace(case.settings, scenario=replace(scenario, inputs=inputs)))
     return CircumstanceModel((case.settings, halved.settings, *changed), row)
 
@@ -47,10 +49,14 @@ def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Traj
     )
 
 
-def _changed(values: FloatArray) -> FloatArray:
+def _changed(values: FloatArray, variable: FmuVariable) -> FloatArray:
     """Return other values of the same kind: in reverse order, so that a switch stays one."""
     backwards = values[::-1]
     if not np.array_equal(backwards, values):
         return backwards
+    if variable.kind not in REAL_KINDS:
+        known = (0, 1) if variable.kind == "Boolean" else tuple(variable.items.values())
+        other = next((number for number in known if number != values[0]), values[0] + 1.0)
+        return np.full_like(values, other)
     shift = INPUT_SHARE * float(np.abs(values).max()) or 1.0
     return np.asarray(values + shift)

@@ -182,6 +182,13 @@ def test_an_archive_that_leads_outside_is_refused(bad_fmu, trace, tmp_path):
     assert not list(tmp_path.rglob("escaped.txt"))
 
 
+def test_an_fmu_that_keeps_its_first_parameters_gets_a_process_for_each_row(bad_fmu, trace):
+    theta = make_theta(20, [])
+    answer = campaign(bad_fmu("FROZEN"), theta)
+    assert not answer.failed.any()
+    np.testing.assert_allclose(answer.y[:, :, 0], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
+
+
 def test_an_fmu_that_says_kelvin_and_gives_degrees_answers_what_it_answers(bad_fmu, trace):
     # No runner can know better; the doctor compares levels with the measurement.
     theta = make_theta(3, [])
@@ -191,6 +198,8 @@ def test_an_fmu_that_says_kelvin_and_gives_degrees_answers_what_it_answers(bad_f
 
 
 def test_every_behaviour_has_a_test():
-    tested = {*REASONS, "LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES", "LICENCE", "UNITS"}
+    tested = {*REASONS, "LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES", "LICENCE", "UNITS", "FROZEN"}
+    # Only the doctor sees those: no process can tell.
+    tested |= {"ICED", "RANDOM"}
     assert tested == {*SOMETIMES, *ALWAYS}
     assert os.environ.get(COUNT_VARIABLE) is None

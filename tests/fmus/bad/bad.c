@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "fmi2FunctionTypes.h"
@@ -29,6 +30,9 @@
 #define LICENCE 24  /* no instance: a licence is missing */
 #define PRINTS 25   /* prints at every step */
 #define WRITES 26   /* writes files into the working directory */
+#define FROZEN 27   /* the parameters of the process's first simulation hold for all of its others */
+#define ICED 28     /* as FROZEN, but k only */
+#define RANDOM 29   /* no two simulations are alike */
 
 #define BAD_ABOVE 0.995
 #define LEAK_BYTES (1 << 20)
@@ -47,6 +51,7 @@ typedef struct {
 
 static int n_instances = 0;
 static int is_dead = 0;
+static double first_v[N_VARIABLES]; /* FROZEN, ICED: parameters of the process's first simulation */
 
 static void defaults(Instance *m)
 {
@@ -153,8 +158,19 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
     Instance *m = c;
     count(m);
+    if (first_v[K] == 0.0) {
+        memcpy(first_v, m->v, sizeof(first_v));
+    }
+    if (BEHAVIOUR == FROZEN || BEHAVIOUR == ICED) {
+        memcpy(m->v, first_v, (BEHAVIOUR == ICED ? 1 : N_VARIABLES) * sizeof(double));
+    }
     if (!(BEHAVIOUR == STICKY && m->used)) {
         m->x = m->v[X0];
+    }
+    if (BEHAVIOUR == RANDOM) {
+        struct timespec now;
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        m->x += 1e-3 * (double)(1 + now.tv_nsec % 999);
     }
     m->used = 1;
     if (BEHAVIOUR == LEAK) {

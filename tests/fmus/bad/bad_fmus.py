@@ -13,7 +13,7 @@ import pytest
 SOURCE = Path(__file__).with_name("bad.c")
 # Those that go wrong where `trouble` exceeds BAD_ABOVE, and those that always do; named as in bad.c.
 SOMETIMES = ("CRASH", "HANG", "EXIT", "NANS", "ERROR", "DISCARD", "FATAL", "ONCE")
-ALWAYS = ("LEAK", "STICKY", "NO_RESET", "UNITS", "LICENCE", "PRINTS", "WRITES")
+ALWAYS = ("LEAK", "STICKY", "NO_RESET", "UNITS", "LICENCE", "PRINTS", "WRITES", "FROZEN", "ICED", "RANDOM")
 BAD_ABOVE = 0.995
 BASE_K = 290.0
 PARAMETERS = ("k", "x0", "trouble")
