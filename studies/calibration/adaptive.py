@@ -6,32 +6,15 @@ row is spent on differences, validation or a test: the process is its own Jacobi
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
-from simulation.parameters import ParameterSpace
-from studies.calibration.box_newton import descend
+from studies.calibration.adaptive_search import AdaptiveSearch
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History, OnProgress, Recorder
-from studies.calibration.residual_process import Expansion, Features, ResidualProcess
-
-# Points are rounded to this many decimals of the unit cube: should the last bits of the linear algebra differ
-# from run to run, the rows that are simulated do not, and a store of simulations finds them again.
-DECIMALS = 5
-SAME_POINT = 1e-4
-
-GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
-GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
-LEAST_RADIUS = 1e-4
-N_DESIGNS = 200
-# A leg elsewhere begins at the surrogate's minimum within this distance of a random point.
-AWAY = 0.5
-# Relative gain that a leg elsewhere owes in half of `stall_rounds`.
-OWED_ELSEWHERE = 0.2
 
 
 @dataclass(frozen=True)
@@ -117,6 +100,10 @@ class Adaptive:
                 "give 0 < least_radius <= radius <= 1"
             )
 
+    def design_size(self, n_parameters: int) -> int:
+        """Return the rows of the first design."""
+        return self.n_start or max(n_parameters, 4)
+
     def minimize(
         self, problem: CalibrationProblem, *, seed: int, on_progress: OnProgress | None = None
     ) -> AdaptiveResult:
@@ -134,7 +121,7 @@ class Adaptive:
             The best point seen; never raises for a failed simulation or a spent budget.
         """
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        search = _Search(self, problem.space, recorder, np.random.default_rng(seed))
+        search = AdaptiveSearch(self, problem.space, recorder, np.random.default_rng(seed))
         converged = False
         try:
             reason = search.run()
@@ -155,175 +142,3 @@ class Adaptive:
             stop_reason=reason,
             converged=converged,
         )
-
-
-class _Search:
-    """The rows of one calibration and its trust region."""
-
-    def __init__(
-        self, settings: Adaptive, space: ParameterSpace, recorder: Recorder, rng: np.random.Generator
-    ) -> None:
-        self._settings = settings
-        self._p = p = space.n_parameters
-        self._features = Features.of(space)
-        self._recorder = recorder
-        self._rng = rng
-        self._u = np.empty((0, p))
-        self._mse = np.empty(0)
-        self._residuals = np.empty((0, 0))
-        self._hyper: FloatArray | None = None
-        self._radius = settings.radius
-        # A leg of the search sees the rows from `first` on; its lowest errors after every round.
-        self._first = 0
-        self._leg: list[float] = []
-        self._idle = 0
-        self._n_elsewhere = 0
-        self.n_rounds = 0
-        self.expected_gain = np.inf
-
-    def run(self) -> str:
-        """Ask rows until target or tolerance; return why it ended.
-
-        Raises:
-            BudgetExceeded: The budget is spent.
-        """
-        settings = self._settings
-        n_start = settings.n_start or max(self._p, 4)
-        design = latin_hypercube(n_start, self._p, self._rng)
-        self._ask(settings.margin + (1.0 - 2.0 * settings.margin) * design)
-        while True:
-            if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
-                return "the target is reached"
-            if np.isfinite(self._mse).sum() < 2:
-                self._ask(self._rng.random((settings.n_parallel, self._p)))
-                continue
-            if self._leg_is_over():
-                if self._is_home and self._n_elsewhere >= settings.n_elsewhere and self._idle:
-                    return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
-                self._turn()
-            self._step()
-
-    def _step(self) -> None:
-        """Make one round of a leg."""
-        process = self._fit()
-        if self._first == self._mse.size:
-            self._ask(self._elsewhere(process))
-            self._leg.append(self._leg_mse)
-            return
-        # A leg whose rows have all failed goes on from the best row.
-        first = self._first if np.isfinite(self._leg_mse) else 0
-        best = first + int(np.argmin(self._mse[first:]))
-        centre, centre_mse = self._u[best], float(self._mse[best])
-        points, expected = self._propose(process, centre)
-        self._ask(points)
-        gain = max(centre_mse - self._leg_mse, 0.0)
-        promise = centre_mse - expected.value
-        self._resize(points - centre, gain, promise)
-        self.expected_gain = promise / centre_mse if centre_mse > 0.0 else 0.0
-        is_idle = max(gain, promise) <= self._settings.ftol * centre_mse
-        self._idle = self._idle + 1 if is_idle else 0
-        self._leg.append(self._leg_mse)
-
-    @property
-    def _leg_mse(self) -> float:
-        """The leg's lowest error so far."""
-        return float(self._mse[self._first :].min(initial=np.inf))
-
-    @property
-    def _is_home(self) -> bool:
-        """Whether the leg is around the best row of all."""
-        return self._leg_mse <= float(self._mse.min())
-
-    def _leg_is_over(self) -> bool:
-        """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
-        settings = self._settings
-        if self._idle >= settings.patience:
-            return True
-        rounds, owed = settings.stall_rounds, settings.stall_gain
-        if not self._is_home:
-            rounds, owed = (rounds + 1) // 2, OWED_ELSEWHERE
-        if settings.n_elsewhere == 0 or len(self._leg) <= rounds:
-            return False
-        return self._leg[-1] > (1.0 - owed) * self._leg[-1 - rounds]
-
-    def _turn(self) -> None:
-        """End a leg: from the best row go elsewhere, from elsewhere back to it."""
-        leaves = self._is_home and self._settings.n_elsewhere > 0
-        self._n_elsewhere += leaves
-        self._first = self._mse.size if leaves else 0
-        self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)
-        self._leg, self._idle = [], 0
-
-    def _ask(self, u: FloatArray) -> None:
-        """Simulate rows, as many as the budget still holds, and keep what they answer."""
-        left = self._settings.max_calls - self._recorder.n_calls
-        u = np.round(u, DECIMALS)
-        answer = self._recorder.evaluate(u[: max(left, 1)])
-        self.n_rounds += 1
-        self._u = np.concatenate([self._u, answer.u])
-        earlier = self._residuals.reshape(self._mse.size, answer.residuals.shape[1])
-        self._residuals = np.concatenate([earlier, answer.residuals])
-        self._mse = np.concatenate([self._mse, answer.mse])
-
-    def _fit(self) -> ResidualProcess:
-        good = np.isfinite(self._mse)
-        process = ResidualProcess.fit(self._features, self._u[good], self._residuals[good], self._hyper)
-        self._hyper = process.hyper
-        return process
-
-    def _elsewhere(self, process: ResidualProcess) -> FloatArray:
-        """Return the surrogate's minima around points drawn anew, one for each parallel row."""
-        margin = self._settings.margin
-        expand = partial(process.expand, caution=self._settings.caution)
-        starts = margin + (1.0 - 2.0 * margin) * self._rng.random((self._settings.n_parallel, self._p))
-        ends = [descend(expand, u, np.maximum(u - AWAY, 0.0), np.minimum(u + AWAY, 1.0)) for u in starts]
-        return np.array([u for u, _ in ends])
-
-    def _propose(self, process: ResidualProcess, centre: FloatArray) -> tuple[FloatArray, Expansion]:
-        """Return the points to simulate next, the favourite first, and what is expected of it."""
-        points: list[FloatArray] = []
-        favourite: Expansion | None = None
-        for rank in range(self._settings.n_parallel):
-            radius, caution = self._variation(rank)
-            lower, upper = np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
-            starts = [centre, *self._rng.uniform(lower, upper, (self._settings.n_descents - 1, self._p))]
-            expand = partial(process.expand, caution=caution)
-            ends = [descend(expand, start, lower, upper) for start in starts]
-            u, expected = min(ends, key=lambda end: end[1].value)
-            favourite = favourite or expected
-            known = np.array([*self._u, *points])
-            if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
-                u = self._rng.uniform(centre - 0.3 * (centre - lower), centre + 0.3 * (upper - centre))
-            points.append(u)
-        assert favourite is not None, "n_parallel is at least 1"
-        return np.array(points), favourite
-
-    def _variation(self, rank: int) -> tuple[float, float]:
-        """Return trust radius and caution of one of the parallel points."""
-        if rank == 0:
-            return self._radius, self._settings.caution
-        radius = min(self._radius * (1.0, 0.5, 2.0)[rank % 3], 1.0)
-        decades = 0.5 * ((rank + 1) // 2) * (-1.0) ** rank
-        return radius, float(self._settings.caution * 10.0**decades)
-
-    def _resize(self, steps: FloatArray, gain: float, expected: float) -> None:
-        """Widen or shrink the trust region by what the last round has brought."""
-        if not np.isfinite(self._mse[-len(steps) :]).any():
-            self._radius = max(self._radius * SHRINK_AFTER_FAILURE, LEAST_RADIUS)
-        elif gain < BAD_STEP * expected:
-            self._radius = max(self._radius * SHRINK, min(self._radius, self._settings.least_radius))
-        elif gain > GOOD_STEP * expected and np.abs(steps[0]).max() > AT_THE_EDGE * self._radius:
-            self._radius = min(self._radius * GROW, 1.0)
-
-
-def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
-    """Return the most spread out of many Latin hypercube samples. Shape (n, p). [1]."""
-    chosen, widest = np.empty((n, p)), -1.0
-    for _ in range(N_DESIGNS):
-        cells = rng.permuted(np.tile(np.arange(n), (p, 1)), axis=1).T
-        u = (cells + rng.random((n, p))) / n
-        distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
-        least = float(distances[~np.eye(n, dtype=np.bool_)].min())
-        if least > widest:
-            chosen, widest = u, least
-    return chosen

@@ -7,7 +7,8 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded
 from studies.calibration import CalibrationProblem, History, LeastSquaresTRF
-from studies.calibration.adaptive import Adaptive, latin_hypercube
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.adaptive_search import latin_hypercube
 from studies.calibration.recorder import Recorder
 
 Method = Callable[[CalibrationProblem, int, int, float], History]

@@ -10,7 +10,8 @@ from scipy.optimize import approx_fprime
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.toy import ToyRC
-from studies.calibration.adaptive import Adaptive, latin_hypercube
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.adaptive_search import latin_hypercube
 from studies.calibration.box_newton import descend
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
