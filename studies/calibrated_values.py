@@ -1,6 +1,7 @@
 """The answer itself on the terminal: what the parameters are after calibration, and which lie at a bound."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,8 +18,19 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
     if not finished:
         return
     best = min(finished, key=lambda summary: float(summary["mse_polished"]))
+    show_parameters(study, best["theta"], f"n_train = {best['n_train']}")
+
+
+def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
+    """Print calibrated parameters.
+
+    Args:
+        study: the study.
+        found: values by name. [per parameter]
+        how: how they were found, in a word.
+    """
     space = study.case.parameter_space
-    theta = np.array([best["theta"][name] for name in space.names])
+    theta = np.array([found[name] for name in space.names])
     rows = []
     for parameter, value, u in zip(space.parameters, theta, space.to_unit(theta), strict=True):
         bound = "lower" if u < AT_BOUND else "upper" if u > 1.0 - AT_BOUND else ""
@@ -33,7 +45,7 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
             ]
         )
     study.console.table(
-        f"{study.label}: calibrated parameters (n_train = {best['n_train']})",
+        f"{study.label}: calibrated parameters ({how})",
         [
             Column("parameter"),
             Column("unit"),

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from rich.console import Console as RichConsole
@@ -19,8 +19,13 @@ PLAIN_WIDTH = 160
 
 OnProgress = Callable[[int, int], None]
 """Called with what is done and what there is to do."""
-OnBar = Callable[[str, float, float], None]
-"""Called with the name of a work, what is done and what there is to do."""
+
+
+class OnBar(Protocol):
+    """Is told how far the works are that go on side by side."""
+
+    def __call__(self, what: str, done: float, total: float, news: str = "") -> None:
+        """Hear the name of a work, what is done, what there is to do, and what was found so far."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +94,7 @@ class Console:
             a function to call with (name of the work, done, total); a new name is a new bar.
         """
         if not self.is_live:
-            yield lambda what, done, total: None
+            yield lambda what, done, total, news="": None
             return
         from rich.progress import (
             BarColumn,
@@ -113,10 +118,10 @@ class Console:
         )
         tasks: dict[str, TaskID] = {}
 
-        def show(what: str, done: float, total: float) -> None:
+        def show(what: str, done: float, total: float, news: str = "") -> None:
             if what not in tasks:
                 tasks[what] = progress.add_task(what, total=total)
-            progress.update(tasks[what], completed=done, total=total)
+            progress.update(tasks[what], completed=done, total=total, description=f"{what}{news}")
 
         with progress:
             yield show

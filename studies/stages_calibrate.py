@@ -130,7 +130,7 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
     validated, simulated = validate_calibration(
-        study, theta_screened=result.theta_screened, theta=result.theta
+        study, {"screened": result.theta_screened, "polished": result.theta}
     )
     numbers = result.to_dict() | validated
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}

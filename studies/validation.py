@@ -141,14 +141,13 @@ def _fits(case: Case, measurement: Measurement, y: FloatArray) -> dict[str, Outp
 
 
 def validate_calibration(
-    study: Study, *, theta_screened: FloatArray, theta: FloatArray
+    study: Study, found: Mapping[str, FloatArray]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """Validate a finished calibration of a study.
 
     Args:
         study: The study.
-        theta_screened: Screened point. Shape (p,). [per parameter]
-        theta: Calibrated parameters. Shape (p,). [per parameter]
+        found: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
 
     Returns:
         Numbers and arrays to be kept with the calibration; both empty without a validation period.
@@ -156,18 +155,15 @@ def validate_calibration(
     case = study.case
     if case.validation is None:
         return {}, {}
-    points = {"screened": theta_screened, "polished": theta}
+    points = dict(found)
     estimates = [parameter.estimate for parameter in case.parameter_space.parameters]
     if None not in estimates:
         points = {"estimate": np.array(estimates, dtype=np.float64), **points}
     with open_physical_model(study, case=case.validation) as model:
         validation = validate(case, model, points)
-    arrays = {
-        "validation_time": validation.time,
-        "validation_y_screened": validation.y[-2],
-        "validation_y_polished": validation.y[-1],
-    }
-    return {"validation": validation.to_dict()}, arrays
+    simulated = dict(zip(points, validation.y, strict=True))
+    arrays = {f"validation_y_{name}": simulated[name] for name in found}
+    return {"validation": validation.to_dict()}, {"validation_time": validation.time, **arrays}
 
 
 def validation_inputs(case: Case) -> dict[str, Any]:
@@ -197,7 +193,7 @@ def show_validation(study: Study, outcomes: list[Outcome]) -> None:
             errors = [point["mse_window"], point["mse"]]
             rows.append(
                 [
-                    outcome.summary["n_train"],
+                    outcome.summary["n_train"] or "–",
                     name,
                     *("–" if error is None else f"{error:.4f}" for error in errors),
                     ", ".join(fits) or f"failed: {point['failure']}",

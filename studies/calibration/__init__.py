@@ -1,5 +1,6 @@
-"""Calibration: screen a model over the whole box, polish on the physical model."""
+"""Calibration: screened on a surrogate and polished on the physical model, or adaptive on it alone."""
 
+from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.direct import MultistartResult, best_known, multistart
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
@@ -9,6 +10,8 @@ from studies.calibration.screen import DifferentialEvolution, ScreenResult
 from studies.calibration.two_phase import CalibrationResult, calibrate_two_phase
 
 __all__ = [
+    "Adaptive",
+    "AdaptiveResult",
     "CalibrationProblem",
     "CalibrationResult",
     "DifferentialEvolution",

@@ -13,6 +13,7 @@ class Ledger:
         n_test: Test set.
         n_screen_checks: Physical simulations of screened points.
         n_polish: Polishing.
+        n_adaptive: An adaptive calibration, which has none of the others.
     """
 
     n_train: int = 0
@@ -20,11 +21,12 @@ class Ledger:
     n_test: int = 0
     n_screen_checks: int = 0
     n_polish: int = 0
+    n_adaptive: int = 0
 
     @property
     def total_paper(self) -> int:
-        """The paper's count: training, screening check and polish, without validation and test."""
-        return self.n_train + self.n_screen_checks + self.n_polish
+        """The paper's count: all that found the parameters, without validation and test sets."""
+        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive
 
     @property
     def total_honest(self) -> int:

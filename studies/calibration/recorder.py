@@ -15,7 +15,7 @@ class Progress:
     """One report of a running search.
 
     Attributes:
-        phase: "screen" or "polish".
+        phase: "screen", "polish" or "adaptive".
         n_done: Model rows asked so far in this phase.
         n_total: Most rows that this phase may ask, or None without a limit.
         best_mse: Best MSE so far. [first output's unit squared]
