@@ -7,7 +7,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 #define HONEST 0
 #define KEEPS_STATE 1   /* reset says OK and x goes on from where it was */
@@ -15,6 +17,8 @@
 #define REFUSES 3       /* reset is an error */
 #define STATIC 4        /* x goes on from where the last row of the process ended, also in a new instance */
 #define ONE_INSTANCE 5  /* reset is an error, and so is a second instance */
+#define DIES_AT_RESET 6 /* reset is fatal */
+#define DIES_AT_END 7   /* reset is an error, terminating fatal */
 #ifndef AGAIN
 #define AGAIN HONEST
 #endif
@@ -22,6 +26,9 @@
 enum { K, X0, U, Y, F, N, B, C, S, SIZE, MANY, ON, LEVEL, WORD, INNER, N_VARIABLES };
 /* What the parameter n makes a step do from 30000 s on. */
 enum { END = -1, EARLY = -2, DISCARDED = -3 };
+/* Values of x0 that make it complain at 30000 s, in words and with a good status or the other way round. */
+#define GRUMBLES 399.0
+#define SILENT 398.0
 
 typedef struct {
     double v[N_VARIABLES];
@@ -30,15 +37,24 @@ typedef struct {
     double first_k;
     int configuring;
     int ended;
+    const void *logger;
+    void *environment;
 } Instance;
 
 static double process_x = 0.0;
+static int is_dead = 0;
+int n_calls_after_fatal = 0;
+static void grumble(void *instance);
 static int n_instances = 0;
 
 static void defaults(Instance *m)
 {
     const double x = m->x, first_k = m->first_k;
+    const void *logger = m->logger;
+    void *environment = m->environment;
     memset(m, 0, sizeof(*m));
+    m->logger = logger;
+    m->environment = environment;
     m->v[K] = 1e-4;
     m->v[X0] = 300.0;
     m->v[F] = 1.0;
@@ -46,8 +62,33 @@ static void defaults(Instance *m)
     if (AGAIN == KEEPS_STATE) m->x = x;
     if (AGAIN == KEEPS_FIRST) m->first_k = first_k;
 }
+static int is_wrong_folder(const char *resources)
+{
+    char path[4096];
+    size_t n = 0;
+    if (FMI == 2 && strncmp(resources, "file:///", 8)) return 1;
+    for (const char *c = resources + (FMI == 2 ? 7 : 0); *c && n < sizeof(path) - 1; c++) {
+        unsigned byte = (unsigned char)*c;
+        if (FMI == 2 && (byte <= ' ' || byte > '~')) return 1;
+        if (FMI == 2 && byte == '%' && sscanf(c + 1, "%2x", &byte) == 1) c += 2;
+        path[n++] = (char)byte;
+    }
+    path[n] = '\0';
+    return access(path, R_OK);
+}
+static int finish(int status)
+{
+    is_dead = is_dead || status == 4;
+    return status;
+}
+static void release(void *instance)
+{
+    n_calls_after_fatal += is_dead;
+    free(instance);
+}
 static Instance *make(void)
 {
+    n_calls_after_fatal += is_dead;
     if (AGAIN == ONE_INSTANCE && n_instances) return NULL;
     n_instances++;
     Instance *m = calloc(1, sizeof(Instance));
@@ -56,7 +97,8 @@ static Instance *make(void)
 }
 static int reset(Instance *m)
 {
-    if (AGAIN == REFUSES || AGAIN == ONE_INSTANCE) return 3;
+    if (AGAIN == DIES_AT_RESET) return finish(4);
+    if (AGAIN == REFUSES || AGAIN == ONE_INSTANCE || AGAIN == DIES_AT_END) return 3;
     defaults(m);
     return 0;
 }
@@ -77,7 +119,8 @@ static double get(const Instance *m, unsigned r)
 static int step(Instance *m, double t, double h)
 {
     const double k = m->v[K], a = exp(-k * h);
-    if (t >= 30000.0 && m->v[N] == DISCARDED) return 2;
+    if (t >= 30000.0 && m->v[X0] == GRUMBLES) grumble(m);
+    if (t >= 30000.0 && (m->v[N] == DISCARDED || m->v[X0] == SILENT)) return 2;
     m->x = m->x * a + m->v[U] * (1.0 - a) / k;
     process_x = m->x;
     m->ended = t >= 30000.0 && m->v[N] == END;
@@ -96,10 +139,21 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n
 { (void)r; (void)n; strncpy(((Instance *)c)->text, v[0], 63); return fmi2OK; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
-{ (void)name; (void)type; (void)guid; (void)resources; (void)callbacks; (void)visible; (void)logging; return make(); }
-void fmi2FreeInstance(fmi2Component c) { free(c); }
+{
+    (void)name; (void)type; (void)guid; (void)visible; (void)logging;
+    Instance *m = is_wrong_folder(resources) ? NULL : make();
+    if (m) m->logger = callbacks;
+    else callbacks->logger(callbacks->componentEnvironment, "kinds", fmi2Error, "error", "no instance");
+    return m;
+}
+static void grumble(void *instance)
+{
+    const fmi2CallbackFunctions *callbacks = ((Instance *)instance)->logger;
+    callbacks->logger(callbacks->componentEnvironment, "kinds", fmi2Error, "error", "%s grumbles %d%%", "it", 99);
+}
+void fmi2FreeInstance(fmi2Component c) { release(c); }
 fmi2Status fmi2Reset(fmi2Component c) { return reset(c); }
-fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return finish(AGAIN == DIES_AT_END ? 4 : 0); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real e, fmi2Real t0, fmi2Boolean s, fmi2Real t1)
 { (void)c; (void)d; (void)e; (void)t0; (void)s; (void)t1; return fmi2OK; }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return fmi2OK; }
@@ -141,15 +195,26 @@ fmi3Instance fmi3InstantiateCoSimulation(
 {
     (void)name; (void)visible; (void)logging; (void)r; (void)update;
     const size_t length = strlen(resources);
-    if (strcmp(token, "kinds-1") || events || early || n || length == 0 || resources[length - 1] != '/') {
+    if (strcmp(token, "kinds-1") || events || early || n || length == 0 || resources[length - 1] != '/'
+        || is_wrong_folder(resources)) {
         log(e, fmi3Error, "logStatusError", "instantiated in a wrong way");
         return NULL;
     }
-    return make();
+    Instance *m = make();
+    if (m) {
+        m->logger = (const void *)log;
+        m->environment = e;
+    }
+    return m;
 }
-void fmi3FreeInstance(fmi3Instance c) { free(c); }
+static void grumble(void *instance)
+{
+    const Instance *m = instance;
+    ((fmi3LogMessageCallback)m->logger)(m->environment, fmi3Error, "error", "it grumbles 99%");
+}
+void fmi3FreeInstance(fmi3Instance c) { release(c); }
 fmi3Status fmi3Reset(fmi3Instance c) { return reset(c); }
-fmi3Status fmi3Terminate(fmi3Instance c) { (void)c; return fmi3OK; }
+fmi3Status fmi3Terminate(fmi3Instance c) { (void)c; return finish(AGAIN == DIES_AT_END ? 4 : 0); }
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { ((Instance *)c)->configuring = 1; return fmi3OK; }
 fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { ((Instance *)c)->configuring = 0; return fmi3OK; }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean d, fmi3Float64 tolerance, fmi3Float64 t0,

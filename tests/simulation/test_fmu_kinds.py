@@ -2,6 +2,8 @@
 
 import dataclasses
 import re
+import shutil
+import tempfile
 from pathlib import Path
 
 import kinds_fmu
@@ -19,6 +21,16 @@ ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
 @pytest.fixture(scope="module", params=[2, 3], ids=["FMI 2.0", "FMI 3.0"])
 def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return kinds_fmu.build_kinds_fmu(tmp_path_factory.mktemp("kinds"), fmi=request.param)
+
+
+def test_folders_may_have_any_name(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The FMU looks its resources up: by a URI in FMI 2.0, by a path in FMI 3.0."""
+    folder = tmp_path / "Büro 1 – 50% & mehr#2"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    copy = shutil.copy(fmu, folder / "Zimmer Süd.fmu")
+    with kinds_fmu.kinds_settings(copy).open() as model:
+        assert model.simulate(ROWS).failures == ("", "", "")
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Every row as if it were the first, also where the FMU does what it can to prevent it."""
 
+import ctypes
 from pathlib import Path
 
 import kinds_fmu
@@ -129,3 +130,31 @@ def test_a_warm_up_that_cannot_be_shared_is_refused(
     )
     with pytest.raises(InputError, match=message):
         settings.open()
+
+
+@pytest.mark.parametrize("again", ["DIES_AT_RESET", "DIES_AT_END"])
+def test_nothing_is_called_after_a_fatal_status(tmp_path: Path, fmi: int, again: str):
+    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again=again))
+    with settings.open() as model:
+        library = model._runner._instance._library
+        with pytest.raises(NeedsFreshProcess, match=f"after fmi{fmi}Fatal"):
+            model.simulate(ROWS)
+    assert ctypes.c_int.in_dll(library, "n_calls_after_fatal").value == 0
+
+
+@pytest.mark.parametrize("again", ["HONEST", "KEEPS_STATE", "REFUSES"])
+def test_what_one_row_complains_of_is_no_reason_of_another(tmp_path: Path, fmi: int, again: str):
+    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again=again, state=again == "KEEPS_STATE")
+    settings = kinds_fmu.kinds_settings(fmu)
+    with settings.open() as model:
+        model.simulate(ROWS)
+        # The first logs an error and is good, the second is bad and logs nothing.
+        answer = model.simulate(np.array([[1e-4, 399.0], [1e-4, 398.0]]))
+    assert answer.failures == ("", f"fmi{fmi}DoStep returned fmi{fmi}Discard at 30000 s")
+
+
+def test_the_message_of_a_failed_row_is_complete(tmp_path: Path, fmi: int):
+    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi), fixed={"n": -3})
+    with settings.open() as model:
+        (reason,) = model.simulate(np.array([[1e-4, 399.0]])).failures
+    assert reason == f"fmi{fmi}DoStep returned fmi{fmi}Discard at 30000 s: it grumbles 99%"
