@@ -87,7 +87,7 @@ class Arena:
         Raises:
             ValueError: If the file is no arena of this boot of this machine, or half of one.
         """
-        self._descriptor = descriptor
+        self._descriptor = -1
         self.path = path
         self._owner = os.getpid()
         size = os.fstat(descriptor).st_size
@@ -113,6 +113,7 @@ class Arena:
         )
         self._reasons = places["reasons"]
         self.y = self._array("y", places, (capacity, t, k))
+        self._descriptor = descriptor
 
     def _array(self, name: str, places: dict[str, int], shape: tuple[int, ...]) -> FloatArray:
         flat: FloatArray = np.frombuffer(self._memory, np.float64, math.prod(shape), places[name])
@@ -260,6 +261,10 @@ class Arena:
             os.close(self._descriptor)
             self._descriptor = -1
 
+    def __del__(self) -> None:
+        # Whoever is interrupted between two lines leaves one that nobody lets go of.
+        self.release()
+
 
 def recover_arenas(spool: Path) -> Iterator[Trajectories]:
     """Yield the finished rows of arenas whose owner is dead, or let go of them after an error.
@@ -277,16 +282,19 @@ def recover_arenas(spool: Path) -> Iterator[Trajectories]:
             descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except FileNotFoundError:
             continue
+        arena = None
         try:
             if not owned(descriptor):
                 continue
             with contextlib.suppress(ValueError):
-                finished = Arena(descriptor).finished()
+                arena = Arena(descriptor)
+                finished = arena.finished()
                 if finished.n:
                     yield finished
                 del finished
             path.unlink(missing_ok=True)
         finally:
-            with contextlib.suppress(OSError):
-                fcntl.flock(descriptor, fcntl.LOCK_UN)
-            os.close(descriptor)
+            if arena is None:
+                os.close(descriptor)
+            else:
+                arena.release()

@@ -211,6 +211,8 @@ class Workforce:
         Args:
             at_once: Kill them in the middle of a row.
         """
+        # Whoever is interrupted again and again while a process starts has lost none.
+        self._n_starts = 0
         if self._nursery is not None:
             self._nursery.close(at_once=at_once)
             self._nursery = None

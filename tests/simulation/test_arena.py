@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from simulation.toy import ToyRC
@@ -92,6 +93,15 @@ def test_an_arena_stays_until_its_rows_are_stored(tmp_path: Path):
     assert not list(recover_arenas(tmp_path)), "and it is nobody else's"
     recovered.close()
     assert len(list(recover_arenas(tmp_path))) == 1
+
+
+def test_a_forgotten_arena_can_be_recovered_and_keeps_no_file_open(tmp_path: Path):
+    n_open = psutil.Process().num_fds()
+    for _ in range(3):
+        _half_done(tmp_path)
+    assert psutil.Process().num_fds() == n_open
+    assert [found.n for found in recover_arenas(tmp_path)] == [6, 6, 6]
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_stored_already_is_not_recovered(tmp_path: Path):

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -141,6 +142,19 @@ def test_a_recipe_that_cannot_be_pickled_is_told_what_would_do():
         RuntimeError, match=r"cannot be sent to worker processes .*; give a function of a module"
     ):
         ParallelModel(lambda: ToyRC()).simulate(_rows(1))
+
+
+def test_who_is_interrupted_again_and_again_can_go_on(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("simulation.workers.workforce._MAX_STARTS", 2)
+    rows, here = _rows(5), threading.main_thread().ident
+    assert here is not None
+    with ParallelModel(SlowToy().open, 1) as model:
+        for _ in range(3):
+            # The process that workers come from has just been started.
+            threading.Timer(0.03, signal.pthread_kill, (here, signal.SIGINT)).start()
+            with pytest.raises(KeyboardInterrupt):
+                model.simulate(rows)
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
 
 
 SCRIPT = """
