@@ -1,4 +1,4 @@
-"""One parameter row in different circumstances: other inputs, another step, each on an FMU opened for it."""
+"""Rows in different circumstances: other inputs, another step, as the first of a process."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.fmu import FmuSettings
+from simulation.fmi.runner import NeedsFreshProcess
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 
@@ -61,4 +62,71 @@ class CircumstanceModel:
             parameter_names=self.parameter_space.names,
             output_names=self.output_names,
             failures=[answer.failures[0] for answer in answers],
+        )
+
+
+WAYS = ("undecided", "reset", "state", "new instance", "new process")
+"""How rows may be started over, by the number that RestartModel answers."""
+
+
+@dataclass(frozen=True, eq=False)
+class RestartModel:
+    """The answer to a row that is a process's first one, and how the process starts rows over after it.
+
+    The question (the only parameter) has no influence. Beside the outputs it answers the number of the way in
+    WAYS as one more.
+
+    Attributes:
+        settings: The model.
+        row: The row that is asked first. Shape (p,). [per parameter]
+        other: A row that is asked after it, and before it is asked again. Shape (p,). [per parameter]
+    """
+
+    settings: FmuSettings
+    row: FloatArray
+    other: FloatArray
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The question."""
+        return ParameterSpace((Parameter("question", -1.0, 1.0),))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs, and the way."""
+        return (*self.settings.output_names, "way")
+
+    @property
+    def time(self) -> FloatArray:
+        """Output times. Shape (t,). [s]."""
+        return self.settings.scenario.time
+
+    def open(self) -> "RestartModel":
+        """Return the model: the recipe that worker processes are given."""
+        return self
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate the row as the first one, then the other and the row again.
+
+        Args:
+            theta: The question. Shape (1, 1). [1]
+
+        Returns:
+            The first answer and the way.
+        """
+        with self.settings.open() as model:
+            first = model.simulate(self.row[None])
+            try:
+                model.simulate(np.stack([self.other, self.row]))
+                way = model.way
+            except NeedsFreshProcess:
+                way = "new process"
+        ways = np.full((1, len(self.time), 1), float(WAYS.index(way)))
+        return Trajectories.checked(
+            theta,
+            np.concatenate([first.y, ways], axis=2),
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+            failures=list(first.failures),
         )

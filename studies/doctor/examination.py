@@ -9,6 +9,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
+from simulation.circumstances import RestartModel
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
@@ -36,11 +37,19 @@ from studies.doctor.declared import base_point, look_at_data, look_at_declaratio
 from studies.doctor.finding import Diagnosis, Finding
 from studies.doctor.keeping import KeepingModel
 from studies.doctor.patience import Patience
-from studies.doctor.repeats import MEMORY_S, N_MEMORY, look_at_memory, look_at_repeats, memory_in_use
+from studies.doctor.repeats import (
+    MEMORY_S,
+    N_MEMORY,
+    look_at_memory,
+    look_at_order,
+    look_at_repeats,
+    look_at_restart,
+    memory_in_use,
+)
 from studies.doctor.variants import circumstances, look_at_halving
 from studies.profile import Profile
 
-N_STEPS = 7
+N_STEPS = 8
 PIECE = 8
 """Simulations of each worker between two looks at the clock."""
 OpenModel = Callable[[ExecutionPolicy], AbstractContextManager[KeepingModel]]
@@ -106,11 +115,25 @@ def _simulated(surgery: Surgery, patience: Patience) -> Iterator[list[Finding]]:
         if patience.rows("a repetition", 3, at_once=False):
             # Without opening the FMU; and after a row that is not the estimates.
             answer, patience.simulation_s = _timed(alone, base)
-            again = [answer, alone.simulate(np.stack([corner_points(case, 1)[0], base])).take([1])]
+            # Inside the box: at a corner a parameter may do nothing.
+            after = alone.simulate(np.stack([coverage_points(case, 1)[0], base]))
+            again = [answer, after.take([1])]
+            if patience.rows("starting the FMU over", 4, at_once=False):
+                yield _restart(case, policy, after.take([0]), base)
         yield from _in_the_box(surgery, patience, estimates)
         yield _elsewhere(surgery, patience, estimates, again)
         yield [*_memory(surgery, patience, alone, base)]
     yield [*_costs(surgery, patience)]
+
+
+def _restart(case: Case, policy: ExecutionPolicy, later: Trajectories, other: FloatArray) -> list[Finding]:
+    """Ask a row as the first of a process that was answered after others in another."""
+    model = RestartModel(case.settings, later.theta[0], other)
+    with ParallelModel(model.open, 1, policy=policy) as alone:
+        answer = alone.simulate(np.zeros((1, 1)))
+    first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
+    found = look_at_restart(answer)
+    return [look_at_order(later, first), *([] if found is None else [found])]
 
 
 def _in_the_box(surgery: Surgery, patience: Patience, estimates: Estimates) -> Iterator[list[Finding]]:

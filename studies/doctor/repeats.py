@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import psutil
 
+from simulation.circumstances import WAYS
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import SAME
 from studies.doctor.finding import Finding
@@ -51,6 +52,54 @@ def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: T
     most = max(between, within)
     exact = "bit for bit" if most == 0.0 else f"within {most:.1g}"
     return Finding(what, "ok", f"{exact}, after other simulations and in another process")
+
+
+def look_at_restart(answer: Trajectories) -> Finding | None:
+    """Tell how rows are started over.
+
+    Args:
+        answer: the answer of a RestartModel.
+
+    Returns:
+        The finding; None where nothing can be said: the row failed, or rows are too slow to try.
+    """
+    if answer.failed[0]:
+        return None
+    what, way = "starting the FMU over", WAYS[round(float(answer.y[0, 0, -1]))]
+    if way == "reset":
+        return Finding(what, "ok", "a reset forgets the row before")
+    if way == "undecided":
+        return None
+    cost = {"state": "goes back to a saved state", "new instance": "gets a new instance"}
+    return Finding(
+        what,
+        "warn",
+        f"its reset fails or does not forget the row before: each row {cost.get(way, 'gets a new process')}",
+        "results are right, only slower; have its exporter corrected",
+    )
+
+
+def look_at_order(later: Trajectories, first: Trajectories) -> Finding:
+    """Compare answers to a point of the box: what a process keeps of its first row falsifies all others.
+
+    Args:
+        later: the answer of a process that answered another row before.
+        first: the first answer of another process.
+    """
+    what = "the same answer in any order"
+    if later.failed[0] and first.failed[0]:
+        return Finding(what, "ok", "a point of the box fails, first and later")
+    apart = _apart(later, first)
+    if apart <= SAME:
+        return Finding(what, "ok", "first in a process, and after other parameters")
+    return Finding(
+        what,
+        "fail",
+        "a point of the box fails either first in a process or after others, not both"
+        if np.isnan(apart)
+        else f"the same parameters give outputs {apart:.3g} apart first in a process and after others",
+        "the FMU keeps its first parameters while its process lives; have its exporter corrected",
+    )
 
 
 def memory_in_use() -> int:
