@@ -84,9 +84,6 @@ def declared_interface(declared: Any) -> FmuInterface:
         provides_directional_derivatives=bool(declared.providesDirectionalDerivative),
         can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
         needs_execution_tool=bool(declared.needsExecutionTool),
-        can_handle_variable_step=bool(getattr(declared, "canHandleVariableCommunicationStepSize", False)),
-        has_event_mode=bool(getattr(declared, "hasEventMode", False)),
-        internal_step_s=number_or_none(getattr(declared, "fixedInternalStepSize", None)),
     )
 
 

@@ -73,9 +73,6 @@ class FmuInterface:
         provides_directional_derivatives: Whether it gives derivatives between its variables.
         can_be_instantiated_only_once_per_process: Whether it allows one instance at a time.
         needs_execution_tool: Whether it needs the tool that made it.
-        can_handle_variable_step: Whether communication steps may differ in length (co-simulation).
-        has_event_mode: Whether it can be given a say at events (FMI 3.0 co-simulation).
-        internal_step_s: Fixed step of its own solver, None for none. [s]
     """
 
     model_identifier: str
@@ -83,9 +80,6 @@ class FmuInterface:
     provides_directional_derivatives: bool = False
     can_be_instantiated_only_once_per_process: bool = False
     needs_execution_tool: bool = False
-    can_handle_variable_step: bool = False
-    has_event_mode: bool = False
-    internal_step_s: float | None = None
 
 
 @dataclass(frozen=True)

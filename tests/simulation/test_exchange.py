@@ -1,6 +1,7 @@
 """Model exchange with events, failures and both FMI versions, against closed forms."""
 
 import dataclasses
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 from exchange_for_tests import build, run, settings
 from scipy.integrate import solve_ivp
 
+from simulation.errors import InputError
 from simulation.fmi.fmu import FmuModel
 
 
@@ -230,3 +232,28 @@ def test_nominal_values_set_the_absolute_tolerance(fmu: Path):
     assert errors[1] < errors[0] / 10.0
     # A thousandth of the input.
     assert errors[1] < 1e-10
+
+
+def test_what_model_exchange_cannot_do_is_one_line(fmu: Path, tmp_path: Path):
+    chosen = settings(fmu, "LINEAR", edges=np.arange(5.0))
+    scenario = dataclasses.replace(chosen.scenario, n_warmup=2)
+    shared = {"shared_warmup": True, "warmup_theta": np.ones(2)}
+    with pytest.raises(InputError, match="needs a co-simulation FMU that can get and set its state"):
+        dataclasses.replace(chosen, scenario=scenario, **shared).open()
+    # A local variable is read, and not differentiated.
+    with dataclasses.replace(chosen, output_names=("y", "x0")).open() as model:
+        assert not model.provides_sensitivities
+    if fmu.stem.startswith("exchange3"):
+        arrays = tmp_path / "arrays.fmu"
+        with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(arrays, "w") as archive:
+            for name in source.namelist():
+                content = source.read(name)
+                if name == "modelDescription.xml":
+                    state = (
+                        b'<Float64 name="x0" valueReference="4" causality="local" variability="continuous"'
+                    )
+                    assert state + b"/>" in content
+                    content = content.replace(state + b"/>", state + b'><Dimension start="2"/></Float64>')
+                archive.writestr(name, content)
+        with pytest.raises(InputError, match="state x0 is an array, which model exchange cannot integrate"):
+            dataclasses.replace(chosen, path=arrays).open()
