@@ -37,7 +37,7 @@ def step_through_2(
     Args:
         functions: Addresses of FUNCTIONS_2. Shape (2,), intp.
         component: Address of the instance.
-        inputs: Table of the inputs (see fmu_inputs). Shape (n_functions, 5), intp.
+        inputs: Table of the inputs (see inputs). Shape (n_functions, 5), intp.
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         first: Step to begin with; a multiple of output_every.
@@ -99,7 +99,7 @@ def step_through_3(
     Args:
         functions: Addresses of FUNCTIONS_3. Shape (2,), intp.
         component: Address of the instance.
-        inputs: Table of the inputs (see fmu_inputs). Shape (n_functions, 5), intp.
+        inputs: Table of the inputs (see inputs). Shape (n_functions, 5), intp.
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         first: Step to begin with; a multiple of output_every.

@@ -7,7 +7,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.fmi.variable import FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import ParameterSpace
 from simulation.time_unit import told_period
 from studies.doctor.finding import Finding
@@ -144,7 +144,8 @@ def _no_unit(case: Case) -> Iterator[Finding]:
         *(output.name for output in case.outputs),
         *case.parameter_space.names,
     ]
-    bare = [name for name in used if not case.fmu.variables[name].unit]
+    variables = [case.fmu.variables[name] for name in used]
+    bare = [one.name for one in variables if one.kind in REAL_KINDS and not one.unit]
     if bare:
         yield Finding(
             "units the FMU does not declare",
