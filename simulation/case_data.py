@@ -103,7 +103,7 @@ class CaseData:
             held = f"covers {time[0]:.12g} to {time[-1]:.12g} s" if len(time) else "is empty"
             raise InputError(
                 f"{where}: {recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; "
-                f"shorten window_{self.unit.symbol} or record longer"
+                f"choose another window_{self.unit.symbol}, or record longer"
             )
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         steps = np.diff(time)

@@ -158,7 +158,7 @@ FixedValue = bool | int | Finite | str | FirstMeasured | ValueWithUnit
 
 
 class SimulationTable(_Table):
-    """Key [simulation]: how patiently simulations are run; changes no answer."""
+    """Key [simulation]: how patiently simulations are run; changes no answer. See ExecutionPolicy."""
 
     timeout_s: Positive | None = None
     retries: Annotated[int, Field(ge=0)] = 1
@@ -251,10 +251,16 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     if location[:1] == ("fixed",):
         return f"{key} = {fault['input']!r}: {_FIXED_REMEDY}"
     value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
-    told = fault["msg"].removeprefix("Value error, ")
+    told = _PLAIN.get(fault["type"], fault["msg"].removeprefix("Value error, "))
     return f"{key}{value}: {told}" + ("" if "; " in told else "; correct it")
 
 
+_PLAIN = {
+    "tuple_type": "is no pair; write two numbers, like [0, 10]",
+    "too_long": "holds too much; write two numbers, like [0, 10]",
+    "string_pattern_mismatch": "a name has letters, digits, - and _ only",
+}
+"""What to say of faults that the schema tells in words of Python."""
 _FIXED_REMEDY = (
     'give a number, true or false, a text, { value = 20.0, unit = "degC" } or { first_measured = "<output>" }'
 )

@@ -109,6 +109,7 @@ def read_recording(
         rows.pop()
     if len(rows) < 3:
         raise InputError(f"{path}: {len(rows) - 1} rows of data; a recording has at least two")
+    _check_lengths(path, rows, delimiter)
     cells = {name: _cells(rows, header.index(name)) for name in [time_name, *column_names]}
     clock: Clock = "seconds"
     if time_name.endswith(("_s", "[s]")):
@@ -129,6 +130,8 @@ def _rows(path: Path) -> tuple[list[list[str]], str]:
     """Return the cells of all lines, and what separates them."""
     try:
         content = path.read_bytes()
+        if content.startswith(b"PK\x03\x04"):
+            raise InputError(f"{path}: is a workbook, no CSV file; save its sheet as CSV")
         text = _decoded(content)
         first = text.partition("\n")[0]
         delimiter = next((sign for sign in ";\t" if sign in first), ",")
@@ -161,6 +164,17 @@ def _time_column(path: Path, header: list[str], asked: str | None) -> str:
     raise InputError(
         f"{path}: {wanted}; found {', '.join(header)}; name it with time_column in the case file"
     )
+
+
+def _check_lengths(path: Path, rows: list[list[str]], delimiter: str) -> None:
+    """Refuse values beyond the last column: with decimal commas between commas, all of them are wrong."""
+    n = len(rows[0])
+    for line, row in enumerate(rows, start=1):
+        if len(row) > n and any(cell.strip() for cell in row[n:]):
+            hint = "; decimal commas need semicolons between the columns" if delimiter == "," else ""
+            raise InputError(
+                f"{path}: line {line} has {len(row)} cells, the header {n}; correct one of them{hint}"
+            )
 
 
 def _cells(rows: list[list[str]], index: int) -> list[str]:

@@ -67,9 +67,12 @@ class Timestamps:
         try:
             return parsed(cell)
         except ValueError:
+            where = f"{self._path}: line {line}, column {self._column}"
+            if not cell.strip():
+                raise InputError(f"{where}: the time is missing; add it, or remove the line") from None
             raise InputError(
-                f"{self._path}: line {line}, column {self._column}: {cell!r} is no timestamp; write "
-                "2018-02-21T00:30:00+01:00, or seconds in a column time_s"
+                f"{where}: {cell!r} is no timestamp; write 2018-02-21T00:30:00+01:00 or 21.02.2018 00:30, or "
+                "seconds in a column time_s"
             ) from None
 
 

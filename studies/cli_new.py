@@ -59,7 +59,8 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
 def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
     """Show what an FMU can be given and asked."""
     fmu = describe(Path(options.fmu).expanduser())
-    groups = {what: [fmu.variables[n] for n in fmu.names(what)] for what in ("output", "input", "parameter")}
+    kinds = ("output" if fmu.names("output") else "local", "input", "parameter")
+    groups = {what: [fmu.variables[n] for n in fmu.names(what)] for what in kinds}
     active = {v.name for v in choose_parameters(fmu, options.parameter or ()).used}
     for what, variables in groups.items():
         console.table(

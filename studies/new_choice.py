@@ -1,6 +1,7 @@
 """What a new case takes from an FMU's description: variables, bounds, interface, steps, and why."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -105,15 +106,21 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
 def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     """Choose what is compared with a measurement: the named outputs, or the first one.
 
+    An FMU without outputs offers its local variables.
+
     Args:
         fmu: The FMU.
         patterns: Names or globs.
     """
     candidates = [v for v in _of(fmu, "output") if _is_number(v)]
-    if not candidates:
+    # Local variables can be read as well, where somebody asks for one or there is nothing else.
+    local = [v for v in _of(fmu, "local") if _is_number(v) and not is_internal(v) and v.name[:4] != "der("]
+    if not candidates and not local:
         raise InputError(f"{fmu.path}: has no real output; export it with the measured variables as outputs")
     if patterns:
-        return _matching(fmu, candidates, patterns, "output")
+        named = [v for v in local if not candidates or v.name in patterns]
+        return _matching(fmu, [*candidates, *named], patterns, "output")
+    candidates = candidates or local
     return _split(candidates, candidates[:1])
 
 
@@ -237,7 +244,9 @@ def _is_near(variable: FmuVariable, low: float, high: float) -> bool:
 
 def _is_temperature(variable: FmuVariable) -> bool:
     unit = variable.unit.strip()
-    return (unit == "K" and (variable.start or 0.0) > 200.0) or unit in ("degC", "°C")
+    start = variable.start or 0.0
+    is_named = unit == "" and start < 400.0 and re.match(r"T(?![a-z])|[Tt]emp", variable.name) is not None
+    return (start > 200.0 and (unit == "K" or is_named)) or unit in ("degC", "°C")
 
 
 def _clipped(bounds: Bounds, start: float, low: float | None, high: float | None) -> Bounds:

@@ -159,9 +159,12 @@ def _values(variable: FmuVariable) -> str:
 def _output(variable: FmuVariable) -> str:
     temperature = variable.unit in _TEMPERATURES
     uncertainty = "0.5" if temperature else "1.0"
+    chosen = f"   # {EDIT}: the variable that was measured; the FMU declares no output" * (
+        variable.causality == "local"
+    )
     return f"""\
 [[outputs]]   {_told(variable)}
-name = {toml_string(variable.name)}
+name = {toml_string(variable.name)}{chosen}
 file = "{MEASURED_FILE}"
 column = {toml_string(variable.name)}
 unit = {_unit(variable.unit, "its unit in the CSV")}
@@ -245,7 +248,7 @@ _SIMULATION = """\
 [simulation]   # patience; nothing here changes a result
 # timeout_s = 60              # a simulation that takes longer is killed and has failed
 # retries = 1                 # how often one is tried again whose process crashed
-# max_failed_share = 0.5      # stop when more than this share fails
+# max_failed_share = 0.5      # stop when of 20 or more finished simulations a larger share has failed
 # max_workers = 2             # as many at once as there are licences"""
 
 

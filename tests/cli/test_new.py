@@ -203,6 +203,37 @@ def test_check_says_which_csv_is_missing_and_what_it_holds(project: Path, studie
         assert word in line
 
 
+def test_a_short_experiment_is_told_in_seconds(project: Path, studies: Run, tmp_path: Path) -> None:
+    experiment = '<DefaultExperiment startTime="0" stopTime="10" stepSize="0.1"/>'
+    variables = real("k", 1, "parameter", 'start="1"') + real("y", 2, "output")
+    # Tools put the experiment behind the interfaces.
+    fmu = make_fmu(tmp_path / "swing.fmu", variables, extra=experiment)
+    assert studies("new", str(fmu)).code == 0
+    time = case_of(project, "swing")["time"]
+    assert time == {"window_s": [0, 10], "communication_step_s": 0.1, "output_step_s": 0.1}
+
+
+def test_an_fmu_without_outputs_offers_its_variables(project: Path, studies: Run, tmp_path: Path) -> None:
+    variables = real("k", 1, "parameter", 'start="1"') + real("TSup", 2, "local") + real("TRet", 3, "local")
+    fmu = make_fmu(tmp_path / "inner.fmu", variables)
+    answer = studies("new", str(fmu))
+    assert answer.code == 0, answer.err
+    assert [table["name"] for table in case_of(project, "inner")["outputs"]] == ["TSup"]
+    lines = (project / "fmus" / "inner" / "case.toml").read_text(encoding="utf-8").splitlines()
+    assert any(line.startswith('name = "TSup"   # EDIT: the variable that was measured') for line in lines)
+    assert '# name = "TRet"' in "\n".join(lines)
+    assert "TRet" in studies("new", str(fmu), "--list").out
+
+
+def test_a_temperature_without_a_unit_is_known_by_its_name(
+    project: Path, studies: Run, tmp_path: Path
+) -> None:
+    variables = real("T_start", 1, "parameter", 'start="293.15"') + real("y", 2, "output")
+    assert studies("new", str(make_fmu(tmp_path / "bare.fmu", variables))).code == 0
+    (table,) = case_of(project, "bare")["parameters"]
+    assert (table["lower"], table["upper"]) == (283.15, 303.15)
+
+
 @pytest.mark.parametrize(
     ("arguments", "fragments"),
     [

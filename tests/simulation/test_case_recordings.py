@@ -222,7 +222,7 @@ GOOD = [(START + timedelta(minutes=30 * i)).strftime("%Y-%m-%d %H:%M") for i in 
             "21/02/2018 02:30",
             r"line 7, column time: '21/02/2018 02:30' is no timestamp; write 2018-02-21T00:30",
         ),
-        (5, "", r"line 7, column time: '' is no timestamp"),
+        (5, "", r"line 7, column time: the time is missing; add it, or remove the line"),
         (5, "2018-02-30 02:30", r"line 7, column time: '2018-02-30 02:30' is no timestamp"),
         (5, "9000", r"line 7, column time: '9000' is no timestamp"),
         (

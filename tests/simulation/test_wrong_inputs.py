@@ -178,6 +178,18 @@ WRONG: dict[str, tuple[Change, str]] = {
         lambda folder: (folder / "data" / "recording.csv").write_text("time_s,T_degC,heating\n"),  # type: ignore[dict-item]
         r"recording\.csv: 0 rows of data",
     ),
+    "decimal commas between commas": (
+        csv(r"^3600,.*$", "3600,20,5,1"),
+        r"line \d+ has 4 cells, the header 3; correct one of them; decimal commas need semicolons",
+    ),
+    "workbook": (
+        csv(r"\Atime_s", "PK\x03\x04"),
+        r"recording\.csv: is a workbook, no CSV file; save its sheet as CSV",
+    ),
+    "pair of three": (
+        toml("window_d = [0.25, 0.75]", "window_d = [0.25, 0.75, 1]"),
+        r"time\.window_d: holds too much; write two numbers, like \[0, 10\]",
+    ),
     "missing column": (
         csv("heating", "heat"),
         r"recording\.csv: column heating is missing; correct .* there are time_s, T_degC, heat$",
