@@ -97,7 +97,7 @@ def read_recording(
     for name in [time_name, *column_names]:
         if name not in header:
             raise InputError(
-                f"{path}: column {name} is missing; correct it in the case file; there are "
+                f"{path}: column {name} is missing; correct column in the case file; there are "
                 f"{', '.join(header)}"
             )
         if header.count(name) > 1:

@@ -217,8 +217,8 @@ def _declared(variable: FmuVariable) -> str:
 
 def _unit(unit: str, whose: str) -> str:
     if not unit:
-        return f""""1"   # {EDIT}: {whose}; the FMU declares none, so it is converted only into
-# fmu_unit = "W"              # the unit that the FMU's equations count in, where you say it"""
+        return f""""1"   # {EDIT}: {whose}; the FMU declares none, so nothing is converted,
+# fmu_unit = "W"              # unless you say here what the FMU's equations count in"""
     if unit in _TEMPERATURES:
         return f"{toml_string(unit)}   # {EDIT}: {whose}: K or degC, converted"
     return f"{toml_string(unit)}   # {whose}; another of the same kind is converted"
