@@ -24,7 +24,7 @@ measurement, window), the profile how much may be spent on it. `studies run` doe
   simulate      training, validation and test simulations
   sensitivity   Sobol indices per time step
   tune          one Optuna study per training-set size, every trial an MLflow run
-  calibrate     screen the whole box on the surrogate, polish the found point on the FMU
+  calibrate     screen the box on the surrogate, polish on the FMU; or neither: calibrate --method adaptive
   report        tables and figures on one page
 """
 EPILOG = """\
@@ -35,6 +35,7 @@ examples:
   studies check fmus/office/case.toml      what is wrong with a case, and what to do
   studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
+  studies calibrate --method adaptive      no training set: right after check
   studies ui                               compare the runs in MLflow
 
 where results land (label = <case>-<profile>):
@@ -125,7 +126,8 @@ def build_parser() -> argparse.ArgumentParser:
     add("simulate", "simulate the training, validation and test sets", cli_help.SIMULATE)
     add("sensitivity", "estimate first- and total-order Sobol indices per time step", cli_help.SENSITIVITY)
     _add_tuning_options(add("tune", "tune one surrogate per training-set size", cli_help.TUNE))
-    calibrate = add("calibrate", "screen on the surrogate, polish on the FMU", cli_help.CALIBRATE)
+    calibrate = add("calibrate", "find the parameters that fit best", cli_help.CALIBRATE)
+    _add_method_options(calibrate)
     _add_sizes(calibrate, "sizes to calibrate with; default: all that have a surrogate")
     _add_calibration_options(calibrate)
     add("report", "put tables and figures of all results on one page", cli_help.REPORT)
@@ -235,16 +237,30 @@ def _add_tuning_options(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_method_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--method",
+        choices=("paper", "adaptive"),
+        default="paper",
+        help="paper (default): screen on the surrogate, polish; adaptive: fewest FMU calls, no training set",
+    )
+    command.add_argument(
+        "--parallel",
+        type=cli_values.whole(1, 64),
+        metavar="Q",
+        help="adaptive: simulations side by side; default: 1",
+    )
+
+
 def _add_calibration_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--max-calls",
         type=cli_values.whole(1),
         metavar="N",
-        help="most FMU calls of one polish; default: the profile's",
+        help="most FMU calls of one polish; default: the profile's (adaptive: of all, default 100)",
     )
-    command.add_argument(
-        "--target", type=cli_values.positive, metavar="MSE", help="also say how many calls reached this error"
-    )
+    target_help = "also say how many calls reached this error (adaptive: stop there)"
+    command.add_argument("--target", type=cli_values.positive, metavar="MSE", help=target_help)
     command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from simulation.errors import InputError
 from studies.console import Column, Console
 from studies.paths import find_case, find_project
 from studies.pipeline import Outcome, Study
@@ -61,6 +62,10 @@ def _tune(options: argparse.Namespace, console: Console) -> int:
 
 
 def _calibrate(options: argparse.Namespace, console: Console) -> int:
+    if options.method == "adaptive":
+        return _calibrate_adaptively(options, console)
+    if options.parallel is not None:
+        raise InputError("--parallel belongs to --method adaptive; add that or leave --parallel away")
     from studies.calibrated_values import show_values
     from studies.stages_calibrate import calibrate_stage, calls_to, show_calibrations, sizes_with_champion
 
@@ -76,6 +81,29 @@ def _calibrate(options: argparse.Namespace, console: Console) -> int:
             "calls_to_target": {n: calls_to(study, n, options.target) for n in sizes},
         }
     return _hand_over(study, "calibrate", outcomes, **extra)
+
+
+def _calibrate_adaptively(options: argparse.Namespace, console: Console) -> int:
+    if options.n_train:
+        raise InputError(
+            "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
+        )
+    from studies.stages_adaptive import adaptive_settings, adaptive_stage, calls_to, show_adaptive
+
+    study = open_study(options, console)
+    settings = adaptive_settings(
+        study.case, max_calls=options.max_calls, n_parallel=options.parallel, target_mse=options.target
+    )
+    outcome = adaptive_stage(study, settings, again=options.again)
+    show_adaptive(study, outcome)
+    targets = {known.mse for known in study.case.references if known.is_target} | {options.target} - {None}
+    return _hand_over(
+        study,
+        "calibrate",
+        [outcome],
+        method="adaptive",
+        calls_to_target={f"{target:g}": calls_to(study, target) for target in sorted(targets)},
+    )
 
 
 def _report(options: argparse.Namespace, console: Console) -> int:

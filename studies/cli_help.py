@@ -64,7 +64,16 @@ the found point (the screening gap) and polished from there by LS-TRF. Every FMU
 the champion folder alone. Lands in mlruns/results/<label>/calibration-n<size>.json and .npz, and in
 MLflow.
 
+--method adaptive needs the case alone: no training set, nothing to train. A small design fills the box; then
+every simulation goes where a Gaussian process of all residuals so far expects the lowest error. It stops
+when no gain is expected, at --target or after --max-calls. Every simulation is stored at once: interrupted,
+even killed, the same command reads them and goes on. --parallel Q asks Q rows per round (fewer rounds, some
+more calls), spread over --jobs. Lands in mlruns/results/<label>/calibration-adaptive.json and .npz, in
+MLflow and, with studies report, on a page.
+
 examples:
+  studies calibrate --method adaptive      the office, 100 FMU calls at most
+  studies calibrate my-case --method adaptive --max-calls 60 --parallel 4 --jobs 4
   studies calibrate --n-train 64           prints the stored result if nothing changed
   studies calibrate --n-train 64 --again   calibrates once more: the same numbers
   studies calibrate --max-calls 100 --target 0.0121 --json

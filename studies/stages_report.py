@@ -3,6 +3,7 @@
 import hashlib
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from simulation.errors import InputError
 from simulation.time_unit import told_period
@@ -10,18 +11,17 @@ from studies.origin import versions
 from studies.pipeline import Outcome, Study, Summary, run_stage
 from studies.report import Provenance, Reference, ReportData, build
 from studies.stages_results import (
+    ADAPTIVE,
     calibration_record,
     coverage_set,
-    learning_curves,
     measured_series,
     parameter_box,
     sensitivity_record,
     stored_calibrations,
-    trials_record,
-    tuned_trials,
     validation_record,
 )
 from studies.stages_tracking import log_report
+from studies.tuned_trials import learning_curves, trials_record, tuned_trials
 
 
 def report_stage(study: Study) -> Outcome:
@@ -93,9 +93,16 @@ def _report_data(study: Study) -> ReportData:
 
 def _provenance(study: Study) -> Provenance:
     profile, case = study.profile, study.case
+    methods = [stored.numbers for stored in stored_calibrations(study)]
+    adaptive = next((found["settings"] for found in methods if found.get("method") == ADAPTIVE), None)
+    commands = [f"studies ui  # {study.label} in MLflow"]
+    if len(methods) > (adaptive is not None):
+        commands.insert(0, f"studies run {study.command}")
+    if adaptive is not None:
+        commands.insert(0, _adaptive_command(study, adaptive))
     budget = profile.tuning
     return Provenance(
-        commands=(f"studies run {study.command}", f"studies ui  # {study.label} in MLflow"),
+        commands=tuple(commands),
         settings=(
             ("profile", profile.name),
             ("seed", str(profile.seed)),
@@ -106,6 +113,7 @@ def _provenance(study: Study) -> Provenance:
             ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
             ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
             ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
+            *([("adaptive", _told(adaptive))] if adaptive is not None else []),
         ),
         digests=(
             ("case", case.digest),
@@ -114,6 +122,20 @@ def _provenance(study: Study) -> Provenance:
         ),
         versions=tuple(versions().items()),
     )
+
+
+def _adaptive_command(study: Study, settings: dict[str, Any]) -> str:
+    words = f"studies calibrate {study.command} --method adaptive --max-calls {settings['max_calls']}"
+    if settings["n_parallel"] > 1:
+        words += f" --parallel {settings['n_parallel']}"
+    if settings["target_mse"] is not None:
+        words += f" --target {settings['target_mse']:g}"
+    return words
+
+
+def _told(settings: dict[str, Any]) -> str:
+    n_parallel, ftol = settings["n_parallel"], settings["ftol"]
+    return f"at most {settings['max_calls']} calls, {n_parallel} at a time, ftol {ftol:g}"
 
 
 def _source_files(study: Study) -> list[Path]:

@@ -18,14 +18,14 @@ from studies.pipeline import Study, read_json
 from studies.report.records import (
     CalibrationRecord,
     CoverageSet,
-    LearningCurves,
     MeasuredSeries,
     ParameterBox,
     SensitivityRecord,
-    TrialsRecord,
 )
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
-from studies.trial_record import TrialRecord, best_record, read_history, read_records
+
+ADAPTIVE = "adaptive"
+"""What stage and files of an adaptive calibration are called."""
 
 N_COVERAGE = 256
 """Trajectories drawn of the training set, as in the paper's Fig. 4."""
@@ -63,19 +63,29 @@ class StoredCalibration:
 
 def calibration_files(study: Study, n_train: int) -> CalibrationFiles:
     """Return the files of a calibration."""
-    name = f"calibration-{size_name(n_train)}"
-    return CalibrationFiles(study.results / f"{name}.json", study.results / f"{name}.npz")
+    return _files(study, size_name(n_train))
+
+
+def adaptive_files(study: Study) -> CalibrationFiles:
+    """Return the files of the adaptive calibration."""
+    return _files(study, ADAPTIVE)
+
+
+def _files(study: Study, name: str) -> CalibrationFiles:
+    stem = study.results / f"calibration-{name}"
+    return CalibrationFiles(stem.with_suffix(".json"), stem.with_suffix(".npz"))
 
 
 def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
-    """Read all calibrations of this case and measurement, smallest training set first."""
-    for file in sorted(study.results.glob("calibration-n*.json")):
+    """Read all calibrations of this case and measurement, the adaptive first, then by training set."""
+    for file in sorted(study.results.glob("calibration-*.json")):
         numbers = read_json(file)
-        manifest = read_json(study.results / f"calibrate-{file.stem.removeprefix('calibration-')}.json")
+        name = file.stem.removeprefix("calibration-")
+        manifest = read_json(study.results / f"calibrate-{name}.json")
         if numbers is None or manifest is None:
             continue
         told = (numbers.get("case_sha256"), numbers.get("measurement_sha256"))
-        files = calibration_files(study, int(numbers["n_train"]))
+        files = _files(study, name)
         if told == (study.case.digest, study.case.measurement.digest) and files.arrays.is_file():
             arrays = read_arrays(files.arrays)
             yield StoredCalibration(files, numbers, arrays, float(manifest["wall_s"]))
@@ -115,6 +125,8 @@ def parameter_box(case: Case) -> ParameterBox:
 def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
     """Return a calibration as a record."""
     numbers, arrays = stored.numbers, stored.arrays
+    if numbers.get("method") == ADAPTIVE:
+        return _adaptive_record(stored)
     ledger, errors = numbers["ledger"], numbers["surrogate_errors"]
     return CalibrationRecord(
         n_train=numbers["n_train"],
@@ -139,18 +151,45 @@ def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
     )
 
 
+def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
+    numbers, arrays = stored.numbers, stored.arrays
+    nowhere = float("nan")
+    return CalibrationRecord(
+        n_train=0,
+        theta_screened=np.full_like(arrays["theta"], nowhere),
+        theta_polished=arrays["theta"],
+        mse_surrogate=nowhere,
+        mse_screened=nowhere,
+        mse_polished=numbers["mse"],
+        y_screened=np.full_like(arrays["y"], nowhere),
+        y_polished=arrays["y"],
+        history_calls=arrays["history_calls"],
+        history_mse=arrays["history_mse"],
+        n_validation=0,
+        n_test=0,
+        n_screen_checks=0,
+        n_polish=0,
+        wall_s=stored.wall_s,
+        stop_reason=numbers["stop_reason"],
+        method="adaptive",
+        n_adaptive=numbers["ledger"]["n_adaptive"],
+    )
+
+
 def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord | None:
     """Return a calibration on the validation period, None where the case has none."""
     if case.validation is None:
         return None
     numbers, arrays = stored.numbers["validation"], stored.arrays
+    last = list(numbers["points"])[-1]
+    y_polished = arrays[f"validation_y_{last}"]
     measured = replace(measured_series(case), measurement=case.validation.measurement.from_first_sample)
     return ValidationRecord(
         n_train=stored.numbers["n_train"],
         period_d=case.validation.window_d,
         measurement=measured,
-        y_screened=arrays["validation_y_screened"],
-        y_polished=arrays["validation_y_polished"],
+        y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),
+        y_polished=y_polished,
         points=tuple(
             PointRecord(
                 name=name,
@@ -197,60 +236,6 @@ def coverage_set(study: Study) -> CoverageSet | None:
         return None
     rows = RowSet.load(file).read(N_COVERAGE)
     return CoverageSet("training", rows.theta, rows.y)
-
-
-def tuned_trials(study: Study) -> dict[int, tuple[Path, list[TrialRecord]]]:
-    """Return, per training-set size of the last tuning, the folder of its trials and the trials."""
-    manifest = read_json(study.results / "tune.json")
-    found = {}
-    for summary in manifest["summary"]["studies"] if manifest else []:
-        name = f"{size_name(summary['n_train'])}-{summary['study'].rsplit('/', 1)[-1]}"
-        folder = study.paths.mlruns / "trials" / study.label / name
-        records = read_records(folder)
-        if records and records[0].digests.get("case") == study.case.digest:
-            found[int(summary["n_train"])] = (folder, records)
-    return found
-
-
-def trials_record(trials: dict[int, tuple[Path, list[TrialRecord]]]) -> TrialsRecord | None:
-    """Return all trials as one record, None where there are none."""
-    records = [(record, best_record(group)) for _, group in trials.values() for record in group]
-    if not records:
-        return None
-
-    def metric(name: str) -> NDArray[np.float64]:
-        return np.array([record.metrics.get(name, np.nan) for record, _ in records], dtype=np.float64)
-
-    return TrialsRecord(
-        n_train=np.array([record.n_train for record, _ in records], dtype=np.int64),
-        state=tuple(record.state for record, _ in records),
-        validation_mae=metric("val/mae"),
-        test_mae=metric("test/mae"),
-        test_p90=metric("test/p90"),
-        is_best=np.array([record is best for record, best in records]),
-    )
-
-
-def learning_curves(trials: dict[int, tuple[Path, list[TrialRecord]]]) -> tuple[LearningCurves, ...]:
-    """Return the learning curves of the best trial of each size."""
-    curves = []
-    for n_train, (folder, records) in trials.items():
-        best = best_record(records)
-        if best is None:
-            continue
-        history = read_history(folder, best.index)
-        terms = [name for name in history if name not in ("epoch", "validation_mae")]
-        curves.append(
-            LearningCurves(
-                n_train=n_train,
-                epoch=history["epoch"].astype(np.int64),
-                validation_mae=history["validation_mae"],
-                terms=tuple((name, history[name]) for name in terms),
-                best_epoch=best.best_epoch,
-                stop_reason=best.reason,
-            )
-        )
-    return tuple(curves)
 
 
 def _unknown(value: float | None) -> Any:

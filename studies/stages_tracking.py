@@ -84,6 +84,60 @@ def log_calibration(
         )
 
 
+def log_adaptive(
+    study: Study, stored: StoredCalibration, digest: str, *, started_s: float, wall_s: float
+) -> None:
+    """Tell of a finished adaptive calibration, with its figures.
+
+    Args:
+        study: the study.
+        stored: what the calibration left on disk.
+        digest: digest of the stage's inputs.
+        started_s: start of the calibration. [s since 1970, UTC]
+        wall_s: its duration. [s]
+    """
+    from studies.report.figures_calibration import calibration_figure
+    from studies.report.figures_convergence import convergence_figure
+
+    numbers = stored.numbers
+    record, measured = calibration_record(stored), measured_series(study.case)
+    unit = squared(difference_unit(measured.units[0]))
+    metrics = {
+        "mse/calibrated": numbers["mse"],
+        "calls/all": numbers["ledger"]["total_honest"],
+        "calls/rounds": numbers["n_rounds"],
+    }
+    if "validation" in numbers:
+        metrics["mse/validation"] = numbers["validation"]["points"]["calibrated"]["mse"]
+    curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        trajectories, convergence = Path(scratch) / "calibration.png", Path(scratch) / "convergence.png"
+        calibration_figure(measured, record, trajectories, footnote=study.label)
+        convergence_figure(record, (), convergence, mse_unit=unit, footnote=study.label)
+        tracker_of(study.paths).log_stage(
+            StageRun(
+                label=study.label,
+                kind="calibration",
+                name="adaptive calibration",
+                key=digest,
+                params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
+                metrics={name: value for name, value in metrics.items() if value is not None},
+                curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
+                tags={
+                    "case": study.case.name,
+                    "case_sha256": study.case.digest,
+                    "method": "adaptive",
+                    "stop_reason": numbers["stop_reason"],
+                },
+                figures=[trajectories, convergence],
+                artifacts=[stored.files.numbers, stored.files.arrays],
+                started_s=started_s,
+                wall_s=wall_s,
+                note=study.case.note,
+            )
+        )
+
+
 def log_sensitivity(study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float) -> None:
     """Tell of finished Sobol indices."""
     if not study.paths.tracking_database.is_file():

@@ -13,12 +13,11 @@ from studies.report.data import Provenance, Reference, ReportData
 from studies.report.records import (
     CalibrationRecord,
     CoverageSet,
-    LearningCurves,
     MeasuredSeries,
     ParameterBox,
     SensitivityRecord,
-    TrialsRecord,
 )
+from studies.report.records_tuning import LearningCurves, TrialsRecord
 
 __all__ = [
     "CalibrationRecord",

@@ -15,6 +15,7 @@ from studies.report.contents import Contents, Picture, contents_of
 from studies.report.data import ReportData
 from studies.report.findings import residual_of
 from studies.report.page import Card, PlacedPicture, Section, page
+from studies.report.records import CalibrationRecord
 from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, percent, quantity, significant
 
@@ -66,28 +67,28 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
         return tuple(contents.tables[name] for name in names if name in contents.tables)
 
     headline = data.headline
-    of_headline = tables(*_names(headline.n_train)) if headline else ()
+    of_headline = tables(*_names(headline)) if headline else ()
     folded = tuple(
         Section(
-            f"n{c.n_train:04d}",
-            f"n = {c.n_train}: final MSE {quantity(c.mse_polished, captions.mse_unit(data.measurement))} "
+            c.name,
+            f"{c.shown_name}: final MSE {quantity(c.mse_polished, captions.mse_unit(data.measurement))} "
             f"in {count(c.calls_paper, 'call')}",
             place(pictures),
-            tables(*_names(c.n_train)),
+            tables(*_names(c)),
         )
         for c, pictures in contents.others
     )
     return [
         Section("calibration", "Calibration", place(contents.calibration), of_headline),
-        Section("sizes", "Training-set sizes", place(contents.overview), tables("calibrations"), folded),
+        Section("sizes", "All calibrations", place(contents.overview), tables("calibrations"), folded),
         Section("surrogate", "Surrogates", place(contents.surrogate), tables("tuning")),
         Section("model", "The model and its parameters", place(contents.model), tables("sensitivity")),
     ]
 
 
-def _names(n_train: int) -> tuple[str, str]:
+def _names(calibration: CalibrationRecord) -> tuple[str, str]:
     """Name the tables of one calibration."""
-    return f"parameters-n{n_train:04d}", f"validation-n{n_train:04d}"
+    return f"parameters-{calibration.name}", f"validation-{calibration.name}"
 
 
 def _cards(data: ReportData) -> list[Card]:
@@ -95,15 +96,15 @@ def _cards(data: ReportData) -> list[Card]:
     if c is None:
         return []
     unit, mse_unit = difference_unit(data.measurement.units[0]), captions.mse_unit(data.measurement)
-    n = f"n = {c.n_train}"
-    cards = [
-        Card(
-            quantity(c.mse_polished, mse_unit),
-            f"final MSE ({n}), {quantity(c.mse_screened, mse_unit)} as screened",
-        ),
-        Card(count(c.calls_paper), "model calls: training, screening check and polish"),
-        Card(count(c.calls_honest), "simulations in all, validation and test sets included"),
-    ]
+    screened = "" if c.is_adaptive else f", {quantity(c.mse_screened, mse_unit)} as screened"
+    cards = [Card(quantity(c.mse_polished, mse_unit), f"final MSE ({c.shown_name}){screened}")]
+    if c.is_adaptive:
+        cards += [Card(count(c.calls_honest), "model calls, which are all that was simulated for it")]
+    else:
+        cards += [
+            Card(count(c.calls_paper), "model calls: training, screening check and polish"),
+            Card(count(c.calls_honest), "simulations in all, validation and test sets included"),
+        ]
     validation = data.validation_of(c)
     if validation is not None:
         meaning = f"MSE on {told_period(validation.period_d)}, which the calibration did not see"
@@ -124,7 +125,11 @@ def _cards(data: ReportData) -> list[Card]:
             sensor = f"±{float(data.measurement.uncertainty[0]):g} {unit}".strip()
             cards.append(Card(percent(residual.within), f"of the values within the sensor's {sensor}"))
     if math.isfinite(c.test_mae):
-        cards.append(Card(quantity(c.test_mae, unit, 2), f"the surrogate's mean error on the test set ({n})"))
+        cards.append(
+            Card(
+                quantity(c.test_mae, unit, 2), f"the surrogate's mean error on the test set ({c.shown_name})"
+            )
+        )
     return cards
 
 
@@ -138,6 +143,7 @@ def _summary(data: ReportData, contents: Contents, lead: str, cards: list[Card])
         "created": provenance.created,
         "result": lead,
         "headline_n_train": headline.n_train if headline else None,
+        "headline_method": headline.method if headline else None,
         "headline": [{"value": card.value, "meaning": card.meaning} for card in cards],
         "mse_unit": captions.mse_unit(data.measurement),
         "references": [{"label": r.label, "mse": r.mse, "is_target": r.is_target} for r in data.references],

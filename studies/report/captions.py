@@ -22,12 +22,11 @@ from studies.report.findings import (
 from studies.report.records import (
     CalibrationRecord,
     CoverageSet,
-    LearningCurves,
     MeasuredSeries,
     ParameterBox,
     SensitivityRecord,
-    TrialsRecord,
 )
+from studies.report.records_tuning import LearningCurves, TrialsRecord
 from studies.report.wording import (
     count,
     difference_unit,
@@ -51,9 +50,15 @@ def headline_sentence(data: ReportData) -> str:
     if c is None:
         return "Nothing has been calibrated yet."
     unit = mse_unit(data.measurement)
+    if c.is_adaptive:
+        made = "each where those before it let the lowest error be expected, with no training set"
+    else:
+        made = (
+            f"{count(c.n_train)} for training, {count(c.n_screen_checks)} to check the screened point, "
+            f"{count(c.n_polish)} to polish"
+        )
     sentence = (
-        f"{count(c.calls_paper, 'model call')} ({count(c.n_train)} for training, {count(c.n_screen_checks)} "
-        f"to check the screened point, {count(c.n_polish)} to polish) calibrated "
+        f"{count(c.calls_paper, 'model call')} ({made}) calibrated "
         f"{count(len(data.parameters.names), 'parameter')} without an initial guess to an MSE of "
         f"{quantity(c.mse_polished, unit)}"
     )
@@ -63,6 +68,8 @@ def headline_sentence(data: ReportData) -> str:
         sentence += (
             f", {significant(c.mse_polished / best.mse)} times {quantity(best.mse, unit)} ({best.label})"
         )
+    if c.is_adaptive:
+        return f"{sentence}."
     return f"{sentence}; with the validation and test sets {count(c.calls_honest, 'simulation')} were run."
 
 
@@ -73,6 +80,8 @@ def calibration_title(measurement: MeasuredSeries, calibration: CalibrationRecor
     screened = quantity(calibration.mse_screened, unit)
     if not math.isfinite(calibration.mse_polished):
         return "No simulation of the model succeeded, neither as screened nor during the polish"
+    if calibration.is_adaptive:
+        return f"Calibrated, the model follows the measurement: MSE {polished}"
     if calibration.mse_polished < calibration.mse_screened:
         return f"Polished, the model follows the measurement: MSE {polished} (as screened: {screened})"
     return f"The polish kept the screened point: its MSE against the measurement is {screened}"
@@ -99,7 +108,7 @@ def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRec
             sensor = f"±{float(measurement.uncertainty[k]):g} {unit}".strip()
             part += f", and {percent(residual.within)} of the values lie within the sensor's {sensor}"
         parts.append(part)
-    return f"After the polish {'; '.join(parts)}."
+    return f"After the {'calibration' if calibration.is_adaptive else 'polish'} {'; '.join(parts)}."
 
 
 def polish_caption(calibration: CalibrationRecord, unit: str) -> str:
@@ -124,14 +133,27 @@ def polish_caption(calibration: CalibrationRecord, unit: str) -> str:
     return f"{said}; {gained}{ended}."
 
 
+def convergence_caption(calibration: CalibrationRecord, unit: str) -> str:
+    """Say what an adaptive calibration's first design found, and what the calls after it made of it."""
+    c = calibration
+    n_start, start = int(c.history_calls[0]), float(c.history_mse[0])
+    ended = f"; it ended because {c.stop_reason}" if c.stop_reason else ""
+    found = f"found {quantity(start, unit)}" if math.isfinite(start) else "could not be simulated"
+    return (
+        f"The first design of {count(n_start, 'simulation')} {found}; "
+        f"{count(c.n_adaptive - n_start, 'call')} after it ended at {quantity(c.mse_polished, unit)}{ended}."
+    )
+
+
 def overview_caption(calibrations: tuple[CalibrationRecord, ...], unit: str) -> str:
     """Say how the screening gap and the cost change with the size of the training set."""
-    first, last = calibrations[0], calibrations[-1]
+    screened = [c for c in calibrations if not c.is_adaptive]
+    first, last = screened[0], screened[-1]
     cheapest = min(calibrations, key=lambda c: c.calls_paper)
     lowest = min(calibrations, key=lambda c: c.mse_polished)
     ends = (
-        f"The cheapest calibration took {count(cheapest.calls_paper, 'call')} (n = {cheapest.n_train}), "
-        f"the lowest final MSE is {quantity(lowest.mse_polished, unit)} (n = {lowest.n_train})."
+        f"The cheapest calibration took {count(cheapest.calls_paper, 'call')} ({cheapest.shown_name}), "
+        f"the lowest final MSE is {quantity(lowest.mse_polished, unit)} ({lowest.shown_name})."
     )
     if first is last:
         return f"The screening gap at n = {first.n_train} is {quantity(first.screening_gap, unit)}. {ends}"

@@ -9,10 +9,12 @@ from pathlib import Path
 from studies.report import captions
 from studies.report.data import ReportData
 from studies.report.figures_calibration import calibration_figure, overview_figure, polish_figure
+from studies.report.figures_convergence import convergence_figure
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
-from studies.report.records import CalibrationRecord, LearningCurves
+from studies.report.records import CalibrationRecord
+from studies.report.records_tuning import LearningCurves
 from studies.report.tables import (
     Table,
     calibrations_table,
@@ -70,14 +72,14 @@ def contents_of(data: ReportData) -> Contents:
         for t in (
             calibrations_table(data) if data.calibrations else None,
             *(parameters_table(data.parameters, c) for c in data.by_size),
-            *(validation_table(validation) for validation in data.validations),
+            *(validation_table(c, v) for c in data.by_size for v in (data.validation_of(c),) if v),
             tuning_table(data),
             sensitivity_table(data),
         )
         if t is not None
     }
     overview: tuple[Picture, ...] = ()
-    if data.calibrations:
+    if any(not c.is_adaptive for c in data.calibrations):
         overview = (
             Picture(
                 "overview",
@@ -101,12 +103,15 @@ def contents_of(data: ReportData) -> Contents:
 def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Picture, ...]:
     mse_unit = captions.mse_unit(data.measurement)
     validation = data.validation_of(c)
+    over_calls, caption_over_calls = polish_figure, captions.polish_caption
+    if c.is_adaptive:
+        over_calls, caption_over_calls = convergence_figure, captions.convergence_caption
     validated: tuple[Picture, ...] = ()
     if validation is not None:
         validated = (
             Picture(
-                f"validation-n{c.n_train:04d}",
-                f"The part that was not calibrated (n = {c.n_train})",
+                f"validation-{c.name}",
+                f"The part that was not calibrated ({c.shown_name})",
                 validation_caption(validation),
                 lambda path: calibration_figure(
                     validation.measurement,
@@ -119,16 +124,16 @@ def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Pic
         )
     return (
         Picture(
-            f"calibration-n{c.n_train:04d}",
-            f"Measured, screened and polished (n = {c.n_train})",
+            f"calibration-{c.name}",
+            f"Measured{'' if c.is_adaptive else ', screened'} and {c.final} ({c.shown_name})",
             captions.calibration_caption(data.measurement, c),
             lambda path: calibration_figure(data.measurement, c, path, footnote=foot),
         ),
         Picture(
-            f"polish-n{c.n_train:04d}",
-            f"MSE over model calls (n = {c.n_train})",
-            captions.polish_caption(c, mse_unit),
-            lambda path: polish_figure(c, data.references, path, mse_unit=mse_unit, footnote=foot),
+            f"{'convergence' if c.is_adaptive else 'polish'}-{c.name}",
+            f"MSE over model calls ({c.shown_name})",
+            caption_over_calls(c, mse_unit),
+            lambda path: over_calls(c, data.references, path, mse_unit=mse_unit, footnote=foot),
         ),
         *validated,
     )
@@ -163,7 +168,9 @@ def _model_pictures(data: ReportData, foot: str) -> tuple[Picture, ...]:
     coverage, sensitivity, headline = data.coverage, data.sensitivity, data.headline
     if coverage is not None:
         marked = (
-            [MarkedPoint(f"polished (n = {headline.n_train})", headline.theta_polished)] if headline else []
+            [MarkedPoint(f"{headline.final} ({headline.shown_name})", headline.theta_polished)]
+            if headline
+            else []
         )
         pictures += [
             Picture(

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from studies.report.records import (
     CalibrationRecord,
     CoverageSet,
-    LearningCurves,
     MeasuredSeries,
     ParameterBox,
     SensitivityRecord,
-    TrialsRecord,
     require_shape,
 )
+from studies.report.records_tuning import LearningCurves, TrialsRecord
 from studies.report.validation import ValidationRecord
 
 
@@ -61,7 +60,7 @@ class ReportData:
         note: The case's note (what must be known before reading a number), shown first; may be empty.
         measurement: What was calibrated against.
         parameters: What was calibrated.
-        calibrations: One per training-set size, any order.
+        calibrations: One per training-set size and an adaptive one of size 0, any order.
         coverage: The training set to draw.
         sensitivity: Sobol indices, if they were asked for.
         trials: Every trial of the studies.
@@ -115,5 +114,5 @@ class ReportData:
 
     @property
     def by_size(self) -> tuple[CalibrationRecord, ...]:
-        """The calibrations, smallest training set first."""
+        """The calibrations, the adaptive one first, then by training set."""
         return tuple(sorted(self.calibrations, key=lambda c: c.n_train))

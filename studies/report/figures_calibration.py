@@ -48,7 +48,7 @@ def calibration_figure(
     title: str = "",
     footnote: str = "",
 ) -> Path:
-    """Draw measured, screened and polished outputs over time, and the residual of the polished below.
+    """Draw measured, screened and final outputs over time, and the residual of the final below.
 
     Args:
         measurement: What was calibrated against.
@@ -81,8 +81,8 @@ def _draw_output(
     simulated_at = unit_of_time.of_seconds(measurement.time)
     series = (
         ("screened", calibration.y_screened[:, output], SCREENED, 1.3),
-        ("polished", calibration.y_polished[:, output], POLISHED, 1.6),
-    )
+        (calibration.final, calibration.y_polished[:, output], POLISHED, 1.6),
+    )[calibration.is_adaptive :]
     measured = measurement.samples[output]
     measured_at = unit_of_time.of_seconds(measured.time)
     axes.plot(
@@ -115,7 +115,7 @@ def _draw_residual(
     axes.axhline(0.0, color=INK, linewidth=0.8)
     measured_at = unit_of_time.of_seconds(measurement.samples[output].time)
     line_with_gaps(axes, measured_at, residual, color=POLISHED, linewidth=1.1)
-    labels.append(EndLabel(_last(residual), "polished", POLISHED))
+    labels.append(EndLabel(_last(residual), calibration.final, POLISHED))
     axes.set_ylabel(axis_label("residual", shortened(unit, 10)))
     end_labels(axes, labels)
 
@@ -252,12 +252,15 @@ def overview_figure(
         if len(finals) == 1
         else f"{significant(min(finals))} to {quantity(max(finals), mse_unit)}"
     )
-    title = f"Polishing ends at {span}; the cheapest way takes {count(cheapest.calls_paper)} model calls"
+    ends = "All end" if ordered[0].is_adaptive else "Polishing ends"
+    title = f"{ends} at {span}; the cheapest way takes {count(cheapest.calls_paper)} model calls"
     rows = np.array([[c.mse_surrogate, c.mse_screened, c.mse_polished] for c in ordered])
     known = np.append(rows.ravel(), [r.mse for r in references])
     with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
         axes = figure.subplots()
-        axes.set_xticks(range(len(ordered)), [str(c.n_train) for c in ordered])
+        axes.set_xticks(
+            range(len(ordered)), ["adaptive" if c.is_adaptive else str(c.n_train) for c in ordered]
+        )
         axes.set_xlim(-0.6, len(ordered) - 0.4)
         low, high = log_limits(known)
         decimal_log(axes, low / (high / low) ** 0.12, high)
@@ -266,12 +269,12 @@ def overview_figure(
             axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
         for place, c in enumerate(ordered):
             _draw_size(axes, place, c)
-        axes.set_xlabel("training simulations (above each: model calls in all, training + check + polish)")
+        axes.set_xlabel("training simulations (above each: model calls that found the parameters)")
         axes.set_ylabel(axis_label("MSE", mse_unit))
         labels = [
             EndLabel(_last(rows[:, 0]), "by the surrogate", SURROGATE),
             EndLabel(_last(rows[:, 1]), "by the model,\nas screened", SCREENED),
-            EndLabel(_last(rows[:, 2]), "polished", POLISHED),
+            EndLabel(_last(rows[:, 2]), ordered[-1].final, POLISHED),
         ]
         labels += [EndLabel(r.mse, r.label, MUTED) for r in references]
         end_labels(axes, labels)

@@ -21,7 +21,8 @@ from studies.report.drawing import (
     log_limits,
 )
 from studies.report.findings import best_trials
-from studies.report.records import Floats, LearningCurves, TrialsRecord
+from studies.report.records import Floats
+from studies.report.records_tuning import LearningCurves, TrialsRecord
 from studies.report.wording import axis_label, count, quantity, significant
 
 

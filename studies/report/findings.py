@@ -17,8 +17,8 @@ from studies.report.records import (
     MeasuredSeries,
     ParameterBox,
     SensitivityRecord,
-    TrialsRecord,
 )
+from studies.report.records_tuning import TrialsRecord
 
 # Closer to a bound than this fraction of the box, a calibrated value is flagged.
 AT_BOUND = 1e-3

@@ -1,12 +1,13 @@
 """What figures and tables draw: frozen records of plain arrays and strings, and nothing that draws.
 
 Every record is filled by the caller from stored results, so that a report can be rebuilt from files alone.
-Shapes use t time steps, k outputs, p parameters, n parameter sets, m trials, h history entries, e epochs.
+Shapes use t time steps, k outputs, p parameters, n parameter sets, h history entries.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
-TRIAL_STATES = ("complete", "pruned", "failed", "running")
+Method = Literal["paper", "adaptive"]
 
 
 def require_shape(what: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
@@ -128,7 +129,9 @@ class ParameterBox:
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """One calibration: the surrogate of one training-set size screened, the physical model polished.
+    """One calibration: screened on a surrogate and polished, or adaptive on the physical model alone.
+
+    An adaptive one has no training set and no screened point: zero calls and NaN where those would stand.
 
     Attributes:
         n_train: Size of the training set behind the surrogate.
@@ -148,8 +151,10 @@ class CalibrationRecord:
         wall_s: Wall time of screening and polishing. [s]
         test_mae: MAE of the surrogate on the test set; NaN if unknown. [output unit, differences]
         test_p90: 90th percentile of the row-wise MAE on the test set; NaN if unknown.
-        stop_reason: Why the polish ended, in words.
+        stop_reason: Why the calibration ended, in words.
         surrogate: Which surrogate it was (trial, alias, folder), in words.
+        method: How it was calibrated.
+        n_adaptive: Calls of an adaptive calibration.
     """
 
     n_train: int
@@ -171,9 +176,31 @@ class CalibrationRecord:
     test_p90: float = float("nan")
     stop_reason: str = ""
     surrogate: str = ""
+    method: Method = "paper"
+    n_adaptive: int = 0
 
     def __post_init__(self) -> None:
         require_shape("the polish history's MSE", self.history_mse, self.history_calls.shape)
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether there is no surrogate and no screened point."""
+        return self.method == "adaptive"
+
+    @property
+    def name(self) -> str:
+        """What files and anchors of this calibration are called."""
+        return "adaptive" if self.is_adaptive else f"n{self.n_train:04d}"
+
+    @property
+    def shown_name(self) -> str:
+        """What readers call it."""
+        return "adaptive" if self.is_adaptive else f"n = {self.n_train}"
+
+    @property
+    def final(self) -> str:
+        """What its last point is called."""
+        return "calibrated" if self.is_adaptive else "polished"
 
     @property
     def screening_gap(self) -> float:
@@ -182,8 +209,8 @@ class CalibrationRecord:
 
     @property
     def calls_paper(self) -> int:
-        """Model calls as the paper counts them: training, screening check and polish."""
-        return self.n_train + self.n_screen_checks + self.n_polish
+        """Model calls as the paper counts them: all that found the parameters."""
+        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive
 
     @property
     def calls_honest(self) -> int:
@@ -241,58 +268,3 @@ class SensitivityRecord:
         shape = (len(self.time), len(self.output_names), len(self.names))
         for what in ("first_order", "total_order", "first_order_ci", "total_order_ci"):
             require_shape(f"the sensitivity's {what}", getattr(self, what), shape)
-
-
-@dataclass(frozen=True)
-class TrialsRecord:
-    """Every trial of every study, one entry per trial; NaN where an error is unknown.
-
-    Attributes:
-        n_train: Training-set size of the trial's study. Shape (m,).
-        state: One of `TRIAL_STATES` per trial, m entries.
-        validation_mae: For a pruned trial the last one reported. Shape (m,). [output unit, differences]
-        test_mae: Shape (m,). [output unit, differences]
-        test_p90: Shape (m,). [output unit, differences]
-        is_best: True for the trial chosen by validation error, at most one per size. Shape (m,).
-    """
-
-    n_train: Integers
-    state: tuple[str, ...]
-    validation_mae: Floats
-    test_mae: Floats
-    test_p90: Floats
-    is_best: Booleans
-
-    def __post_init__(self) -> None:
-        shape = (len(self.state),)
-        for what in ("n_train", "validation_mae", "test_mae", "test_p90", "is_best"):
-            require_shape(f"the trials' {what}", getattr(self, what), shape)
-        unknown = sorted(set(self.state) - set(TRIAL_STATES))
-        if unknown:
-            raise ValueError(f"unknown trial state {unknown[0]!r}, expected one of {', '.join(TRIAL_STATES)}")
-
-
-@dataclass(frozen=True)
-class LearningCurves:
-    """How one training went; NaN at epochs without a validation.
-
-    Attributes:
-        n_train: Size of the training set.
-        epoch: Shape (e,).
-        validation_mae: Shape (e,). [output unit, differences]
-        terms: Training-loss terms by name ("loss", "kl", "reconstruction", ...), each of shape (e,). [1]
-        best_epoch: The epoch whose weights were kept.
-        stop_reason: Why the training ended, in words.
-    """
-
-    n_train: int
-    epoch: Integers
-    validation_mae: Floats
-    terms: tuple[tuple[str, Floats], ...]
-    best_epoch: int
-    stop_reason: str = ""
-
-    def __post_init__(self) -> None:
-        require_shape("the validation MAE", self.validation_mae, self.epoch.shape)
-        for name, values in self.terms:
-            require_shape(f"the loss term {name}", values, self.epoch.shape)

@@ -131,7 +131,7 @@ def _markdown_cell(text: str) -> str:
 
 _CALIBRATIONS_TITLE = (
     "Calibrations, one per training-set size. MSE surrogate and MSE screened are both at the screened point: "
-    "by the surrogate and by the model; the paper's count is training, screening check and polish"
+    "by the surrogate and by the model; the paper's count leaves out validation and test sets"
 )
 
 
@@ -153,12 +153,13 @@ def calibrations_table(data: ReportData) -> Table:
         Column("calls_honest", "calls, all", "", count),
         *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
         Column("wall_s", "time", "s", _two),
+        Column("method", "method"),
     )
     rows = tuple(
         (
             c.n_train, c.test_mae, c.test_p90, c.mse_surrogate, c.mse_screened, c.screening_gap,
             c.n_polish, c.mse_polished, c.calls_paper, c.calls_honest,
-            *(c.calls_to(target.mse) for target in targets), c.wall_s,
+            *(c.calls_to(target.mse) for target in targets), c.wall_s, c.method,
         )
         for c in data.by_size
     )  # fmt: skip
@@ -173,23 +174,25 @@ def _two(value: float) -> str:
 
 def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -> Table:
     """Tabulate the parameters of one calibration with their bounds."""
+    screened = [] if calibration.is_adaptive else [calibration.theta_screened.tolist()]
     columns = (
         Column("name", "parameter"),
         Column("unit", "unit"),
         Column("estimate", "estimate", "", declared),
         Column("lower", "lower bound", "", declared),
         Column("upper", "upper bound", "", declared),
-        Column("screened", "screened", "", _four),
-        Column("polished", "polished", "", _four),
+        *(Column("screened", "screened", "", _four) for _ in screened),
+        Column("polished", calibration.final, "", _four),
         Column("at_bound", "at a bound"),
     )
     values = zip(
         parameters.names, map(shown_unit, parameters.units), parameters.estimate.tolist(),
-        parameters.lower.tolist(), parameters.upper.tolist(), calibration.theta_screened.tolist(),
+        parameters.lower.tolist(), parameters.upper.tolist(), *screened,
         calibration.theta_polished.tolist(), at_bound(parameters, calibration), strict=True,
     )  # fmt: skip
-    title = f"Parameters, calibrated from {count(calibration.n_train, 'training simulation')}"
-    return Table(f"parameters-n{calibration.n_train:04d}", title, columns, tuple(values))
+    how = f"from {count(calibration.n_train, 'training simulation')}"
+    title = f"Parameters, calibrated {'adaptively' if calibration.is_adaptive else how}"
+    return Table(f"parameters-{calibration.name}", title, columns, tuple(values))
 
 
 def _four(value: float) -> str:
@@ -249,8 +252,13 @@ def sensitivity_table(data: ReportData) -> Table | None:
     return Table("sensitivity", "Sobol indices, averaged over time", columns, tuple(rows))
 
 
-def validation_table(record: ValidationRecord) -> Table:
-    """Tabulate the parameter sets on the validation period, one row per set and output."""
+def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -> Table:
+    """Tabulate the parameter sets on the validation period, one row per set and output.
+
+    Args:
+        calibration: The calibration.
+        record: How it did on the validation period.
+    """
     unit = squared(difference_unit(record.measurement.units[0]))
     columns = (
         Column("parameters", "parameters"),
@@ -280,7 +288,7 @@ def validation_table(record: ValidationRecord) -> Table:
         if not point.fits:
             rows.append((point.name, *errors, "failed", "", None, None, None, None, None))
     title = f"Validation on {told_period(record.period_d)} (bias: simulated minus measured)"
-    return Table(f"validation-n{record.n_train:04d}", title, columns, tuple(rows))
+    return Table(f"validation-{calibration.name}", title, columns, tuple(rows))
 
 
 def _index(value: float) -> str:

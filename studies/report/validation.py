@@ -36,7 +36,7 @@ class PointRecord:
     """One parameter set on both periods.
 
     Attributes:
-        name: "estimate", "screened" or "polished".
+        name: "estimate", "screened", "polished" or "calibrated".
         mse_window: MSE over the calibrated window, NaN where unknown. [first output unit squared]
         mse: MSE over the validation period, inf where the simulation failed. [first output unit squared]
         fits: One per output; empty where the simulation failed.
@@ -53,12 +53,12 @@ class ValidationRecord:
     """One calibration on days that it did not see.
 
     Attributes:
-        n_train: Size of the training set behind the calibration.
+        n_train: Size of the training set behind the calibration, 0 without one.
         period_d: The days. [d]
         measurement: What was measured there.
         y_screened: The physical model at the screened point, NaN if it failed. Shape (t, k).
         y_polished: The physical model at the polished point. Shape (t, k).
-        points: The parameter sets; the last one is the polished one.
+        points: The parameter sets, the one that the calibration ended with last.
     """
 
     n_train: int
@@ -79,8 +79,8 @@ class ValidationRecord:
             calibration,
             y_screened=self.y_screened,
             y_polished=self.y_polished,
-            mse_screened=by_name["screened"],
-            mse_polished=by_name["polished"],
+            mse_screened=by_name.get("screened", math.nan),
+            mse_polished=self.points[-1].mse,
         )
 
     @property
@@ -88,13 +88,15 @@ class ValidationRecord:
         """Say what the calibrated parameters do on the period."""
         unit = squared(difference_unit(self.measurement.units[0]))
         days = told_period(self.period_d)
-        polished = self.points[-1]
-        if not math.isfinite(polished.mse):
-            return f"On {days}, which the calibration did not see, the polished model could not be simulated"
+        final = self.points[-1]
+        if not math.isfinite(final.mse):
+            return (
+                f"On {days}, which the calibration did not see, the {final.name} model could not be simulated"
+            )
         others = ", ".join(f"{point.name} {quantity(point.mse, unit)}" for point in self.points[:-1])
         return (
-            f"On {days}, which the calibration did not see, the polished model has an MSE of "
-            f"{quantity(polished.mse, unit)} ({others})"
+            f"On {days}, which the calibration did not see, the {final.name} model has an MSE of "
+            f"{quantity(final.mse, unit)}{f' ({others})' if others else ''}"
         )
 
 
