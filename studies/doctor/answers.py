@@ -73,6 +73,18 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
             f"constant over the window: {', '.join(still)}",
             "see whether the inputs reach the model and the output is the right one",
         )
+    jumps = [
+        output.name
+        for k, output in enumerate(case.outputs)
+        if _jumps(case.measurement.uncertainty[k], nominal.y[0, :, k])
+    ]
+    if jumps and not case.scenario.n_warmup:
+        yield Finding(
+            "first values",
+            "warn",
+            f"far from all that follow: {', '.join(jumps)}",
+            "the FMU may compute them in its first step only; begin the window a step after start_d",
+        )
     doubts = [
         f"{output.name}: {doubt}"
         for k, output in enumerate(case.outputs)
@@ -85,6 +97,12 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
             "; ".join(doubts),
             "the FMU may not answer in the unit it declares; compare with the tool that made it",
         )
+
+
+def _jumps(uncertainty: float, values: FloatArray) -> bool:
+    """Tell whether the first value is off by more than all others differ. Shape of values (t,)."""
+    step = abs(float(values[0] - values[1]))
+    return len(values) > 2 and step > max(10.0 * uncertainty, float(np.ptp(values[1:])))
 
 
 def corner_points(case: Case, n: int) -> FloatArray:
