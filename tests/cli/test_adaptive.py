@@ -1,0 +1,179 @@
+"""`studies calibrate --method adaptive`: from the case alone, resumed after any call, refused in one line."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet
+import pytest
+from project_for_tests import REPOSITORY, Answer, Run, make_project
+
+from studies.cli import main
+
+BEST_KNOWN = 0.01052
+RECORDED = REPOSITORY / "data" / "office"
+# Parts that are not compacted yet: at least so many rows are stored.
+N_BEFORE_THE_END = 5
+LIMIT_S = 120.0
+ADAPTIVE = ("calibrate", "office", "--method", "adaptive", "--jobs", "1")
+SHORT = (*ADAPTIVE, "--max-calls", "28")
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with the recording that the references belong to and an empty MLflow store."""
+    from studies.mlflow_tracker import MlflowTracker
+
+    root = make_project(tmp_path_factory.mktemp("template") / "project")
+    for file in RECORDED.glob("*.csv"):
+        shutil.copy(file, root / "data" / "office" / file.name)
+    MlflowTracker(root / "mlruns" / "mlflow.db", root / "mlruns" / "artifacts")
+    return root
+
+
+@pytest.fixture
+def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    root = shutil.copytree(template, tmp_path / "project")
+    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    monkeypatch.chdir(root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short calibration that nobody interrupts."""
+    root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        assert main([*SHORT, "--quiet"]) == 0
+    assert n_stored(root) == 28
+    return root
+
+
+def stage_of(answer: Answer) -> dict[str, Any]:
+    assert answer.code == 0, answer.err
+    (stage,) = answer.document["stages"]
+    assert isinstance(stage, dict)
+    return stage
+
+
+def results_of(project: Path) -> dict[str, Any]:
+    file = project / "mlruns" / "results" / "office-quick" / "calibration-adaptive.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    return content
+
+
+def parts_of(project: Path) -> list[Path]:
+    return sorted(project.glob("data/office/generated/simulations/*/part-*.parquet"))
+
+
+def n_stored(project: Path) -> int:
+    return sum(pyarrow.parquet.read_metadata(part).num_rows for part in parts_of(project))
+
+
+def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path, studies: Run) -> None:
+    answer = studies(*ADAPTIVE, "--window", "0-10", "--max-calls", "100", "--json")
+    stage = stage_of(answer)
+    assert stage["mse"] <= 1.3 * BEST_KNOWN
+    calls = stage["ledger"]
+    assert calls["n_adaptive"] == calls["total_honest"] == stage["n_simulated"] == n_stored(project) <= 100
+    assert answer.document["method"] == "adaptive"
+    assert 14 < answer.document["calls_to_target"]["0.0123"] <= calls["n_adaptive"]
+    again = stage_of(studies(*ADAPTIVE, "--window", "0-10", "--json"))
+    assert again["finished_before"]
+    told = studies(*ADAPTIVE, "--window", "0-10", "--again")
+    assert f"{calls['n_adaptive']} of {calls['n_adaptive']} simulations reused" in told.err
+    assert f"after {calls['n_adaptive']} model calls" in told.out
+    assert f"it ended because {stage['stop_reason']}" in told.out
+    assert "qIntOcc" in told.out
+    page = studies("report", "--window", "0-10", "--json")
+    assert page.code == 0, page.err
+    folder = (project / page.document["stages"][0]["index"]).parent
+    assert {"calibration-adaptive.png", "convergence-adaptive.png", "parameters-adaptive.csv"} <= {
+        file.name for file in folder.iterdir()
+    }
+    assert "--method adaptive --max-calls 100" in (folder / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "sigkill"])
+def test_interrupted_at_any_call_it_goes_on_and_simulates_nothing_twice(
+    project: Path, studies: Run, undisturbed: Path, how: signal.Signals
+) -> None:
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
+    with (project / "stderr.txt").open("w") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "studies", *SHORT],
+            env=environment, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
+        )  # fmt: skip
+        deadline = time.monotonic() + LIMIT_S
+        while len(parts_of(project)) < N_BEFORE_THE_END:
+            assert process.poll() is None, (project / "stderr.txt").read_text()
+            assert time.monotonic() < deadline
+            time.sleep(0.002)
+        os.killpg(process.pid, how)
+        process.wait(LIMIT_S)
+    n_before = n_stored(project)
+    assert 14 < n_before < 28
+    resumed = stage_of(studies(*SHORT, "--json"))
+    assert resumed["n_simulated"] + n_before == n_stored(project) == 28
+    assert results_of(undisturbed) == results_of(project)
+
+
+def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studies: Run) -> None:
+    arguments = (*ADAPTIVE[:-1], "2", "--parallel", "4", "--target", "0.1", "--seed", "1")
+    answer = studies(*arguments)
+    assert answer.code == 0, answer.err
+    assert "it ended because the target is reached" in answer.out
+    stage = stage_of(studies(*arguments, "--json"))
+    assert stage["mse"] <= 0.1
+    assert stage["n_rounds"] == 1 + (stage["ledger"]["n_adaptive"] - 14) / 4
+
+
+def test_it_says_how_it_does_on_days_that_it_did_not_see(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    case.write_text(case.read_text().replace("start_d = 0 ", "validation_d = [10, 14]\nstart_d = 0 "))
+    answer = studies(*ADAPTIVE, "--max-calls", "15")
+    assert answer.code == 0, answer.err
+    assert "validation on days 10 to 14" in answer.out
+    points = results_of(project)["validation"]["points"]
+    assert list(points) == ["estimate", "calibrated"]
+    assert studies("report").code == 0
+    assert (project / "mlruns" / "reports" / "office-quick" / "validation-adaptive.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--method", "adaptive", "--n-train", "64"), "--n-train belongs to --method paper"),
+        (("--method", "adaptive", "--max-calls", "13"), "does not hold the first design of 14 simulations"),
+        (("--method", "adaptive", "--target", "-1"), "'-1' is not a positive number"),
+        (("--method", "adaptive", "--parallel", "0"), "'0' is not a whole number of at least 1"),
+        (("--parallel", "2"), "--parallel belongs to --method adaptive"),
+        (("--method", "genetic"), "invalid choice: 'genetic'"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line(
+    project: Path, studies: Run, arguments: tuple[str, ...], words: str
+) -> None:
+    answer = studies("calibrate", "office", *arguments)
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    assert line.startswith("studies: error: ")
+    assert words in line
+    assert not parts_of(project)
+
+
+def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    text = case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [20, 30]")
+    case.write_text(text.replace('TAirInit = { first_measured = "TAir" }', "TAirInit = 400.0"))
+    answer = studies(*ADAPTIVE)
+    assert answer.code == 1
+    assert answer.err.splitlines()[-1].startswith("studies: error: none of 20 simulations succeeded; ")
