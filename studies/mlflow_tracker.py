@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from simulation.file_lock import FileLock
 from studies.mlflow_registry import fetch_champion, register_champion
 from studies.origin import origin_tags
 from studies.paths import size_name
@@ -38,7 +39,10 @@ class MlflowTracker:
         artifacts.mkdir(parents=True, exist_ok=True)
         self.uri = f"sqlite:///{database.resolve().as_posix()}"
         self._artifacts = artifacts.resolve()
-        self.client = connect(self.uri)
+        # Two processes that make a schema or an experiment at the same moment would get in each other's way.
+        self._lock = FileLock(database.with_name(f"{database.name}.lock"))
+        with self._lock:
+            self.client = connect(self.uri)
         self._origin = origin_tags(root or Path.cwd())
         self._experiments: dict[str, str] = {}
         self._studies: dict[str, str] = {}
@@ -191,17 +195,19 @@ class MlflowTracker:
 
     def _experiment(self, label: str, note: str = "") -> str:
         if label not in self._experiments:
-            found = self.client.get_experiment_by_name(label)
-            if found is None:
-                location = (self._artifacts / label).as_uri()
-                self._experiments[label] = self.client.create_experiment(label, location)
-            else:
-                if found.lifecycle_stage == "deleted":
-                    self.client.restore_experiment(found.experiment_id)
-                self._experiments[label] = found.experiment_id
+            with self._lock:
+                self._experiments[label] = self._found_or_made(label)
         if note:
             self.client.set_experiment_tag(self._experiments[label], "mlflow.note.content", note)
         return self._experiments[label]
+
+    def _found_or_made(self, label: str) -> str:
+        found = self.client.get_experiment_by_name(label)
+        if found is None:
+            return self.client.create_experiment(label, (self._artifacts / label).as_uri())
+        if found.lifecycle_stage == "deleted":
+            self.client.restore_experiment(found.experiment_id)
+        return found.experiment_id
 
     def _search(self, experiment: str, tags: Mapping[str, str]) -> list[Run]:
         wanted = " and ".join(f"tags.{name} = '{value}'" for name, value in tags.items())

@@ -174,7 +174,7 @@ class FmuDescription:
         )
         if variable.causality != causality and not stands_in:
             raise InputError(
-                f"{where}: {name} is a {variable.causality} of {self.path.name}, not its {causality}; "
+                f"{where}: {name} is {variable.causality} in {self.path.name}, not {causality}; "
                 f"choose one of: {_listed(self.names(causality))}"
             )
         if variable.is_out_of_reach:

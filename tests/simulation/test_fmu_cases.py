@@ -133,8 +133,8 @@ def test_the_parameters_of_a_shared_warm_up_are_converted_like_all_others(fmu: P
         ('name = "u"', 'name = "word"', r"word is of type String; only .* hold it under \[fixed\]"),
         ('name = "y"', 'name = "z"', r"has no output named z; it has: y.*inner"),
         ('name = "y"', 'name = "x0x"', r"has no output named x0x; did you mean x0\?"),
-        ('name = "y"', 'name = "k"', r"k is a parameter of .*, not its output"),
-        ('name = "y"', 'name = "level"', r"level is a input of .*, not its output"),
+        ('name = "y"', 'name = "k"', r"k is parameter in .*, not output"),
+        ('name = "y"', 'name = "level"', r"level is input in .*, not output"),
     ],
 )
 def test_what_does_not_fit_is_one_line(fmu: Path, tmp_path: Path, old: str, new: str, message: str):

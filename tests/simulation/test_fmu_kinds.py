@@ -130,7 +130,7 @@ def test_an_alias_is_a_variable_like_any_other(fmu_3: Path):
         ({"c": "medium"}, r"fixed\.c = 'medium' is none of its values; choose one of: low, high"),
         ({"s": 3}, r"fixed\.s = 3 is no text"),
         ({"f": "hot"}, r"fixed\.f = 'hot' is no number"),
-        ({"y": 3.0}, r"y is a output of .*, not its parameter"),
+        ({"y": 3.0}, r"y is output in .*, not parameter"),
         ({"K": 3.0}, r"has no parameter named K; did you mean k\?"),
         ({"k": 3.0}, r"k is both fixed and calibrated"),
     ],

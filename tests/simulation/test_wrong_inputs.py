@@ -117,7 +117,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     "misspelt output": (toml('name = "y"\nunit', 'name = "Y"\nunit'), r"no output named Y; did you mean y\?"),
     "wrong causality": (
         toml('name = "mode"', 'name = "u"'),
-        r"parameters\[u\]: u is a input of decay\.fmu, not its parameter; choose one of: k, x0, mode",
+        r"parameters\[u\]: u is input in decay\.fmu, not parameter; choose one of: k, x0, mode",
     ),
     "input left out": (
         toml(

@@ -2,6 +2,8 @@
 
 import logging
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -231,3 +233,17 @@ def test_store_broken_in_the_middle_does_not_stop_a_study(
     with caplog.at_level(logging.WARNING):
         tracker.log_trial(make_spec(), record, dict)
     assert "database is locked" in caplog.text
+
+
+def test_two_processes_can_make_the_database_at_the_same_moment(tmp_path: Path) -> None:
+    script = (
+        "import sys; from pathlib import Path; from studies.mlflow_tracker import MlflowTracker\n"
+        "folder = Path(sys.argv[1])\n"
+        "MlflowTracker(folder / 'mlflow.db', folder / 'artifacts')._experiment('both')"
+    )
+    both = [
+        subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    errors = [process.communicate(timeout=120)[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], errors
