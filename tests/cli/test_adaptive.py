@@ -122,7 +122,9 @@ def test_interrupted_at_any_call_it_goes_on_and_simulates_nothing_twice(
     n_before = n_stored(project)
     assert 14 < n_before < 28
     resumed = stage_of(studies(*SHORT, "--json"))
-    assert resumed["n_simulated"] + n_before == n_stored(project) == 28
+    # One row may have been finished and not yet written: it is recovered.
+    assert 28 - n_before - 1 <= resumed["n_simulated"] <= 28 - n_before
+    assert n_stored(project) == 28
     assert results_of(undisturbed) == results_of(project)
 
 
