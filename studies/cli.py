@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 from simulation.errors import InputError
 from studies import cli_help, cli_values
 from studies.console import Console
+from studies.ctrl_c import ctrl_c_heard
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 SIMULATING = ("simulate", "sensitivity", "tune", "calibrate", "run")
@@ -60,8 +61,7 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    as_json = "--json" in arguments
-    console = Console(as_json=as_json)
+    console = Console(as_json="--json" in arguments)
     try:
         options = build_parser().parse_args(arguments)
     except _UsageError as error:
@@ -70,9 +70,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(done.code or 0)
     console = Console(as_json=options.json, quiet=options.quiet)
     try:
-        from studies.cli_commands import COMMANDS
+        with ctrl_c_heard():
+            from studies.cli_commands import COMMANDS
 
-        return COMMANDS[options.command](options, console)
+            return COMMANDS[options.command](options, console)
     except InputError as error:
         return _bad_input(console, " ".join(str(error).split()))
     except KeyboardInterrupt:
