@@ -30,6 +30,8 @@ MAX_CALLS = 100
 STAGE = f"calibrate-{ADAPTIVE}"
 # Where none of the first rows can be simulated, more of them are a waste.
 N_HOPELESS = 20
+# A root mean square error of more than so many sensor uncertainties is no answer while calls are left.
+DOUBT = 2.0
 # A line for those who read a log instead of watching a bar. [s]
 NEWS_EVERY_S = 30.0
 
@@ -48,9 +50,12 @@ def adaptive_settings(
     Raises:
         InputError: the budget does not hold the first design.
     """
+    # Where every output is off by its own sensor's uncertainty, the MSE is the first one's squared.
+    sensor = float(case.measurement.uncertainty[0])
     settings = Adaptive(
         max_calls=MAX_CALLS if max_calls is None else max_calls,
         n_parallel=n_parallel or 1,
+        doubtful_mse=(DOUBT * sensor) ** 2 if np.isfinite(sensor) else None,
         target_mse=target_mse,
     )
     n_start = settings.design_size(case.parameter_space.n_parameters)
@@ -209,6 +214,12 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
     )
     console.result(_fit(study, found))
+    doubtful = found["settings"]["doubtful_mse"]
+    if doubtful is not None and found["mse"] > doubtful:
+        console.result(
+            f"That is more than {DOUBT:g} times the sensor's uncertainty: there may be a deeper valley, or "
+            "the model lacks something; try more --max-calls, another --seed, or studies run"
+        )
     for known in study.case.references:
         if known.is_target:
             reached = calls_to(study, known.mse)

@@ -8,6 +8,7 @@ row is spent on differences, validation or a test: the process is its own Jacobi
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded
@@ -64,6 +65,8 @@ class Adaptive:
         stall_gain: The relative gain that a leg owes. [1]
         n_elsewhere: Legs away from the best row, for problems with several valleys, that a search makes
             before it may converge; 0 never leaves the first valley. [1]
+        doubtful_mse: Error above which a valley is no answer: the search goes on elsewhere until its budget
+            is spent, however little is expected; None believes every valley. [first output's unit squared]
         target_mse: Stop at this error, or None. [first output's unit squared]
         max_calls: Most rows that may be asked of the model.
     """
@@ -80,6 +83,7 @@ class Adaptive:
     stall_rounds: int = 10
     stall_gain: float = 0.02
     n_elsewhere: int = 1
+    doubtful_mse: float | None = None
     target_mse: float | None = None
     max_calls: int = 200
 
@@ -124,7 +128,9 @@ class Adaptive:
         search = AdaptiveSearch(self, problem.space, recorder, np.random.default_rng(seed))
         converged = False
         try:
-            reason = search.run()
+            # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
+            with threadpool_limits(limits=1, user_api="blas"):
+                reason = search.run()
             converged = True
         except BudgetExceeded:
             reason = f"the budget of {self.max_calls} calls is spent"

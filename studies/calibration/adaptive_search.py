@@ -77,7 +77,8 @@ class AdaptiveSearch:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
             if self._leg_is_over():
-                if self._is_home and self._n_elsewhere >= settings.n_elsewhere and self._idle:
+                is_done = self._n_elsewhere >= settings.n_elsewhere and not self._is_doubtful
+                if self._is_home and is_done and self._idle:
                     return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
                 self._turn()
             self._step()
@@ -113,6 +114,12 @@ class AdaptiveSearch:
         """Whether the leg is around the best row of all."""
         return self._leg_mse <= float(self._mse.min())
 
+    @property
+    def _is_doubtful(self) -> bool:
+        """Whether the best error is too large for the bottom of the right valley."""
+        doubtful = self._settings.doubtful_mse
+        return doubtful is not None and float(self._mse.min()) > doubtful
+
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
         settings = self._settings
@@ -127,7 +134,7 @@ class AdaptiveSearch:
 
     def _turn(self) -> None:
         """End a leg: from the best row go elsewhere, from elsewhere back to it."""
-        leaves = self._is_home and self._settings.n_elsewhere > 0
+        leaves = self._is_home and (self._settings.n_elsewhere > 0 or self._is_doubtful)
         self._n_elsewhere += leaves
         self._first = self._mse.size if leaves else 0
         self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)

@@ -54,23 +54,13 @@ def convergence_figure(
             axes, *log_limits(np.append(best[np.isfinite(best)], [final, *(r.mse for r in references)]))
         )
         axes.axvspan(0.0, n_start, color=TRAINING, linewidth=0, zorder=0)
-        axes.annotate(
-            f"{count(n_start)} rows\nfill the box",
-            xy=(0.0, 0.97),
-            xycoords=("data", "axes fraction"),
-            xytext=(6, 0),
-            textcoords="offset points",
-            va="top",
-            fontsize=8.5,
-            color=MUTED,
-        )
         for reference in references:
             axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
         axes.step(calls, best, where="post", color=POLISHED, zorder=3)
         if math.isfinite(best[0]):
             axes.plot(n_start, best[0], marker="o", markersize=4.5, color=POLISHED, zorder=4)
             axes.annotate(
-                f"best of these {significant(float(best[0]))}",
+                f"{significant(float(best[0]))}, the best of {count(n_start)} rows that fill the box",
                 (n_start, float(best[0])),
                 (8, 3),
                 textcoords="offset points",

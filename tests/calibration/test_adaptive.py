@@ -104,6 +104,15 @@ def test_stops_when_nothing_more_is_expected() -> None:
     assert found.stop_reason == "the surrogate expects a gain of less than 0.001 of the error"
 
 
+def test_an_error_that_is_too_large_is_no_end_while_calls_are_left() -> None:
+    problem = rc_problem(noise=0.05)
+    believed = replace(SHORT, doubtful_mse=1.0).minimize(problem, seed=0)
+    doubted = replace(SHORT, doubtful_mse=1e-9).minimize(problem, seed=0)
+    assert (believed.converged, doubted.converged) == (True, False)
+    assert doubted.n_calls == 60
+    assert doubted.mse <= believed.mse
+
+
 def test_finds_the_optimum_beside_a_failed_region() -> None:
     problem = problem_on(ToyRC(), TRUE_RC).on(FailsInBand(ToyRC(), 2.0, 5.0))
     assert SHORT.minimize(problem, seed=0).mse < 1e-2

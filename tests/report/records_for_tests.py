@@ -1,5 +1,7 @@
 """Synthetic records of the shape that real studies have: an office of fourteen parameters, ten days."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from simulation.measurement import Measurement
@@ -75,6 +77,18 @@ def calibration(
         history_calls=steps, history_mse=history, n_validation=320, n_test=320, n_screen_checks=1,
         n_polish=n_polish, wall_s=31.7, test_mae=6.0 / n_train**0.5, test_p90=11.0 / n_train**0.5,
         stop_reason="the cost changes by less than ftol", surrogate="trial 7 of the study for 64",
+    )  # fmt: skip
+
+
+def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
+    """Return an adaptive calibration: no training set, no screened point."""
+    other = calibration(64, n_outputs=n_outputs)
+    calls = np.concatenate([[14], np.arange(15, 72)])
+    return replace(
+        other, method="adaptive", n_train=0, theta_screened=np.full(14, np.nan), mse_surrogate=np.nan,
+        mse_screened=np.nan, y_screened=np.full_like(other.y_screened, np.nan), history_calls=calls,
+        history_mse=np.geomspace(0.08, other.mse_polished, len(calls)), n_validation=0, n_test=0,
+        n_screen_checks=0, n_polish=0, n_adaptive=71, test_mae=np.nan, test_p90=np.nan,
     )  # fmt: skip
 
 

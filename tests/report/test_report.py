@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from records_for_tests import calibration, coverage, measured, parameter_box, report_data, sensitivity, trials
+from records_for_tests import (
+    adaptive,
+    calibration,
+    coverage,
+    measured,
+    parameter_box,
+    report_data,
+    sensitivity,
+    trials,
+)
 
 from studies.report import CoverageSet, MeasuredSeries, Provenance, Reference, ReportData, build, captions
 from studies.report.findings import at_bound, calls_to_most, enclosed_fraction, largest_by_chance, residual_of
@@ -333,3 +342,31 @@ def test_records_refuse_what_does_not_fit() -> None:
         replace(trials((64,), 1), state=("waiting",))
     with pytest.raises(ValueError, match="headline_n_train is 7"):
         report_data(headline_n_train=7)
+
+
+def test_an_adaptive_calibration_alone_has_a_report_without_a_surrogate(tmp_path: Path) -> None:
+    page = build(small(calibrations=(adaptive(),)), tmp_path)
+    checked(page)
+    names = {file.name for file in tmp_path.iterdir()}
+    assert {"calibration-adaptive.png", "convergence-adaptive.png", "parameters-adaptive.csv"} <= names
+    assert not {"overview.png", "polish-adaptive.png"} & names
+    summary = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert summary["result"].startswith("71 model calls (")
+    assert "screened" not in summary["result"] + summary["figures"][0]["caption"]
+    assert (
+        "The first design of 14 simulations found 0.0800 K²; 57 calls after it"
+        in (summary["figures"][1]["caption"])
+    )
+    assert "screened" not in summary["tables"]["parameters-adaptive"][0]
+
+
+def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> None:
+    data = small(calibrations=(calibration(64), adaptive()))
+    assert data.headline is not None
+    assert data.headline.is_adaptive
+    build(data, tmp_path)
+    names = {file.name for file in tmp_path.iterdir()}
+    assert {"overview.png", "polish-n0064.png", "convergence-adaptive.png"} <= names
+    first, second = calibrations_table(data).records()
+    assert (first["method"], first["calls_paper"], first["mse_screened"]) == ("adaptive", 71, None)
+    assert (second["method"], second["n_train"]) == ("paper", 64)
