@@ -10,7 +10,6 @@ from typing import Any, NoReturn
 from simulation.errors import InputError
 from studies import cli_help, cli_values
 from studies.console import Console
-from studies.ctrl_c import ctrl_c_heard
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 SIMULATING = ("simulate", "sensitivity", "tune", "calibrate", "run")
@@ -70,10 +69,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(done.code or 0)
     console = Console(as_json=options.json, quiet=options.quiet)
     try:
-        with ctrl_c_heard():
-            from studies.cli_commands import COMMANDS
+        from studies.cli_commands import COMMANDS
 
-            return COMMANDS[options.command](options, console)
+        return COMMANDS[options.command](options, console)
     except InputError as error:
         return _bad_input(console, " ".join(str(error).split()))
     except KeyboardInterrupt:

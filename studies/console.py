@@ -11,8 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from studies.ctrl_c import heed_ctrl_c
-
 if TYPE_CHECKING:
     from rich.console import Console as RichConsole
 
@@ -96,7 +94,7 @@ class Console:
             a function to call with (name of the work, done, total); a new name is a new bar.
         """
         if not self.is_live:
-            yield lambda what, done, total, news="": heed_ctrl_c()
+            yield lambda what, done, total, news="": None
             return
         from rich.progress import (
             BarColumn,
@@ -124,7 +122,6 @@ class Console:
             if what not in tasks:
                 tasks[what] = progress.add_task(what, total=total)
             progress.update(tasks[what], completed=done, total=total, description=f"{what}{news}")
-            heed_ctrl_c()
 
         with progress:
             yield show

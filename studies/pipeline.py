@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.whole_file import whole_file
 from studies.console import Console
-from studies.ctrl_c import heed_ctrl_c
 from studies.origin import versions
 from studies.paths import ProjectPaths
 from studies.profile import Profile
@@ -120,7 +119,6 @@ def run_stage(
         reuse_note: what to tell of a finished stage.
         keep: whether the stage counts as finished with this result.
     """
-    heed_ctrl_c()
     digest = digest_of(inputs)
     file = study.results / f"{stage}.json"
     finished = read_manifest(study.paths, file, digest)
@@ -149,7 +147,6 @@ def run_stage(
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
-    heed_ctrl_c()
     return Outcome(stage, digest, summary, False, wall_s)
 
 
