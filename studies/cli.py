@@ -258,7 +258,7 @@ def _add_calibration_options(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="most FMU calls of one polish; default: the profile's (adaptive: of all, default 100)",
     )
-    target_help = "also say how many calls reached this error (adaptive: stop there)"
+    target_help = "also say how many calls reached this error (adaptive: go on until there)"
     command.add_argument("--target", type=cli_values.positive, metavar="MSE", help=target_help)
     command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
 

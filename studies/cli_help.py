@@ -66,10 +66,10 @@ MLflow.
 
 --method adaptive needs the case alone: no training set, nothing to train. A small design fills the box; then
 every simulation goes where a Gaussian process of all residuals so far expects the lowest error. It stops
-when no gain is expected, at --target or after --max-calls. Every simulation is stored at once: interrupted,
-even killed, the same command reads them and goes on. --parallel Q asks Q rows per round (fewer rounds, some
-more calls), spread over --jobs. Lands in mlruns/results/<label>/calibration-adaptive.json and .npz, in
-MLflow and, with studies report, on a page.
+when little gain is expected, at the latest after --max-calls; with --target only at that error or then.
+Every simulation is stored at once: interrupted, even killed, the same command reads them and goes on.
+--parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
+mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
 
 examples:
   studies calibrate --method adaptive      the office, 100 FMU calls at most

@@ -55,6 +55,8 @@ def adaptive_settings(
     settings = Adaptive(
         max_calls=MAX_CALLS if max_calls is None else max_calls,
         n_parallel=n_parallel or 1,
+        # Who names an error wants it: small gains are no reason to stop before.
+        ftol=Adaptive.ftol if target_mse is None else 0.0,
         doubtful_mse=(DOUBT * sensor) ** 2 if np.isfinite(sensor) else None,
         target_mse=target_mse,
     )
