@@ -1,7 +1,8 @@
 """What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
 
 import tempfile
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -32,56 +33,38 @@ def log_calibration(
         started_s: start of the calibration. [s since 1970, UTC]
         wall_s: its duration. [s]
     """
-    from studies.report.figures_calibration import calibration_figure, polish_figure
+    from studies.report.figures_calibration import polish_figure
 
     numbers, profile, n_train = stored.numbers, study.profile, stored.numbers["n_train"]
-    record, measured = calibration_record(stored), measured_series(study.case)
-    unit = squared(difference_unit(measured.units[0]))
-    metrics = {
-        "mse/surrogate": numbers["mse_surrogate"],
-        "mse/screened": numbers["mse_screened"],
-        "mse/screening_gap": numbers["screening_gap"],
-        "mse/polished": numbers["mse_polished"],
-        "calls/paper": numbers["ledger"]["total_paper"],
-        "calls/all": numbers["ledger"]["total_honest"],
-        "calls/polish": numbers["ledger"]["n_polish"],
-        **numbers["surrogate_errors"],
-    }
-    if "validation" in numbers:
-        metrics["mse/validation"] = numbers["validation"]["points"]["polished"]["mse"]
-    curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
-    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        temperatures, polish = Path(scratch) / "calibration.png", Path(scratch) / "polish.png"
-        calibration_figure(measured, record, temperatures, footnote=study.label)
-        polish_figure(record, (), polish, mse_unit=unit, footnote=study.label)
-        tracker_of(study.paths).log_stage(
-            StageRun(
-                label=study.label,
-                kind="calibration",
-                name=f"{size_name(n_train)} calibration",
-                key=digest,
-                params={
-                    "n_train": n_train,
-                    "seed": profile.seed,
-                    **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
-                    **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
-                },
-                metrics={name: value for name, value in metrics.items() if value is not None},
-                curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
-                tags={
-                    "case": study.case.name,
-                    "case_sha256": study.case.digest,
-                    "n_train": n_train,
-                    "surrogate_study": numbers["surrogate"]["study"],
-                    "surrogate_trial": numbers["surrogate"]["trial"],
-                },
-                figures=[temperatures, polish],
-                artifacts=[stored.files.numbers, stored.files.arrays],
-                started_s=started_s,
-                wall_s=wall_s,
-                note=study.case.note,
-            )
-        )
+    run = StageRun(
+        label=study.label,
+        kind="calibration",
+        name=f"{size_name(n_train)} calibration",
+        key=digest,
+        params={
+            "n_train": n_train,
+            "seed": profile.seed,
+            **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
+            **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
+        },
+        metrics={
+            "mse/surrogate": numbers["mse_surrogate"],
+            "mse/screened": numbers["mse_screened"],
+            "mse/screening_gap": numbers["screening_gap"],
+            "mse/polished": numbers["mse_polished"],
+            "calls/paper": numbers["ledger"]["total_paper"],
+            "calls/polish": numbers["ledger"]["n_polish"],
+            **numbers["surrogate_errors"],
+        },
+        tags={
+            "n_train": n_train,
+            "surrogate_study": numbers["surrogate"]["study"],
+            "surrogate_trial": numbers["surrogate"]["trial"],
+        },
+        started_s=started_s,
+        wall_s=wall_s,
+    )
+    _log_with_figures(study, stored, run, point="polished", calls_figure=("polish.png", polish_figure))
 
 
 def log_adaptive(
@@ -96,43 +79,55 @@ def log_adaptive(
         started_s: start of the calibration. [s since 1970, UTC]
         wall_s: its duration. [s]
     """
-    from studies.report.figures_calibration import calibration_figure
     from studies.report.figures_convergence import convergence_figure
 
     numbers = stored.numbers
+    run = StageRun(
+        label=study.label,
+        kind="calibration",
+        name="adaptive calibration",
+        key=digest,
+        params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
+        metrics={"mse/calibrated": numbers["mse"], "calls/rounds": numbers["n_rounds"]},
+        tags={"method": "adaptive", "stop_reason": numbers["stop_reason"]},
+        started_s=started_s,
+        wall_s=wall_s,
+    )
+    figure = ("convergence.png", convergence_figure)
+    _log_with_figures(study, stored, run, point="calibrated", calls_figure=figure)
+
+
+def _log_with_figures(
+    study: Study,
+    stored: StoredCalibration,
+    run: StageRun,
+    *,
+    point: str,
+    calls_figure: tuple[str, Callable[..., Path]],
+) -> None:
+    """Log a calibration's run with what every calibration has: calls, validation, curve, figures, files."""
+    from studies.report.figures_calibration import calibration_figure
+
+    numbers = stored.numbers
     record, measured = calibration_record(stored), measured_series(study.case)
-    unit = squared(difference_unit(measured.units[0]))
-    metrics = {
-        "mse/calibrated": numbers["mse"],
-        "calls/all": numbers["ledger"]["total_honest"],
-        "calls/rounds": numbers["n_rounds"],
-    }
+    metrics = {**run.metrics, "calls/all": numbers["ledger"]["total_honest"]}
     if "validation" in numbers:
-        metrics["mse/validation"] = numbers["validation"]["points"]["calibrated"]["mse"]
+        metrics["mse/validation"] = numbers["validation"]["points"][point]["mse"]
     curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
+    name, draw_calls = calls_figure
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        trajectories, convergence = Path(scratch) / "calibration.png", Path(scratch) / "convergence.png"
-        calibration_figure(measured, record, trajectories, footnote=study.label)
-        convergence_figure(record, (), convergence, mse_unit=unit, footnote=study.label)
+        figures = [Path(scratch) / "calibration.png", Path(scratch) / name]
+        calibration_figure(measured, record, figures[0], footnote=study.label)
+        unit = squared(difference_unit(measured.units[0]))
+        draw_calls(record, (), figures[1], mse_unit=unit, footnote=study.label)
         tracker_of(study.paths).log_stage(
-            StageRun(
-                label=study.label,
-                kind="calibration",
-                name="adaptive calibration",
-                key=digest,
-                params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
-                metrics={name: value for name, value in metrics.items() if value is not None},
+            replace(
+                run,
+                metrics={key: value for key, value in metrics.items() if value is not None},
                 curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
-                tags={
-                    "case": study.case.name,
-                    "case_sha256": study.case.digest,
-                    "method": "adaptive",
-                    "stop_reason": numbers["stop_reason"],
-                },
-                figures=[trajectories, convergence],
+                tags={"case": study.case.name, "case_sha256": study.case.digest, **run.tags},
+                figures=figures,
                 artifacts=[stored.files.numbers, stored.files.arrays],
-                started_s=started_s,
-                wall_s=wall_s,
                 note=study.case.note,
             )
         )
