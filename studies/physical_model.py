@@ -11,7 +11,7 @@ from simulation.store.stored_model import StoredModel
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
 from simulation.workers.parallel import ParallelModel
 from studies.paths import ProjectPaths
-from studies.pipeline import StageError, Study
+from studies.stages.pipeline import StageError, Study
 
 
 def store_folder(paths: ProjectPaths, case: Case) -> Path:

@@ -28,7 +28,7 @@ SHORT = (*ADAPTIVE, "--max-calls", "28")
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with the recording that the references belong to and an empty MLflow store."""
-    from studies.mlflow_tracker import MlflowTracker
+    from studies.tracking.mlflow_tracker import MlflowTracker
 
     root = make_project(tmp_path_factory.mktemp("template") / "project")
     for file in RECORDED.glob("*.csv"):

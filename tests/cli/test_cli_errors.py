@@ -13,7 +13,7 @@ import pytest
 from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.errors import InputError
-from studies.stages_results import read_arrays
+from studies.stages.results import read_arrays
 
 CASE = "fmus/office/case.toml"
 RECORDING = "data/office/recording_1800s.csv"

@@ -134,7 +134,7 @@ def finished_work(project: Path) -> dict[str, object]:
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with an empty MLflow store, whose making costs more than all the rest."""
-    from studies.mlflow_tracker import MlflowTracker
+    from studies.tracking.mlflow_tracker import MlflowTracker
 
     root = make_project(tmp_path_factory.mktemp("template") / "project")
     MlflowTracker(root / "mlruns" / "mlflow.db", root / "mlruns" / "artifacts")

@@ -12,7 +12,7 @@ from project_for_tests import OFFICE, Run
 from simulation.case import load_case
 from simulation.case_file import read_case_file
 from simulation.fmi.variable import FmuVariable
-from studies.new_choice import bounds_for
+from studies.new.choice import bounds_for
 
 HEAD_2 = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'

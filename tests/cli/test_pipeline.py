@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from simulation.case import load_case
 from studies.console import Console
 from studies.paths import ProjectPaths, find_case, size_name
-from studies.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
 from studies.profile import load_profile
-from studies.stages_simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
+from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
+from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ import pytest
 from simulation.case import load_case
 from simulation.measurement import Measurement
 from studies.calibration import DifferentialEvolution, LeastSquaresTRF, calibrate_two_phase
-from studies.champion import load_champion
 from studies.surrogate_model import SurrogateModel
+from studies.tuning.champion import load_champion
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"

@@ -15,8 +15,8 @@ from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
 from studies.profile import SearchRanges
-from studies.study_spec import StudySpec
-from studies.tracking import Tracker
+from studies.tracking.tracker import Tracker
+from studies.tuning.study_spec import StudySpec
 
 SMALL_SEARCH = SearchRanges(n_latent=(2, 8), n_hidden=(8, 32), beta=(1.0, 1000.0), learning_rate=(1e-3, 1e-2))
 SMALL_TRAINING = {"max_epochs": 20, "validate_every": 1, "patience": 20, "device": "cpu", "n_threads": 1}
@@ -84,7 +84,7 @@ def project(tmp_path: Path) -> ProjectPaths:
 @pytest.fixture(scope="session")
 def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An MLflow database with its schema and nothing in it; making one takes seconds, a copy none."""
-    from studies.mlflow_tracker import MlflowTracker
+    from studies.tracking.mlflow_tracker import MlflowTracker
 
     folder = tmp_path_factory.mktemp("mlflow-template")
     MlflowTracker(folder / "mlflow.db", folder / "artifacts")
@@ -94,7 +94,7 @@ def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def tracker(project: ProjectPaths, empty_database: Path) -> Tracker:
     """An MLflow tracker on a database of its own."""
-    from studies.mlflow_tracker import MlflowTracker
+    from studies.tracking.mlflow_tracker import MlflowTracker
 
     project.mlruns.mkdir()
     shutil.copy(empty_database, project.tracking_database)

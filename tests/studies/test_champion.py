@@ -15,14 +15,20 @@ from tuning_checks import ignore
 
 from simulation.errors import InputError
 from simulation.store.row_set import RowSet
-from studies.champion import ChampionInfo, load_champion, read_champion, restore_champion, write_champion
-from studies.mlflow_registry import model_name
-from studies.mlflow_tracker import MlflowTracker
 from studies.paths import ProjectPaths
-from studies.study_spec import StudySpec
-from studies.tracking import NullTracker
-from studies.trial_record import best_record, read_records
-from studies.trial_worker import run_study
+from studies.tracking.mlflow_registry import model_name
+from studies.tracking.mlflow_tracker import MlflowTracker
+from studies.tracking.tracker import NullTracker
+from studies.tuning.champion import (
+    ChampionInfo,
+    load_champion,
+    read_champion,
+    restore_champion,
+    write_champion,
+)
+from studies.tuning.study_spec import StudySpec
+from studies.tuning.trial_record import best_record, read_records
+from studies.tuning.trial_worker import run_study
 
 MakeSpec = Callable[..., StudySpec]
 CASE = "c" * 64

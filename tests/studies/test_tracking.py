@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from tuning_checks import ignore
 
-from studies.mlflow_tracker import MlflowTracker
 from studies.paths import ProjectPaths
-from studies.study_spec import StudySpec
-from studies.tracking import NullTracker, StageRun, Tracker
-from studies.trial_record import TrialRecord, best_record, read_history, read_records, summarize
-from studies.trial_worker import run_study
+from studies.tracking.mlflow_tracker import MlflowTracker
+from studies.tracking.tracker import NullTracker, StageRun, Tracker
+from studies.tuning.study_spec import StudySpec
+from studies.tuning.trial_record import TrialRecord, best_record, read_history, read_records, summarize
+from studies.tuning.trial_worker import run_study
 
 MakeSpec = Callable[..., StudySpec]
 N = 7
@@ -222,7 +222,7 @@ def test_stage_is_a_run_with_curve_and_figures(tracker: MlflowTracker, tmp_path:
 def test_store_broken_in_the_middle_does_not_stop_a_study(
     make_spec: MakeSpec, caplog: pytest.LogCaptureFixture
 ) -> None:
-    from studies.tracking import PatientTracker
+    from studies.tracking.tracker import PatientTracker
 
     class Broken(NullTracker):
         def log_trial(self, *arguments: object, **named: object) -> None:
@@ -237,7 +237,7 @@ def test_store_broken_in_the_middle_does_not_stop_a_study(
 
 def test_two_processes_can_make_the_database_at_the_same_moment(tmp_path: Path) -> None:
     script = (
-        "import sys; from pathlib import Path; from studies.mlflow_tracker import MlflowTracker\n"
+        "import sys; from pathlib import Path; from studies.tracking.mlflow_tracker import MlflowTracker\n"
         "folder = Path(sys.argv[1])\n"
         "MlflowTracker(folder / 'mlflow.db', folder / 'artifacts')._experiment('both')"
     )

@@ -11,10 +11,10 @@ from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from studies.profile import SearchRanges
-from studies.study_spec import StudySpec, TuneEvent
-from studies.study_store import StudyStore
-from studies.trial_record import read_history, read_records
-from studies.trial_worker import StudyInterruptedError, report_epochs, run_study
+from studies.tuning.study_spec import StudySpec, TuneEvent
+from studies.tuning.study_store import StudyStore
+from studies.tuning.trial_record import read_history, read_records
+from studies.tuning.trial_worker import StudyInterruptedError, report_epochs, run_study
 
 MakeSpec = Callable[..., StudySpec]
 N = 8  # trials: one default, some random ones, then the Gaussian process

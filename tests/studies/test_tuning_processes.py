@@ -15,13 +15,13 @@ from tuning_checks import essence, in_journal
 
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from studies.crew import Crew, TuningError
 from studies.paths import ProjectPaths
 from studies.profile import SearchRanges
-from studies.study_spec import StudySpec, TuneEvent
-from studies.tracking import NullTracker
-from studies.trial_record import TrialRecord, read_records
-from studies.tuning import tune
+from studies.tracking.tracker import NullTracker
+from studies.tuning.crew import Crew, TuningError
+from studies.tuning.study_spec import StudySpec, TuneEvent
+from studies.tuning.trial_record import TrialRecord, read_records
+from studies.tuning.tune import tune
 
 
 class Deadly(SearchRanges):
@@ -38,7 +38,7 @@ PARENT = """
 import pickle, sys
 from pathlib import Path
 from studies.paths import ProjectPaths
-from studies.tuning import tune
+from studies.tuning.tune import tune
 
 if __name__ == "__main__":
     specs = pickle.loads(Path(sys.argv[1]).read_bytes())

@@ -12,8 +12,15 @@ from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from studies.profile import SearchRanges
-from studies.search_space import PastTrial, derived_seed, distributions, nearest_params, suggest, to_settings
-from studies.study_spec import StudySpec
+from studies.tuning.search_space import (
+    PastTrial,
+    derived_seed,
+    distributions,
+    nearest_params,
+    suggest,
+    to_settings,
+)
+from studies.tuning.study_spec import StudySpec
 
 RANGES = SearchRanges(n_latent=(4, 128), n_hidden=(32, 256), beta=(1.0, 1000.0), learning_rate=(1e-4, 1e-2))
 DEFAULT = VARIANTS["refined"].to_dict()

@@ -13,7 +13,7 @@ import pytest
 
 from simulation.case import Case, load_case
 from simulation.counting import CountingModel
-from studies.validation import validate
+from studies.stages.validation import validate
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

@@ -6,8 +6,8 @@ import optuna
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
-from studies.study_spec import StudySpec, TuneEvent
-from studies.trial_record import TrialRecord
+from studies.tuning.study_spec import StudySpec, TuneEvent
+from studies.tuning.trial_record import TrialRecord
 
 
 def ignore(event: TuneEvent) -> None:

@@ -1,0 +1,97 @@
+"""`studies calibrate`: find the parameters that fit best."""
+
+import argparse
+from typing import Any
+
+from simulation.errors import InputError
+from studies.commands import options, values
+from studies.commands.study import hand_over, open_study
+from studies.console import Console
+
+HELP = "find the parameters that fit best"
+MORE = """\
+what happens: differential evolution searches the whole box on the stored surrogate; the FMU is asked at
+the found point (the screening gap) and polished from there by LS-TRF. Every FMU call is counted. Needs
+the champion folder alone. Lands in mlruns/results/<label>/calibration-n<size>.json and .npz, and in
+MLflow.
+
+--method adaptive needs the case alone: no training set, nothing to train. A small design fills the box; then
+every simulation goes where a Gaussian process of all residuals so far expects the lowest error. It stops
+when little gain is expected, at the latest after --max-calls; with --target only at that error or then.
+Every simulation is stored at once: interrupted, even killed, the same command reads them and goes on.
+--parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
+mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
+
+examples:
+  studies calibrate --method adaptive      the office, 100 FMU calls at most
+  studies calibrate my-case --method adaptive --max-calls 60 --parallel 4 --jobs 4
+  studies calibrate --n-train 64           prints the stored result if nothing changed
+  studies calibrate --n-train 64 --again   calibrates once more: the same numbers
+  studies calibrate --max-calls 100 --target 0.0121 --json
+"""
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Say what may be typed after the command."""
+    options.add_case(command)
+    options.add_simulation(command)
+    command.add_argument(
+        "--method",
+        choices=("paper", "adaptive"),
+        default="paper",
+        help="paper (default): screen on the surrogate, polish; adaptive: fewest FMU calls, no training set",
+    )
+    command.add_argument(
+        "--parallel",
+        type=values.whole(1, 64),
+        metavar="Q",
+        help="adaptive: simulations side by side; default: 1",
+    )
+    options.add_sizes(command, "sizes to calibrate with; default: all that have a surrogate")
+    options.add_calibration(command)
+
+
+def run(chosen: argparse.Namespace, console: Console) -> int:
+    """Do it and return the exit code."""
+    if chosen.method == "adaptive":
+        return _adaptively(chosen, console)
+    if chosen.parallel is not None:
+        raise InputError("--parallel belongs to --method adaptive; add that or leave --parallel away")
+    from studies.stages.calibrate import calibrate_stage, calls_to, show_calibrations, sizes_with_champion
+    from studies.stages.calibrated_values import show_values
+
+    study = open_study(chosen, console)
+    sizes = sizes_with_champion(study, chosen.n_train)
+    outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
+    show_calibrations(study, outcomes, chosen.target)
+    show_values(study, outcomes)
+    extra: dict[str, Any] = {}
+    if chosen.target is not None:
+        extra = {
+            "target": chosen.target,
+            "calls_to_target": {n: calls_to(study, n, chosen.target) for n in sizes},
+        }
+    return hand_over(study, "calibrate", outcomes, **extra)
+
+
+def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
+    if chosen.n_train:
+        raise InputError(
+            "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
+        )
+    from studies.stages.adaptive import adaptive_settings, adaptive_stage, calls_to, show_adaptive
+
+    study = open_study(chosen, console)
+    settings = adaptive_settings(
+        study.case, max_calls=chosen.max_calls, n_parallel=chosen.parallel, target_mse=chosen.target
+    )
+    outcome = adaptive_stage(study, settings, again=chosen.again)
+    show_adaptive(study, outcome)
+    targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}
+    return hand_over(
+        study,
+        "calibrate",
+        [outcome],
+        method="adaptive",
+        calls_to_target={f"{target:g}": calls_to(study, target) for target in sorted(targets)},
+    )

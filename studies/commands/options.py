@@ -1,0 +1,84 @@
+"""Options that several commands share."""
+
+import argparse
+
+from studies.commands import values
+
+
+def add_case(command: argparse.ArgumentParser) -> None:
+    """Which case, budget, window, seed, and how many processes."""
+    command.add_argument(
+        "case",
+        nargs="?",
+        default="office",
+        metavar="CASE",
+        help="name, file or folder of a case; default: office",
+    )
+    command.add_argument(
+        "--profile", default="quick", metavar="NAME", help="budget: quick (default), paper, or a profile file"
+    )
+    command.add_argument(
+        "--window",
+        type=values.window,
+        metavar="A-B",
+        help="days of the recording, e.g. 8-16, or with a unit: 0-10s, 2-8h; default: the case's own",
+    )
+    command.add_argument(
+        "--seed",
+        type=values.whole(0, 2**32 - 1),
+        metavar="N",
+        help="seed of every draw; default: the profile's",
+    )
+    command.add_argument(
+        "--jobs", type=values.whole(1), metavar="N", help="processes; default: as many as there are cores"
+    )
+
+
+def add_simulation(command: argparse.ArgumentParser) -> None:
+    """What commands that simulate may be told."""
+    command.add_argument(
+        "--retry-failed", action="store_true", help="ask simulations again that failed before"
+    )
+    command.add_argument(
+        "--dask",
+        type=values.address,
+        metavar="ADDRESS",
+        help="simulate on a Dask cluster, e.g. tcp://scheduler:8786; default: processes of this machine",
+    )
+
+
+def add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
+    """Training-set sizes."""
+    command.add_argument("--n-train", nargs="+", type=values.whole(4), metavar="N", help=help_line)
+
+
+def add_tuning(command: argparse.ArgumentParser) -> None:
+    """How much is tuned."""
+    add_sizes(command, "training-set sizes; default: the profile's")
+    command.add_argument(
+        "--trials",
+        type=values.whole(1),
+        metavar="N",
+        help="trials per size in total; default: the profile's",
+    )
+
+
+def add_calibration(command: argparse.ArgumentParser) -> None:
+    """How far a calibration goes."""
+    command.add_argument(
+        "--max-calls",
+        type=values.whole(1),
+        metavar="N",
+        help="most FMU calls of one polish; default: the profile's (adaptive: of all, default 100)",
+    )
+    target_help = "also say how many calls reached this error (adaptive: go on until there)"
+    command.add_argument("--target", type=values.positive, metavar="MSE", help=target_help)
+    command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
+
+
+def add_output(command: argparse.ArgumentParser) -> None:
+    """What is said, and how."""
+    command.add_argument(
+        "--json", action="store_true", help="one JSON document on stdout, everything else on stderr"
+    )
+    command.add_argument("-q", "--quiet", action="store_true", help="only results and errors")

@@ -1,0 +1,58 @@
+"""`studies run`: do everything in order, skipping what is finished."""
+
+import argparse
+
+from studies.commands import options
+from studies.commands.study import FAILED, hand_over, open_study
+from studies.console import Console
+
+HELP = "do everything in order, skipping what is finished"
+MORE = """\
+what happens: check, simulate, sensitivity, tune, calibrate (every size), report. A finished stage is
+skipped, an interrupted one goes on where it stopped. The report lands in
+mlruns/reports/<label>/index.html.
+
+examples:
+  studies run                              the office, quick profile
+  studies run office-recorded --seed 3
+  studies run office --n-train 32 64 --trials 4
+"""
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Say what may be typed after the command."""
+    options.add_case(command)
+    options.add_simulation(command)
+    options.add_tuning(command)
+    options.add_calibration(command)
+
+
+def run(chosen: argparse.Namespace, console: Console) -> int:
+    """Do it and return the exit code."""
+    from studies.doctor import say_warnings, show_diagnosis
+    from studies.stages.calibrate import calibrate_stage, show_calibrations
+    from studies.stages.calibrated_values import show_values
+    from studies.stages.check import check_stage
+    from studies.stages.learn import show_tuning, tune_stage
+    from studies.stages.report import report_stage, show_report
+    from studies.stages.simulate import sensitivity_stage, simulate_stage
+
+    study = open_study(chosen, console)
+    checked, diagnosis = check_stage(study)
+    if not diagnosis.is_sound:
+        show_diagnosis(console, study.label, diagnosis)
+        console.document({"command": "run", "label": study.label, "stages": [checked.to_dict()]})
+        return FAILED
+    say_warnings(console, diagnosis)
+    simulated = simulate_stage(study)
+    sensitivity = sensitivity_stage(study)
+    tuned = tune_stage(study, simulated)
+    calibrated = [
+        calibrate_stage(study, n_train, again=chosen.again) for n_train in study.profile.data.n_train
+    ]
+    reported = report_stage(study)
+    show_tuning(study, tuned)
+    show_calibrations(study, calibrated, chosen.target)
+    show_values(study, calibrated)
+    show_report(study, reported)
+    return hand_over(study, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])

@@ -1,0 +1,33 @@
+"""`studies sensitivity`: estimate first- and total-order Sobol indices per time step."""
+
+import argparse
+
+from studies.commands import options
+from studies.commands.study import hand_over, open_study
+from studies.console import Console
+
+HELP = "estimate first- and total-order Sobol indices per time step"
+MORE = """\
+what happens: Saltelli's sample on the FMU itself, indices with bootstrapped confidence intervals at
+every output step. Lands in mlruns/results/<label>/sensitivity.npz; the table shows averages over time.
+
+examples:
+  studies sensitivity
+  studies sensitivity office --window 8-16 --json
+"""
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Say what may be typed after the command."""
+    options.add_case(command)
+    options.add_simulation(command)
+
+
+def run(chosen: argparse.Namespace, console: Console) -> int:
+    """Do it and return the exit code."""
+    from studies.stages.simulate import sensitivity_stage, show_sensitivity
+
+    study = open_study(chosen, console)
+    outcome = sensitivity_stage(study)
+    show_sensitivity(study, outcome)
+    return hand_over(study, "sensitivity", [outcome])

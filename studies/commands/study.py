@@ -1,0 +1,85 @@
+"""What commands share: a study put together from the words of the command line, its results handed over."""
+
+import argparse
+import shlex
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from studies.console import Console
+from studies.paths import find_case, find_project
+
+if TYPE_CHECKING:
+    from studies.stages.pipeline import Outcome, Study
+
+OK, FAILED = 0, 1
+
+
+def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
+    """Put together case, profile and the words that change them.
+
+    Raises:
+        InputError: any of them is wrong.
+    """
+    from studies.profile import load_profile
+
+    paths = find_project()
+    profile = load_profile(chosen.profile)
+    label_end = ""
+    if chosen.window is not None:
+        label_end += f"-{chosen.window.label}"
+    if chosen.seed is not None and chosen.seed != profile.seed:
+        label_end += f"-seed{chosen.seed}"
+        profile = replace(profile, seed=chosen.seed)
+    given = vars(chosen)
+    if given.get("n_train") and chosen.command != "calibrate":
+        profile = replace(profile, data=replace(profile.data, n_train=tuple(sorted(set(given["n_train"])))))
+    if given.get("trials"):
+        profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
+    if given.get("max_calls"):
+        profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
+    file = find_case(paths, chosen.case)
+    # Heavy imports wait until the words of the command line are known to be good.
+    from simulation.case import load_case
+    from simulation.workers.parallel import available_cores
+    from studies.stages.pipeline import Study
+
+    case = load_case(file, window_d=None if chosen.window is None else chosen.window.days)
+    return Study(
+        case=case,
+        profile=profile,
+        paths=paths,
+        console=console,
+        n_jobs=chosen.jobs or available_cores(),
+        label=f"{case.name}-{profile.name}{label_end}",
+        command=_command(chosen),
+        retry_failed=given.get("retry_failed", False),
+        dask=given.get("dask"),
+    )
+
+
+def _command(chosen: argparse.Namespace) -> str:
+    """Return the words that name this study on a command line."""
+    words = [chosen.case]
+    if chosen.profile != "quick":
+        words += ["--profile", chosen.profile]
+    if chosen.window is not None:
+        words += ["--window", str(chosen.window)]
+    if chosen.seed is not None:
+        words += ["--seed", str(chosen.seed)]
+    return shlex.join(words)
+
+
+def hand_over(study: "Study", command: str, outcomes: "list[Outcome]", **extra: Any) -> int:
+    """Write the results of stages as one JSON document, where one is wanted, and return the exit code."""
+    study.console.document(
+        {
+            "command": command,
+            "case": study.case.name,
+            "profile": study.profile.name,
+            "label": study.label,
+            "note": study.case.note,
+            "stages": [outcome.to_dict() for outcome in outcomes],
+            **extra,
+        }
+    )
+    return OK

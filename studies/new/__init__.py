@@ -1,0 +1,1 @@
+"""A case file from what an FMU says about itself."""

@@ -1,0 +1,136 @@
+"""`studies new`: from an FMU's own description to a case file, a data folder and example CSV files."""
+
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from simulation.errors import InputError
+from simulation.fmi.description import FmuDescription, read_description
+from simulation.whole_file import whole_file
+from studies.new.choice import (
+    choose_interface,
+    choose_outputs,
+    choose_parameters,
+    choose_times,
+    held_inputs,
+    inputs_of,
+    other_parameters,
+)
+from studies.new.data import data_readme, example_files
+from studies.new.text import NewCase, case_text, lines_to_edit
+from studies.paths import ProjectPaths
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user asks of a new case.
+
+    Attributes:
+        folder: Folder of the case; None for fmus/<name of the FMU's file>.
+        outputs: Names or patterns of the outputs that are measured; empty for the first.
+        parameters: Names or patterns of the parameters to calibrate; empty for those at the top level.
+        interface: How to run the FMU; None for co-simulation where there is some.
+        show_all: Whether every variable is written, however many there are.
+    """
+
+    folder: Path | None = None
+    outputs: Sequence[str] = ()
+    parameters: Sequence[str] = ()
+    interface: str | None = None
+    show_all: bool = False
+
+
+@dataclass(frozen=True)
+class MadeCase:
+    """What was written.
+
+    Attributes:
+        case: Its content.
+        file: The case file.
+        files: All files, the case file first.
+        to_edit: Lines of the case file that are marked EDIT, with their numbers.
+    """
+
+    case: NewCase
+    file: Path
+    files: tuple[Path, ...]
+    to_edit: tuple[tuple[int, str], ...]
+
+
+def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
+    """Write a case file for an FMU, copy the FMU beside it and lay out the folder of its recordings.
+
+    Args:
+        fmu_file: The FMU.
+        paths: The project.
+        wishes: What the user asks for.
+
+    Raises:
+        InputError: The FMU cannot be used, a wish cannot be met, or a file of that name exists already.
+    """
+    fmu = describe(fmu_file)
+    folder = _folder(fmu_file, paths, wishes.folder)
+    name = case_name(folder.name)
+    is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
+    data = paths.data / name if is_named else folder
+    case = NewCase(
+        name=name,
+        place=name if is_named else paths.show(folder),
+        fmu=fmu,
+        fmu_file=fmu_file.name,
+        data=f"../../data/{name}" if is_named else ".",
+        interface=choose_interface(fmu, wishes.interface),
+        inputs=inputs_of(fmu),
+        held_inputs=held_inputs(fmu),
+        outputs=choose_outputs(fmu, wishes.outputs),
+        parameters=choose_parameters(fmu, wishes.parameters),
+        fixable=other_parameters(fmu),
+        times=choose_times(fmu),
+        show_all=wishes.show_all,
+    )
+    text = case_text(case)
+    texts = {folder / "case.toml": text, data / "README.md": data_readme(case)}
+    texts |= {data / file: content for file, content in example_files(case).items()}
+    copied = folder / fmu_file.name
+    is_there = copied.exists() and copied.samefile(fmu_file)
+    for file in [*texts, *([] if is_there else [copied])]:
+        if file.exists():
+            raise InputError(
+                f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+    if not is_there:
+        shutil.copyfile(fmu_file, copied)
+    for file, content in texts.items():
+        with whole_file(file) as stream:
+            stream.write(content.encode())
+    return MadeCase(case, folder / "case.toml", (*texts, copied), tuple(lines_to_edit(text)))
+
+
+def describe(fmu_file: Path) -> FmuDescription:
+    """Read an FMU's description.
+
+    Raises:
+        InputError: There is no such file, or it is no FMU that can run here.
+    """
+    if not fmu_file.is_file():
+        is_what = "is a folder" if fmu_file.is_dir() else "no such file"
+        raise InputError(f"{fmu_file}: {is_what}; give the path of an .fmu file")
+    return read_description(fmu_file)
+
+
+def case_name(text: str) -> str:
+    """Return the name of a case: what a label, a folder and a database may hold."""
+    name = re.sub(r"[^a-z0-9_]+", "-", text.lower()).strip("-_")
+    return name or "case"
+
+
+def _folder(fmu_file: Path, paths: ProjectPaths, wanted: Path | None) -> Path:
+    if wanted is not None:
+        return wanted
+    # An FMU that was put into a folder of its own below fmus/ stays there.
+    if fmu_file.resolve().parent.parent == paths.fmus.resolve():
+        return fmu_file.parent
+    return paths.fmus / case_name(fmu_file.stem)

@@ -1,0 +1,136 @@
+"""`studies new` on the terminal: what was written, which lines need the user, what to type next."""
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from studies.console import Column, Console
+from studies.new.case import MadeCase, Wishes, describe, make_case
+from studies.new.choice import bounds_for, choose_parameters
+from studies.new.text import INPUTS_FILE, MEASURED_FILE
+from studies.paths import ProjectPaths
+from studies.report.wording import count
+
+OK = 0
+_TEXTS = (Column("unit"), Column("meaning"))
+
+
+def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
+    """Write a case and say what comes next."""
+    made = make_case(
+        Path(options.fmu).expanduser(),
+        paths,
+        Wishes(
+            folder=None if options.to is None else Path(options.to).expanduser(),
+            outputs=options.output or (),
+            parameters=options.parameter or (),
+            interface=options.interface,
+            show_all=options.all,
+        ),
+    )
+    case, name = made.case, paths.show(made.file)
+    for file in made.files:
+        console.result(f"wrote {paths.show(file)}")
+    console.result(
+        f"{case.name}: {case.interface}, {count(len(case.parameters.used), 'parameter')} to calibrate"
+        f"{_of(case.parameters.used, case.parameters.others)}, {count(len(case.inputs), 'input')}, "
+        f"{count(len(case.outputs.used), 'output')}{_of(case.outputs.used, case.outputs.others)}"
+    )
+    for step in _next_steps(made, paths):
+        console.result(step)
+    console.document(
+        {
+            "command": "new",
+            "case": case.name,
+            "interface": case.interface,
+            "files": [paths.show(file) for file in made.files],
+            "parameters": [v.name for v in case.parameters.used],
+            "inputs": [v.name for v in case.inputs],
+            "outputs": [v.name for v in case.outputs.used],
+            "edit": [{"file": name, "line": number, "text": text} for number, text in made.to_edit],
+            "next": [f"studies check {case.place}", f"studies run {case.place}"],
+        }
+    )
+    return OK
+
+
+def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
+    """Show what an FMU can be given and asked."""
+    fmu = describe(Path(options.fmu).expanduser())
+    kinds = ("output" if fmu.names("output") else "local", "input", "parameter")
+    groups = {what: [fmu.variables[n] for n in fmu.names(what)] for what in kinds}
+    active = {v.name for v in choose_parameters(fmu, options.parameter or ()).used}
+    for what, variables in groups.items():
+        console.table(
+            f"{fmu.path.name}: {count(len(variables), what)}",
+            [
+                Column(what),
+                Column("type"),
+                *(Column(word, True) for word in ("start", "min", "max")),
+                *_TEXTS,
+            ],
+            [
+                [f"{v.name} *" if v.name in active else v.name, v.kind, *_numbers(v), v.unit, v.description]
+                for v in variables
+            ],
+        )
+    console.result("* calibrated unless you name others with --parameter")
+    console.document(
+        {
+            "command": "new",
+            **{f"{what}s": [_as_json(v, active) for v in found] for what, found in groups.items()},
+        }
+    )
+    return OK
+
+
+def _next_steps(made: MadeCase, paths: ProjectPaths) -> Iterable[str]:
+    case, data = made.case, paths.show((made.file.parent / made.case.data).resolve())
+    lines = ", ".join(str(number) for number, _ in made.to_edit)
+    yield "next:"
+    number = 1
+    if case.inputs:
+        yield f"  {number}. save {data}/{INPUTS_FILE}: {_columns(case.inputs)}"
+        number += 1
+    yield f"  {number}. save {data}/{MEASURED_FILE}: {_columns(case.outputs.used)}"
+    yield f"  {number + 1}. look at the lines marked EDIT of {paths.show(made.file)}: {lines}"
+    yield f"  {number + 2}. studies check {case.place}"
+    yield f"  {number + 3}. studies run {case.place}"
+
+
+def _columns(variables: tuple[FmuVariable, ...], most: int = 8) -> str:
+    names = ["time_s", *(v.name + (f" [{v.unit}]" if v.unit else "") for v in variables[:most])]
+    return "columns " + ", ".join(names) + (", ..." if len(variables) > most else "")
+
+
+def _of(used: tuple[FmuVariable, ...], others: tuple[FmuVariable, ...]) -> str:
+    return f" of {len(used) + len(others)}" if others else ""
+
+
+def _numbers(variable: FmuVariable) -> list[str]:
+    start = variable.start_text if variable.start is None else f"{variable.start:g}"
+    ends = ["" if end is None else f"{end:g}" for end in (variable.minimum, variable.maximum)]
+    return [start, *ends]
+
+
+def _as_json(variable: FmuVariable, active: set[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "name": variable.name,
+        "type": variable.kind,
+        "start": variable.start,
+        "min": variable.minimum,
+        "max": variable.maximum,
+        "unit": variable.unit,
+        "description": variable.description,
+    }
+    if variable.causality == "parameter" and variable.kind in REAL_KINDS:
+        bounds = bounds_for(variable)
+        found |= {
+            "lower": bounds.lower,
+            "upper": bounds.upper,
+            "scale": bounds.scale,
+            "calibrated": variable.name in active,
+        }
+    return found

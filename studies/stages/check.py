@@ -1,0 +1,66 @@
+"""The doctor as a stage: examined once per case and profile, unless asked for."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from simulation.case import load_case
+from simulation.workers.execution import ExecutionPolicy
+from studies.doctor import Diagnosis, Finding, examine
+from studies.doctor.examination import Surgery
+from studies.doctor.keeping import KeepingModel
+from studies.physical_model import open_physical_model
+from studies.stages.pipeline import Outcome, Study, Summary, run_stage
+
+
+def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
+    """Examine the study's case now."""
+    case = study.case
+
+    @contextmanager
+    def open_model(policy: ExecutionPolicy) -> Iterator[KeepingModel]:
+        with open_physical_model(study, policy=policy) as model:
+            yield KeepingModel(model)
+
+    surgery = Surgery(
+        case=case,
+        halved=load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0),
+        profile=study.profile,
+        open_model=open_model,
+        n_workers=min(study.n_jobs, case.policy.max_workers or study.n_jobs),
+        command=f"studies check {study.command}",
+        console=study.console,
+    )
+    return examine(surgery, is_thorough=is_thorough)
+
+
+def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:
+    """Examine the case unless it was found sound before."""
+    inputs = {
+        "case": study.case.digest,
+        "measurement": study.case.measurement.digest,
+        "estimates": [parameter.estimate for parameter in study.case.parameter_space.parameters],
+        "profile": study.profile.to_dict(),
+    }
+
+    def work() -> tuple[Summary, list[Path]]:
+        return diagnose(study).to_dict(), []
+
+    outcome = run_stage(
+        study,
+        "check",
+        what=f"examining {study.label}",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"{len(summary['findings'])} findings",
+        keep=lambda summary: bool(summary["sound"]),
+    )
+    return outcome, _diagnosis(outcome.summary)
+
+
+def _diagnosis(summary: Summary) -> Diagnosis:
+    return Diagnosis(
+        tuple(Finding(**found) for found in summary["findings"]),
+        float(summary["simulation_s"]),
+        dict(summary["planned_simulations"]),
+    )

@@ -1,0 +1,151 @@
+"""The stage that learns: one tuned surrogate per training-set size."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pelsvae.config import VARIANTS
+from simulation.errors import InputError
+from studies.console import Column
+from studies.report.wording import difference_unit
+from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
+from studies.stages.simulate import set_files
+from studies.stages.tracking import tracker_of
+
+
+def tune_stage(study: Study, simulated: Outcome) -> Outcome:
+    """Tune one surrogate per training-set size."""
+    budget, sizes = study.profile.tuning, study.profile.data.n_train
+    scales = tuple(study.case.measurement.error_scales.tolist())
+    inputs = {
+        "simulate": simulated.digest,
+        # Rows that were asked again after a failure are other data.
+        "data": simulated.summary["digests"],
+        "is_log": study.case.parameter_space.is_log.tolist(),
+        "output_scales": scales,
+        "sizes": list(sizes),
+        "tuning": asdict(budget),
+        "variant": VARIANTS[budget.variant].to_dict(),
+        "seed": study.profile.seed,
+    }
+
+    def work() -> tuple[Summary, list[Path]]:
+        from studies.tuning.crew import TuningError
+        from studies.tuning.study_spec import StudySpec, TuneEvent
+        from studies.tuning.tune import tune
+
+        files = set_files(study, simulated.summary)
+        _require_device(study)
+        # One thread in training and prediction: the same numbers whatever --jobs says.
+        overrides = {name: getattr(budget, name) for name in ("max_epochs", "patience", "device")}
+        overrides["n_threads"] = 1
+        specs = [
+            StudySpec.from_files(
+                train_file=files["train"],
+                validation_file=files["validation"],
+                test_file=files["test"],
+                n_train=n_train,
+                parameter_space=study.case.parameter_space,
+                label=study.label,
+                case_name=study.case.name,
+                case_digest=study.case.digest,
+                fmu_sha256=study.case.fmu_sha256,
+                output_unit=study.case.outputs[0].unit,
+                output_scales=scales,
+                variant=budget.variant,
+                overrides=overrides,
+                search=budget.search,
+                seed=study.profile.seed,
+                note=study.case.note,
+            )
+            for n_train in sizes
+        ]
+        tracker = tracker_of(study.paths)
+        n_done = dict.fromkeys(sizes, 0.0)
+        with study.console.bars() as bars, _stage_error(TuningError):
+
+            def show(event: TuneEvent) -> None:
+                part = event.epoch / event.max_epochs if event.kind == "epoch" else 0.0
+                n_done[event.n_train] = event.n_finished + part
+                if len(sizes) > 1:
+                    bars("all sizes", sum(n_done.values()), budget.n_trials * len(sizes))
+                bars(f"n_train {event.n_train}", n_done[event.n_train], event.n_trials)
+
+            summaries = tune(
+                specs,
+                paths=study.paths,
+                n_trials=budget.n_trials,
+                n_jobs=study.n_jobs,
+                tracker=tracker,
+                on_event=show,
+            )
+        without = [summary.n_train for summary in summaries if summary.champion is None]
+        if without:
+            raise InputError(
+                f"no trial of n_train = {without[0]} was completed; see mlruns/trials/{study.label}, "
+                "give more --trials or epochs"
+            )
+        champions = [study.paths.champion(study.label, n_train) for n_train in sizes]
+        made = [file for folder in champions for file in sorted(folder.iterdir()) if file.is_file()]
+        return {"studies": [_study_summary(study, found.to_dict()) for found in summaries]}, made
+
+    return run_stage(
+        study,
+        "tune",
+        what=f"{budget.n_trials} trials for each n_train of {', '.join(map(str, sizes))}",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
+    )
+
+
+def show_tuning(study: Study, outcome: Outcome) -> None:
+    """Print the best surrogate of each size."""
+    from studies.tuning.study_spec import output_metric
+
+    unit = difference_unit(study.case.outputs[0].unit)
+    columns = [
+        Column("n_train", True),
+        Column("trials", True),
+        Column("pruned", True),
+        Column("failed", True),
+    ]
+    behind = f" [{unit}]" if unit else ""
+    columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "MAE test", "P90 test")]
+    several = study.case.outputs if len(study.case.outputs) > 1 else ()
+    columns += [Column(f"{one.name} [{difference_unit(one.unit)}]", True) for one in several]
+    columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
+    rows = []
+    for found in outcome.summary["studies"]:
+        errors, config = found["best_metrics"], found["best_config"]
+        cells = [found["n_train"], found["n_trials"], found["n_pruned"], found["n_failed"]]
+        cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
+        cells += [f"{errors[f'test/{output_metric(one.name)}']:.3g}" for one in several]
+        rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
+    study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
+
+
+def _require_device(study: Study) -> None:
+    """Refuse a device that is not there before a worker is started for it."""
+    if study.profile.tuning.device == "cuda":
+        from pelsvae.device import resolve_device
+
+        try:
+            resolve_device("cuda")
+        except ValueError as error:
+            raise InputError(f"profile {study.profile.name}: tuning.device: {error}") from None
+
+
+@contextmanager
+def _stage_error(kind: type[Exception]) -> Iterator[None]:
+    try:
+        yield
+    except kind as error:
+        raise StageError(f"tune: {error}") from error
+
+
+def _study_summary(study: Study, summary: dict[str, Any]) -> dict[str, Any]:
+    """Return a summary whose champion is named relative to the project, so that it can be moved."""
+    return {**summary, "champion": study.paths.show(Path(summary["champion"]))}

@@ -1,0 +1,182 @@
+"""Stages with a memory: a stage whose inputs have a known digest and whose files exist is finished.
+
+Each stage leaves a manifest beside the results: digest, inputs, files, versions, wall time, host, seeds. It
+is written last and in one step, so that an interruption at any moment leaves a finished stage or none.
+"""
+
+import hashlib
+import json
+import platform
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from simulation.whole_file import whole_file
+from studies.console import Console
+from studies.paths import ProjectPaths
+from studies.profile import Profile
+from studies.tracking.origin import versions
+
+if TYPE_CHECKING:
+    from simulation.case import Case
+
+Summary = dict[str, Any]
+
+
+class StageError(RuntimeError):
+    """A stage failed for a reason that is not the user's input."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A case x a profile, with all that a stage needs to know.
+
+    Args:
+        case: the physics.
+        profile: the budget.
+        paths: where everything lies.
+        console: tells the user.
+        n_jobs: processes for simulations and trainings.
+        label: what a user sees of case, profile, window and seed.
+        command: the end of the command line that names this study, for messages and the report.
+        retry_failed: whether simulations that failed before are asked again.
+        dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
+    """
+
+    case: "Case"
+    profile: Profile
+    paths: ProjectPaths
+    console: Console
+    n_jobs: int
+    label: str
+    command: str
+    retry_failed: bool = False
+    dask: str | None = None
+
+    @property
+    def results(self) -> Path:
+        """Folder of stage manifests and results."""
+        return self.paths.results(self.label)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stage came to.
+
+    Args:
+        stage: name of the stage.
+        digest: digest of its inputs.
+        summary: its results as JSON values.
+        reused: whether it was finished before.
+        wall_s: how long it took, this time or before. [s]
+    """
+
+    stage: str
+    digest: str
+    summary: Summary
+    reused: bool
+    wall_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the outcome as JSON values."""
+        return {
+            "stage": self.stage,
+            "digest": self.digest,
+            "finished_before": self.reused,
+            "wall_s": round(self.wall_s, 3),
+            **self.summary,
+        }
+
+
+def digest_of(inputs: Mapping[str, Any]) -> str:
+    """Return the sha256 of JSON values; the order of keys does not matter."""
+    text = json.dumps(inputs, sort_keys=True, allow_nan=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def run_stage(
+    study: Study,
+    stage: str,
+    *,
+    what: str,
+    inputs: Mapping[str, Any],
+    work: Callable[[], tuple[Summary, Sequence[Path]]],
+    reuse_note: Callable[[Summary], str],
+    keep: Callable[[Summary], bool] = lambda summary: True,
+) -> Outcome:
+    """Do a stage's work unless it is finished.
+
+    Args:
+        study: the study.
+        stage: the stage's name; the manifest is `<stage>.json` in the results folder.
+        what: what is done, for the user.
+        inputs: all that decides the result, as JSON values.
+        work: does it; returns the summary and the files that must exist for the stage to count as finished.
+        reuse_note: what to tell of a finished stage.
+        keep: whether the stage counts as finished with this result.
+    """
+    digest = digest_of(inputs)
+    file = study.results / f"{stage}.json"
+    finished = read_manifest(study.paths, file, digest)
+    if finished is not None:
+        study.console.say(f"{stage}: finished before, {reuse_note(finished['summary'])}")
+        return Outcome(stage, digest, finished["summary"], True, float(finished["wall_s"]))
+    started = time.perf_counter()
+    with study.console.stage(stage, what):
+        summary, files = work()
+    wall_s = time.perf_counter() - started
+    if not keep(summary):
+        return Outcome(stage, digest, summary, False, wall_s)
+    write_json(
+        file,
+        {
+            "stage": stage,
+            "digest": digest,
+            "inputs": inputs,
+            "summary": summary,
+            "files": {study.paths.relative(made): made.stat().st_size for made in files},
+            "versions": versions(),
+            "host": socket.gethostname(),
+            "platform": platform.platform(),
+            "seed": study.profile.seed,
+            "wall_s": wall_s,
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    )
+    return Outcome(stage, digest, summary, False, wall_s)
+
+
+def read_manifest(paths: ProjectPaths, file: Path, digest: str) -> dict[str, Any] | None:
+    """Return a finished stage's manifest, None where it is absent, of other inputs, or a file is gone."""
+    manifest = read_json(file)
+    if manifest is None or manifest.get("digest") != digest:
+        return None
+    for name, size in manifest.get("files", {}).items():
+        made = paths.root / name
+        if not made.is_file() or made.stat().st_size != size:
+            return None
+    return manifest
+
+
+def read_json(file: Path) -> dict[str, Any] | None:
+    """Return a JSON object, or None where there is no readable one."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def write_json(file: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON object in one step, so that a reader sees the old file or the new one."""
+    write_text(file, json.dumps(content, indent=2, allow_nan=True, default=str) + "\n")
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a text file in one step, safe against a crash of the machine."""
+    with whole_file(file, synced=True) as stream:
+        stream.write(text.encode())

@@ -1,0 +1,148 @@
+"""The last stage: everything that lies on disk on one page."""
+
+import hashlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from simulation.errors import InputError
+from simulation.time_unit import told_period
+from studies.report import Provenance, Reference, ReportData, build
+from studies.stages.pipeline import Outcome, Study, Summary, run_stage
+from studies.stages.results import (
+    ADAPTIVE,
+    calibration_record,
+    coverage_set,
+    measured_series,
+    parameter_box,
+    sensitivity_record,
+    stored_calibrations,
+    validation_record,
+)
+from studies.stages.tracking import log_report
+from studies.tracking.origin import versions
+from studies.tuning.tuned_trials import learning_curves, trials_record, tuned_trials
+
+
+def report_stage(study: Study) -> Outcome:
+    """Put all stored results of the label on one page.
+
+    Raises:
+        InputError: there is no calibration to report.
+    """
+    if not any(True for _ in stored_calibrations(study)):
+        raise InputError(f"{study.label} has no calibration to report; type: studies run {study.command}")
+    folder = study.paths.report(study.label)
+    inputs = {
+        "case": study.case.digest,
+        "title": study.case.title,
+        "note": study.case.note,
+        "references": [vars(known) for known in study.case.references],
+        "parameters": [vars(parameter) for parameter in study.case.parameter_space.parameters],
+        "results": {file.name: _sha256(file) for file in _source_files(study)},
+        "versions": versions(),
+    }
+
+    def work() -> tuple[Summary, list[Path]]:
+        with study.console.progress("tables and figures", 1) as advance:
+            index = build(_report_data(study), folder, on_progress=advance)
+        summary = {"index": study.paths.show(index), "n_files": sum(1 for _ in folder.iterdir())}
+        return summary, [index]
+
+    outcome = run_stage(
+        study,
+        "report",
+        what=f"tables and figures of {study.label}",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"{summary['index']} is up to date",
+    )
+    if not outcome.reused:
+        index = study.paths.root / outcome.summary["index"]
+        log_report(study, outcome.digest, index=index, wall_s=outcome.wall_s)
+    return outcome
+
+
+def show_report(study: Study, outcome: Outcome) -> None:
+    """Say where the report lies."""
+    study.console.result(f"Report: {study.paths.root / outcome.summary['index']}")
+
+
+def _report_data(study: Study) -> ReportData:
+    case, trials = study.case, tuned_trials(study)
+    return ReportData(
+        label=study.label,
+        title=case.title,
+        note=case.note,
+        measurement=measured_series(case),
+        parameters=parameter_box(case),
+        calibrations=tuple(calibration_record(stored) for stored in stored_calibrations(study)),
+        coverage=coverage_set(study),
+        sensitivity=sensitivity_record(study),
+        validations=tuple(
+            record
+            for stored in stored_calibrations(study)
+            if (record := validation_record(case, stored)) is not None
+        ),
+        trials=trials_record(trials),
+        learning_curves=learning_curves(trials),
+        references=tuple(Reference(**vars(known)) for known in case.references),
+        provenance=_provenance(study),
+    )
+
+
+def _provenance(study: Study) -> Provenance:
+    profile, case = study.profile, study.case
+    methods = [stored.numbers for stored in stored_calibrations(study)]
+    adaptive = next((found["settings"] for found in methods if found.get("method") == ADAPTIVE), None)
+    commands = [f"studies ui  # {study.label} in MLflow"]
+    if len(methods) > (adaptive is not None):
+        commands.insert(0, f"studies run {study.command}")
+    if adaptive is not None:
+        commands.insert(0, _adaptive_command(study, adaptive))
+    budget = profile.tuning
+    return Provenance(
+        commands=tuple(commands),
+        settings=(
+            ("profile", profile.name),
+            ("seed", str(profile.seed)),
+            ("window", told_period(case.window_d)),
+            ("communication step", f"{case.communication_step_s:g} s"),
+            ("training-set sizes", ", ".join(map(str, profile.data.n_train))),
+            ("validation and test", f"{profile.data.n_validation} and {profile.data.n_test} simulations"),
+            ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
+            ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
+            ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
+            *([("adaptive", _told(adaptive))] if adaptive is not None else []),
+        ),
+        digests=(
+            ("case", case.digest),
+            ("FMU", case.fmu_sha256),
+            ("measurement", case.measurement.digest),
+        ),
+        versions=tuple(versions().items()),
+    )
+
+
+def _adaptive_command(study: Study, settings: dict[str, Any]) -> str:
+    words = f"studies calibrate {study.command} --method adaptive --max-calls {settings['max_calls']}"
+    if settings["n_parallel"] > 1:
+        words += f" --parallel {settings['n_parallel']}"
+    if settings["target_mse"] is not None:
+        words += f" --target {settings['target_mse']:g}"
+    return words
+
+
+def _told(settings: dict[str, Any]) -> str:
+    n_parallel, ftol = settings["n_parallel"], settings["ftol"]
+    return f"at most {settings['max_calls']} calls, {n_parallel} at a time, ftol {ftol:g}"
+
+
+def _source_files(study: Study) -> list[Path]:
+    files = [file for stored in stored_calibrations(study) for file in (stored.files.numbers,)]
+    files += [study.results / name for name in ("simulate.json", "sensitivity.json", "tune.json")]
+    return [file for file in files if file.is_file()]
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

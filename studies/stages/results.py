@@ -1,0 +1,246 @@
+"""What the stages left on disk, read back as the records that figures and tables are made of."""
+
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.case import Case
+from simulation.errors import InputError
+from simulation.store.row_set import RowSet
+from studies.paths import size_name
+from studies.report.records import (
+    CalibrationRecord,
+    CoverageSet,
+    MeasuredSeries,
+    ParameterBox,
+    SensitivityRecord,
+)
+from studies.report.validation import FitRecord, PointRecord, ValidationRecord
+from studies.stages.pipeline import Study, read_json
+
+ADAPTIVE = "adaptive"
+"""What stage and files of an adaptive calibration are called."""
+
+N_COVERAGE = 256
+"""Trajectories drawn of the training set, as in the paper's Fig. 4."""
+
+
+@dataclass(frozen=True)
+class CalibrationFiles:
+    """Where a calibration lies.
+
+    Args:
+        numbers: all numbers but the trajectories, without wall times: the same again when done again.
+        arrays: trajectories and histories.
+    """
+
+    numbers: Path
+    arrays: Path
+
+
+@dataclass(frozen=True)
+class StoredCalibration:
+    """A calibration as it lies on disk.
+
+    Args:
+        files: where.
+        numbers: content of the JSON file.
+        arrays: content of the array file.
+        wall_s: how long it took. [s]
+    """
+
+    files: CalibrationFiles
+    numbers: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+    wall_s: float
+
+
+def calibration_files(study: Study, n_train: int) -> CalibrationFiles:
+    """Return the files of a calibration."""
+    return _files(study, size_name(n_train))
+
+
+def adaptive_files(study: Study) -> CalibrationFiles:
+    """Return the files of the adaptive calibration."""
+    return _files(study, ADAPTIVE)
+
+
+def _files(study: Study, name: str) -> CalibrationFiles:
+    stem = study.results / f"calibration-{name}"
+    return CalibrationFiles(stem.with_suffix(".json"), stem.with_suffix(".npz"))
+
+
+def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
+    """Read all calibrations of this case and measurement, the adaptive first, then by training set."""
+    for file in sorted(study.results.glob("calibration-*.json")):
+        numbers = read_json(file)
+        name = file.stem.removeprefix("calibration-")
+        manifest = read_json(study.results / f"calibrate-{name}.json")
+        if numbers is None or manifest is None:
+            continue
+        told = (numbers.get("case_sha256"), numbers.get("measurement_sha256"))
+        files = _files(study, name)
+        if told == (study.case.digest, study.case.measurement.digest) and files.arrays.is_file():
+            arrays = read_arrays(files.arrays)
+            yield StoredCalibration(files, numbers, arrays, float(manifest["wall_s"]))
+
+
+def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+    """Read a calibration's array file.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise InputError(f"{file} is damaged; remove it and type `studies calibrate` again") from None
+
+
+def measured_series(case: Case) -> MeasuredSeries:
+    """Return what the case is calibrated against."""
+    return MeasuredSeries(case.measurement, tuple(output.unit for output in case.outputs))
+
+
+def parameter_box(case: Case) -> ParameterBox:
+    """Return what is calibrated."""
+    parameters = case.parameter_space.parameters
+    return ParameterBox(
+        names=case.parameter_space.names,
+        units=tuple(parameter.unit for parameter in parameters),
+        estimate=np.array([np.nan if p.estimate is None else p.estimate for p in parameters]),
+        lower=case.parameter_space.lower,
+        upper=case.parameter_space.upper,
+        is_log=case.parameter_space.is_log,
+    )
+
+
+def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
+    """Return a calibration as a record."""
+    numbers, arrays = stored.numbers, stored.arrays
+    if numbers.get("method") == ADAPTIVE:
+        return _adaptive_record(stored)
+    ledger, errors = numbers["ledger"], numbers["surrogate_errors"]
+    return CalibrationRecord(
+        n_train=numbers["n_train"],
+        theta_screened=arrays["theta_screened"],
+        theta_polished=arrays["theta"],
+        mse_surrogate=_number(numbers["mse_surrogate"]),
+        mse_screened=_number(numbers["mse_screened"]),
+        mse_polished=_number(numbers["mse_polished"]),
+        y_screened=arrays["y_screened"],
+        y_polished=arrays["y_polished"],
+        history_calls=arrays["history_calls"],
+        history_mse=arrays["history_mse"],
+        n_validation=ledger["n_validation"],
+        n_test=ledger["n_test"],
+        n_screen_checks=ledger["n_screen_checks"],
+        n_polish=ledger["n_polish"],
+        wall_s=stored.wall_s,
+        test_mae=errors["test/mae"],
+        test_p90=errors["test/p90"],
+        stop_reason=numbers["polish_stop_reason"],
+        surrogate=f"trial {numbers['surrogate']['trial']} of {numbers['surrogate']['study']}",
+    )
+
+
+def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
+    numbers, arrays = stored.numbers, stored.arrays
+    nowhere = float("nan")
+    return CalibrationRecord(
+        n_train=0,
+        theta_screened=np.full_like(arrays["theta"], nowhere),
+        theta_polished=arrays["theta"],
+        mse_surrogate=nowhere,
+        mse_screened=nowhere,
+        mse_polished=numbers["mse"],
+        y_screened=np.full_like(arrays["y"], nowhere),
+        y_polished=arrays["y"],
+        history_calls=arrays["history_calls"],
+        history_mse=arrays["history_mse"],
+        n_validation=0,
+        n_test=0,
+        n_screen_checks=0,
+        n_polish=0,
+        wall_s=stored.wall_s,
+        stop_reason=numbers["stop_reason"],
+        method="adaptive",
+        n_adaptive=numbers["ledger"]["n_adaptive"],
+    )
+
+
+def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord | None:
+    """Return a calibration on the validation period, None where the case has none."""
+    if case.validation is None:
+        return None
+    numbers, arrays = stored.numbers["validation"], stored.arrays
+    last = list(numbers["points"])[-1]
+    y_polished = arrays[f"validation_y_{last}"]
+    measured = replace(measured_series(case), measurement=case.validation.measurement.from_first_sample)
+    return ValidationRecord(
+        n_train=stored.numbers["n_train"],
+        period_d=case.validation.window_d,
+        measurement=measured,
+        y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),
+        y_polished=y_polished,
+        points=tuple(
+            PointRecord(
+                name=name,
+                mse_window=_unknown(point["mse_window"]),
+                mse=_number(point["mse"]),
+                fits=tuple(
+                    FitRecord(output, **{key: _unknown(value) for key, value in fit.items()})
+                    for output, fit in point["outputs"].items()
+                ),
+            )
+            for name, point in numbers["points"].items()
+        ),
+    )
+
+
+def sensitivity_record(study: Study) -> SensitivityRecord | None:
+    """Return the Sobol indices of this case, None where there are none."""
+    from studies.sensitivity import SobolIndices
+
+    manifest, file = read_json(study.results / "sensitivity.json"), study.results / "sensitivity.npz"
+    if manifest is None or manifest["inputs"]["case"] != study.case.digest or not file.is_file():
+        return None
+    indices = SobolIndices.load(file)
+    return SensitivityRecord(
+        time=indices.time,
+        names=indices.names,
+        output_names=indices.output_names,
+        first_order=indices.first_order,
+        total_order=indices.total_order,
+        first_order_ci=indices.first_order_ci,
+        total_order_ci=indices.total_order_ci,
+        n_calls=indices.n_calls,
+        model="the FMU",
+    )
+
+
+def coverage_set(study: Study) -> CoverageSet | None:
+    """Return the first rows of the training design, None where nothing was simulated."""
+    manifest = read_json(study.results / "simulate.json")
+    if manifest is None or manifest["inputs"]["case"] != study.case.digest:
+        return None
+    file = study.paths.root / manifest["summary"]["files"]["train"]
+    if not file.is_file():
+        return None
+    rows = RowSet.load(file).read(N_COVERAGE)
+    return CoverageSet("training", rows.theta, rows.y)
+
+
+def _unknown(value: float | None) -> Any:
+    return float("nan") if value is None else value
+
+
+def _number(value: float | None) -> float:
+    return float("inf") if value is None else value

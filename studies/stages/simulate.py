@@ -1,0 +1,241 @@
+"""Stages that ask the physical model for data: the simulated sets and the Sobol indices."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.design import uniform_design
+from simulation.errors import InputError
+from simulation.store.row_set import RowSet, SetContent, content_of
+from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
+from studies.console import Column, OnProgress
+from studies.physical_model import open_physical_model, store_folder
+from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
+
+VALIDATION_SEED, TEST_SEED = 320_001, 320_002
+"""Validation and test sets are the same for every profile and seed, so that all errors can be compared."""
+TRAIN_SEED_BASE = 1_000
+
+
+@dataclass(frozen=True)
+class SimulatedSet:
+    """A set whose rows are all stored.
+
+    Args:
+        rows: which rows they are.
+        content: what they came to.
+    """
+
+    rows: RowSet
+    content: SetContent
+
+    def n_failed(self, n: int | None = None) -> int:
+        """Return the failed rows, those of the first n where asked."""
+        return sum(reason != "" for reason in self.content.failures[:n])
+
+
+def train_seed(seed: int) -> int:
+    """Return the seed of the training design, never that of a set that judges.
+
+    Args:
+        seed: the study's seed.
+    """
+    own = TRAIN_SEED_BASE + seed
+    return own if own < VALIDATION_SEED else own + 2
+
+
+def simulate_stage(study: Study) -> Outcome:
+    """Simulate the nested training design, the validation and the test set."""
+    data, space = study.profile.data, study.case.parameter_space
+    sizes = {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
+    seeds = {
+        "train": train_seed(study.profile.seed),
+        "validation": VALIDATION_SEED,
+        "test": TEST_SEED,
+    }
+    inputs = {"case": study.case.digest, "n": sizes, "seeds": seeds, "design": "uniform"}
+    total = sum(sizes.values())
+    designs = {name: uniform_design(space, n, seeds[name]) for name, n in sizes.items()}
+
+    def work() -> tuple[Summary, list[Path]]:
+        sets, done = {}, 0
+        with (
+            open_physical_model(study) as model,
+            study.console.progress("simulations", total) as advance,
+        ):
+            for name, theta in designs.items():
+                sets[name] = _simulated(study, model, name, theta, on_progress=_after(done, total, advance))
+                done += len(theta)
+            summary = _summary(study, sets) | {"n_reused": model.n_reused}
+        say_reused(study, "simulate", model)
+        _say_failed(study, summary)
+        return summary, [found.rows.file for found in sets.values()]
+
+    if not _is_complete(study, designs):
+        (study.results / "simulate.json").unlink(missing_ok=True)
+    return run_stage(
+        study,
+        "simulate",
+        what=f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"{summary['n_simulations']} simulations reused",
+    )
+
+
+def say_reused(study: Study, stage: str, model: StoredModel) -> None:
+    """Say how many of a stage's rows were simulated before."""
+    if model.n_reused:
+        n_asked = model.n_reused + model.n_simulated
+        study.console.say(f"{stage}: {model.n_reused} of {n_asked} simulations reused")
+
+
+def show_sets(study: Study, outcome: Outcome) -> None:
+    """Print the simulated sets."""
+    found = outcome.summary
+    study.console.table(
+        f"{study.label}: simulations",
+        [Column("set"), Column("rows", True), Column("failed", True), Column("file")],
+        [[name, found["n"][name], found["n_failed"][name], found["files"][name]] for name in found["files"]],
+    )
+    study.console.result(f"all simulations: {found['store']} (its _README.txt says how to read them)")
+
+
+def set_files(study: Study, summary: Summary) -> dict[str, Path]:
+    """Return the files of a finished simulate stage's sets."""
+    return {name: study.paths.root / file for name, file in summary["files"].items()}
+
+
+def sensitivity_stage(study: Study) -> Outcome:
+    """Estimate the Sobol indices of the physical model."""
+    budget = study.profile.sensitivity
+    n_rows = budget.n_base * (study.case.parameter_space.n_parameters + 2)
+    inputs = {
+        "case": study.case.digest,
+        "n_base": budget.n_base,
+        "n_resamples": budget.n_resamples,
+        "seed": study.profile.seed,
+    }
+    file = study.results / "sensitivity.npz"
+
+    def work() -> tuple[Summary, list[Path]]:
+        from studies.sensitivity import sobol_indices
+        from studies.stages.tracking import log_sensitivity
+
+        started = time.perf_counter()
+        with (
+            open_physical_model(study) as model,
+            study.console.progress("simulations", n_rows) as advance,
+        ):
+            indices = sobol_indices(
+                model,
+                n_base=budget.n_base,
+                seed=study.profile.seed,
+                n_resamples=budget.n_resamples,
+                on_progress=advance,
+            )
+        say_reused(study, "sensitivity", model)
+        indices.save(file)
+        first, total = indices.mean_first_order()[0], indices.mean_total_order()[0]
+        order = indices.order()
+        summary: Summary = {
+            "n_calls": indices.n_calls,
+            "n_dropped_blocks": indices.n_dropped,
+            "output": indices.output_names[0],
+            "mean_first_order": {indices.names[i]: _plain(first[i]) for i in order},
+            "mean_total_order": {indices.names[i]: _plain(total[i]) for i in order},
+            "file": study.paths.show(file),
+        }
+        log_sensitivity(study, summary, digest_of(inputs), file=file, wall_s=time.perf_counter() - started)
+        return summary, [file]
+
+    manifest = read_json(study.results / "sensitivity.json")
+    if study.retry_failed and manifest is not None and manifest["summary"]["n_dropped_blocks"]:
+        (study.results / "sensitivity.json").unlink()
+    return run_stage(
+        study,
+        "sensitivity",
+        what=f"Sobol indices from {n_rows} simulations",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"{summary['n_calls']} simulations reused",
+    )
+
+
+def show_sensitivity(study: Study, outcome: Outcome) -> None:
+    """Print the indices averaged over time, most influential parameter first."""
+    first, total = outcome.summary["mean_first_order"], outcome.summary["mean_total_order"]
+    units = {parameter.name: parameter.unit for parameter in study.case.parameter_space.parameters}
+    study.console.table(
+        f"{study.label}: Sobol indices of {outcome.summary['output']}, averaged over time",
+        [Column("parameter"), Column("unit"), Column("first order", True), Column("total order", True)],
+        [[name, units[name], _cell(first[name]), _cell(total[name])] for name in first],
+    )
+
+
+def _is_complete(study: Study, designs: dict[str, FloatArray]) -> bool:
+    """Say whether all rows are stored and none of them shall be asked again."""
+    manifest = read_json(study.results / "simulate.json")
+    if manifest is None:
+        return True
+    n_failed = sum(manifest.get("summary", {}).get("n_failed", {}).values())
+    if study.retry_failed and n_failed:
+        return False
+    try:
+        with SimulationStore.at(
+            store_folder(study.paths, study.case), on_warning=study.console.warn
+        ) as store:
+            return all(bool(store.find(theta).all()) for theta in designs.values())
+    except InputError:
+        return False
+
+
+def _simulated(
+    study: Study, model: StoredModel, name: str, theta: FloatArray, *, on_progress: OnProgress
+) -> SimulatedSet:
+    """Simulate what is not stored of a set; a longer design of the same seed begins with the same rows."""
+    identity = digest_of({"case": study.case.digest, "set": name, "theta": theta.tobytes().hex()})
+    file = study.paths.generated(study.case.name) / "sets" / f"{name}-n{len(theta):05d}-{identity[:12]}.npz"
+    model.complete(theta, on_progress=lambda n_done: on_progress(n_done, len(theta)))
+    rows = RowSet(theta, model.store.folder, file)
+    rows.save()
+    return SimulatedSet(rows, content_of(model.stored(theta)))
+
+
+def _summary(study: Study, sets: dict[str, SimulatedSet]) -> Summary:
+    reasons = {reason for found in sets.values() for reason in found.content.failures if reason}
+    return {
+        "n": {name: found.rows.n for name, found in sets.items()},
+        "n_simulations": sum(found.rows.n for found in sets.values()),
+        "n_failed": {name: found.n_failed() for name, found in sets.items()},
+        "n_failed_of_training_size": {str(n): sets["train"].n_failed(n) for n in study.profile.data.n_train},
+        "first_failures": sorted(reasons)[:3],
+        "files": {name: study.paths.relative(found.rows.file) for name, found in sets.items()},
+        "digests": {name: found.content.digest for name, found in sets.items()},
+        "store": study.paths.relative(store_folder(study.paths, study.case)),
+    }
+
+
+def _say_failed(study: Study, summary: Summary) -> None:
+    n_failed = sum(summary["n_failed"].values())
+    if n_failed:
+        study.console.warn(
+            f"{n_failed} simulations failed and are left out: {'; '.join(summary['first_failures'])} "
+            "(--retry-failed asks them again)"
+        )
+
+
+def _after(done: int, total: int, advance: OnProgress) -> OnProgress:
+    return lambda part, _: advance(done + part, total)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _cell(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.3f}"

@@ -1,0 +1,172 @@
+"""What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from studies.paths import ProjectPaths, size_name
+from studies.report.wording import difference_unit, squared
+from studies.stages.pipeline import Study, Summary
+from studies.stages.results import StoredCalibration, calibration_record, measured_series
+from studies.tracking.tracker import StageRun, Tracker, open_tracker
+
+
+@lru_cache(maxsize=4)
+def tracker_of(paths: ProjectPaths) -> Tracker:
+    """Return the project's tracker; opening it costs seconds, so it is opened once per process."""
+    return open_tracker(paths)
+
+
+def log_calibration(
+    study: Study, stored: StoredCalibration, digest: str, *, started_s: float, wall_s: float
+) -> None:
+    """Tell of a finished calibration, with its figures.
+
+    Args:
+        study: the study.
+        stored: what the calibration left on disk.
+        digest: digest of the stage's inputs.
+        started_s: start of the calibration. [s since 1970, UTC]
+        wall_s: its duration. [s]
+    """
+    from studies.report.figures_calibration import polish_figure
+
+    numbers, profile, n_train = stored.numbers, study.profile, stored.numbers["n_train"]
+    run = StageRun(
+        label=study.label,
+        kind="calibration",
+        name=f"{size_name(n_train)} calibration",
+        key=digest,
+        params={
+            "n_train": n_train,
+            "seed": profile.seed,
+            **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
+            **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
+        },
+        metrics={
+            "mse/surrogate": numbers["mse_surrogate"],
+            "mse/screened": numbers["mse_screened"],
+            "mse/screening_gap": numbers["screening_gap"],
+            "mse/polished": numbers["mse_polished"],
+            "calls/paper": numbers["ledger"]["total_paper"],
+            "calls/polish": numbers["ledger"]["n_polish"],
+            **numbers["surrogate_errors"],
+        },
+        tags={
+            "n_train": n_train,
+            "surrogate_study": numbers["surrogate"]["study"],
+            "surrogate_trial": numbers["surrogate"]["trial"],
+        },
+        started_s=started_s,
+        wall_s=wall_s,
+    )
+    _log_with_figures(study, stored, run, point="polished", calls_figure=("polish.png", polish_figure))
+
+
+def log_adaptive(
+    study: Study, stored: StoredCalibration, digest: str, *, started_s: float, wall_s: float
+) -> None:
+    """Tell of a finished adaptive calibration, with its figures.
+
+    Args:
+        study: the study.
+        stored: what the calibration left on disk.
+        digest: digest of the stage's inputs.
+        started_s: start of the calibration. [s since 1970, UTC]
+        wall_s: its duration. [s]
+    """
+    from studies.report.figures_convergence import convergence_figure
+
+    numbers = stored.numbers
+    run = StageRun(
+        label=study.label,
+        kind="calibration",
+        name="adaptive calibration",
+        key=digest,
+        params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
+        metrics={"mse/calibrated": numbers["mse"], "calls/rounds": numbers["n_rounds"]},
+        tags={"method": "adaptive", "stop_reason": numbers["stop_reason"]},
+        started_s=started_s,
+        wall_s=wall_s,
+    )
+    figure = ("convergence.png", convergence_figure)
+    _log_with_figures(study, stored, run, point="calibrated", calls_figure=figure)
+
+
+def _log_with_figures(
+    study: Study,
+    stored: StoredCalibration,
+    run: StageRun,
+    *,
+    point: str,
+    calls_figure: tuple[str, Callable[..., Path]],
+) -> None:
+    """Log a calibration's run with what every calibration has: calls, validation, curve, figures, files."""
+    from studies.report.figures_calibration import calibration_figure
+
+    numbers = stored.numbers
+    record, measured = calibration_record(stored), measured_series(study.case)
+    metrics = {**run.metrics, "calls/all": numbers["ledger"]["total_honest"]}
+    if "validation" in numbers:
+        metrics["mse/validation"] = numbers["validation"]["points"][point]["mse"]
+    curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
+    name, draw_calls = calls_figure
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        figures = [Path(scratch) / "calibration.png", Path(scratch) / name]
+        calibration_figure(measured, record, figures[0], footnote=study.label)
+        unit = squared(difference_unit(measured.units[0]))
+        draw_calls(record, (), figures[1], mse_unit=unit, footnote=study.label)
+        tracker_of(study.paths).log_stage(
+            replace(
+                run,
+                metrics={key: value for key, value in metrics.items() if value is not None},
+                curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
+                tags={"case": study.case.name, "case_sha256": study.case.digest, **run.tags},
+                figures=figures,
+                artifacts=[stored.files.numbers, stored.files.arrays],
+                note=study.case.note,
+            )
+        )
+
+
+def log_sensitivity(study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float) -> None:
+    """Tell of finished Sobol indices."""
+    if not study.paths.tracking_database.is_file():
+        study.console.say("sensitivity: making MLflow's store, once")
+    shares = {f"first_order/{name}": value for name, value in summary["mean_first_order"].items()}
+    shares |= {f"total_order/{name}": value for name, value in summary["mean_total_order"].items()}
+    tracker_of(study.paths).log_stage(
+        StageRun(
+            label=study.label,
+            kind="sensitivity",
+            name="sensitivity",
+            key=digest,
+            params={"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed},
+            metrics={name: value for name, value in shares.items() if value is not None},
+            tags={"case": study.case.name, "case_sha256": study.case.digest},
+            artifacts=[file],
+            wall_s=wall_s,
+            note=study.case.note,
+        )
+    )
+
+
+def log_report(study: Study, digest: str, *, index: Path, wall_s: float) -> None:
+    """Tell of a finished report, with all its pictures."""
+    tracker_of(study.paths).log_stage(
+        StageRun(
+            label=study.label,
+            kind="report",
+            name="report",
+            key=digest,
+            tags={"case": study.case.name, "case_sha256": study.case.digest},
+            figures=sorted(index.parent.glob("*.png")),
+            artifacts=[index],
+            wall_s=wall_s,
+            note=study.case.note,
+        )
+    )

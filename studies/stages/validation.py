@@ -1,0 +1,207 @@
+"""Validation: how estimate, screened and calibrated parameters do on a part that was not calibrated.
+
+Its simulations are a few per calibration and decide nothing: the ledger does not count them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.forward_model import ForwardModel
+from simulation.measurement import Measurement
+from simulation.time_unit import told_period
+from studies.console import Column
+from studies.physical_model import open_physical_model
+from studies.report.wording import difference_unit, quantity, squared
+from studies.stages.pipeline import Outcome, Study
+
+
+@dataclass(frozen=True)
+class OutputFit:
+    """How one simulated output differs from its measurement.
+
+    Attributes:
+        n_samples: Samples compared.
+        rmse: Root mean square difference. [output's unit]
+        bias: Mean of simulated minus measured. [output's unit]
+        cv_rmse: rmse over the mean measured value; None where that says nothing: for temperatures, whose zero
+            is a convention, and for means of zero. [1]
+        nmbe: bias over the mean measured value, positive where the model is too high; None likewise. [1]
+    """
+
+    n_samples: int
+    rmse: float
+    bias: float
+    cv_rmse: float | None
+    nmbe: float | None
+
+
+@dataclass(frozen=True)
+class ValidatedPoint:
+    """One parameter set on both periods.
+
+    Attributes:
+        mse_window: Error over the calibrated window; None where the simulation does not report it, or failed.
+            [first output's unit squared]
+        mse: Error over the validation period, None where the simulation failed. [first output's unit squared]
+        failure: Why it failed, "" when it did not.
+        outputs: The fit by the outputs' names; empty where the simulation failed.
+    """
+
+    mse_window: float | None
+    mse: float | None
+    failure: str
+    outputs: dict[str, OutputFit]
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Several parameter sets on the validation period.
+
+    Attributes:
+        period_d: The period. [d]
+        points: The parameter sets by name, in the order they were given.
+        time: Output times from the begin of the period on. Shape (t,). [s]
+        y: Simulated outputs there, NaN where a simulation failed. Shape (n, t, k). [per output]
+    """
+
+    period_d: tuple[float, float]
+    points: dict[str, ValidatedPoint]
+    time: FloatArray
+    y: FloatArray
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the trajectories as plain values."""
+        return {
+            "period_d": list(self.period_d),
+            "n_simulations": len(self.points),
+            "points": {name: asdict(point) for name, point in self.points.items()},
+        }
+
+
+def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) -> Validation:
+    """Simulate parameter sets over the validation period of a case and compare them.
+
+    Args:
+        case: The case, with a validation period.
+        model: The model of the case `case.validation`.
+        points: Parameter sets by name. Shape (p,) each. [per parameter]
+
+    Returns:
+        How they do.
+
+    Raises:
+        ValueError: If the case has no validation period.
+    """
+    if case.validation is None:
+        raise ValueError(f"{case.path} has no validation period")
+    measurement = case.validation.measurement
+    answer = model.simulate(np.stack(list(points.values())))
+    # A simulation that goes on after the window repeats the window first.
+    n_window = len(case.measurement.time)
+    has_window = np.array_equal(measurement.time[:n_window], case.measurement.time)
+    mse = measurement.mse(answer.y)
+    mse_window = case.measurement.mse(answer.y[:, :n_window]) if has_window else np.full(len(points), np.inf)
+    shown = measurement.from_first_sample
+    return Validation(
+        period_d=case.validation.window_d,
+        points={
+            name: ValidatedPoint(
+                mse_window=float(mse_window[row]) if np.isfinite(mse_window[row]) else None,
+                mse=float(mse[row]) if np.isfinite(mse[row]) else None,
+                failure=answer.failures[row],
+                outputs=_fits(case, measurement, answer.y[row]) if np.isfinite(mse[row]) else {},
+            )
+            for row, name in enumerate(points)
+        },
+        time=shown.time,
+        y=answer.y[:, len(measurement.time) - len(shown.time) :],
+    )
+
+
+def _fits(case: Case, measurement: Measurement, y: FloatArray) -> dict[str, OutputFit]:
+    fits = {}
+    for k, output in enumerate(case.outputs):
+        difference = measurement.differences(y[None], k)[0]
+        mean = float(np.mean(measurement.samples[k].values))
+        rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
+        is_relative = difference_unit(output.unit) != "K" and output.unit != "degF" and mean != 0.0
+        fits[output.name] = OutputFit(
+            n_samples=len(difference),
+            rmse=rmse,
+            bias=bias,
+            cv_rmse=rmse / abs(mean) if is_relative else None,
+            nmbe=bias / mean if is_relative else None,
+        )
+    return fits
+
+
+def validate_calibration(
+    study: Study, found: Mapping[str, FloatArray]
+) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+    """Validate a finished calibration of a study.
+
+    Args:
+        study: The study.
+        found: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
+
+    Returns:
+        Numbers and arrays to be kept with the calibration; both empty without a validation period.
+    """
+    case = study.case
+    if case.validation is None:
+        return {}, {}
+    points = dict(found)
+    estimates = [parameter.estimate for parameter in case.parameter_space.parameters]
+    if None not in estimates:
+        points = {"estimate": np.array(estimates, dtype=np.float64), **points}
+    with open_physical_model(study, case=case.validation) as model:
+        validation = validate(case, model, points)
+    simulated = dict(zip(points, validation.y, strict=True))
+    arrays = {f"validation_y_{name}": simulated[name] for name in found}
+    return {"validation": validation.to_dict()}, {"validation_time": validation.time, **arrays}
+
+
+def validation_inputs(case: Case) -> dict[str, Any]:
+    """Return what a calibration depends on beyond the case where it is validated; empty where it is not."""
+    if case.validation is None:
+        return {}
+    return {"validation": [case.validation.digest, case.validation.measurement.digest]}
+
+
+def show_validation(study: Study, outcomes: list[Outcome]) -> None:
+    """Print one row per training-set size and parameter set; nothing without a validation period."""
+    validation = study.case.validation
+    if validation is None:
+        return
+    unit = squared(difference_unit(study.case.outputs[0].unit))
+    units = {output.name: output.unit for output in study.case.outputs}
+    columns = [Column("n_train", True), Column("parameters"), Column("MSE window", True)]
+    columns += [Column("MSE validation", True), Column("RMSE by output", True)]
+    rows = []
+    for outcome in outcomes:
+        for name, point in outcome.summary["validation"]["points"].items():
+            fits = [
+                f"{output} {quantity(point['outputs'][output]['rmse'], difference_unit(unit_k))}"
+                for output, unit_k in units.items()
+                if output in point["outputs"]
+            ]
+            errors = [point["mse_window"], point["mse"]]
+            rows.append(
+                [
+                    outcome.summary["n_train"] or "–",
+                    name,
+                    *("–" if error is None else f"{error:.4f}" for error in errors),
+                    ", ".join(fits) or f"failed: {point['failure']}",
+                ]
+            )
+    study.console.table(
+        f"{study.label}: validation on {told_period(validation.window_d)} (MSE in {unit}; its simulations "
+        "are in no count of calls)",
+        columns,
+        rows,
+    )

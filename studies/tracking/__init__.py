@@ -1,0 +1,1 @@
+"""What MLflow is told, and where a number comes from."""

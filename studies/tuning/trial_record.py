@@ -1,0 +1,206 @@
+"""The durable record of a finished trial: a folder of plain files, written whole or not at all."""
+
+import json
+import math
+import os
+import shutil
+import socket
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from simulation.whole_file import whole_file
+from studies.tuning.study_spec import StudySpec, StudySummary, TrialState
+
+RECORD_FILE = "trial.json"
+HISTORY_FILE = "history.npz"
+SURROGATE_FOLDER = "surrogate"
+PROGRESS_FILE = "study.json"
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """One finished trial.
+
+    Args:
+        study: name of the study.
+        n_train: training-set size.
+        index: place in the study, from 0; interrupted attempts do not count.
+        state: how it ended.
+        reason: why it failed, was pruned or stopped.
+        params: the hyperparameters that were searched.
+        config: all settings of the surrogate.
+        seed: seed of the training.
+        started_s: start of the trial. [s since 1970, UTC]
+        wall_s: duration of the training. [s]
+        digests: sha256 of the case, FMU and data sets.
+        owner: host, process and its start.
+        metrics: errors by name (`val/mae`, ...); a pruned trial has `val/mae` only. [output's unit]
+        reports: validation error at the epochs where trials are compared. [output's unit]
+        n_epochs: epochs trained.
+        best_epoch: epoch whose weights were kept.
+        n_rows: training rows used, failed simulations left out.
+    """
+
+    study: str
+    n_train: int
+    index: int
+    state: TrialState
+    reason: str
+    params: dict[str, float | int]
+    config: dict[str, Any]
+    seed: int
+    started_s: float
+    wall_s: float
+    digests: dict[str, str]
+    owner: dict[str, Any]
+    metrics: dict[str, float] = field(default_factory=dict)
+    reports: dict[str, float] = field(default_factory=dict)
+    n_epochs: int = 0
+    best_epoch: int = 0
+    n_rows: int = 0
+
+    @property
+    def key(self) -> str:
+        """Name of the trial among all trials of all studies."""
+        return f"{self.study}/{trial_name(self.index)}"
+
+    @property
+    def value(self) -> float | None:
+        """Validation error that the study compares, None for a failed trial. [output's unit]."""
+        return self.metrics.get("val/mae")
+
+    @property
+    def ended_s(self) -> float:
+        """End of the trial. [s since 1970, UTC]."""
+        return self.started_s + self.wall_s
+
+
+def trial_name(index: int) -> str:
+    """Return the folder name of a trial."""
+    return f"t{index:03d}"
+
+
+def this_owner() -> dict[str, Any]:
+    """Describe the running process, so that a reader can tell who worked on a trial."""
+    process = psutil.Process()
+    return {"host": socket.gethostname(), "pid": process.pid, "process_started_s": process.create_time()}
+
+
+def write_record(
+    study_folder: Path,
+    record: TrialRecord,
+    history: Mapping[str, NDArray[Any]],
+    surrogate: Path | None = None,
+) -> Path:
+    """Write a trial's folder and put it in place in one step.
+
+    Args:
+        study_folder: folder of the study's trials.
+        record: what is known of the trial.
+        history: learning curves, one array per name, each of shape (epochs validated,).
+        surrogate: folder with the saved surrogate, which is moved into the trial's folder.
+    """
+    final = study_folder / trial_name(record.index)
+    scratch = study_folder / f".{final.name}-{os.getpid()}"
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir(parents=True)
+    np.savez_compressed(
+        scratch / HISTORY_FILE, allow_pickle=False, **{k: np.asarray(v) for k, v in history.items()}
+    )
+    if surrogate is not None:
+        surrogate.rename(scratch / SURROGATE_FOLDER)
+    write_json(scratch / RECORD_FILE, asdict(record))
+    replace_folder(scratch, final)
+    return final
+
+
+def read_record(study_folder: Path, index: int) -> TrialRecord | None:
+    """Read a trial, None where there is none."""
+    file = study_folder / trial_name(index) / RECORD_FILE
+    if not file.is_file():
+        return None
+    return TrialRecord(**json.loads(file.read_text(encoding="utf-8")))
+
+
+def read_records(study_folder: Path) -> list[TrialRecord]:
+    """Read all finished trials of a study, in order."""
+    records: list[TrialRecord] = []
+    while (record := read_record(study_folder, len(records))) is not None:
+        records.append(record)
+    return records
+
+
+def read_history(study_folder: Path, index: int) -> dict[str, NDArray[Any]]:
+    """Read a trial's learning curves, each of shape (epochs validated,)."""
+    with np.load(study_folder / trial_name(index) / HISTORY_FILE, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def best_record(records: Sequence[TrialRecord]) -> TrialRecord | None:
+    """Return the completed trial of least validation error, the earlier one of equals."""
+    complete = [r for r in records if r.state == "complete" and math.isfinite(r.metrics["val/mae"])]
+    return min(complete, key=lambda r: (r.metrics["val/mae"], r.index), default=None)
+
+
+def keep_only_best_surrogate(study_folder: Path) -> None:
+    """Remove the weights of all trials but the best."""
+    best = best_record(read_records(study_folder))
+    for folder in study_folder.glob(f"t*/{SURROGATE_FOLDER}"):
+        if best is None or folder.parent.name != trial_name(best.index):
+            shutil.rmtree(folder)
+
+
+def summarize(spec: StudySpec, records: Sequence[TrialRecord], champion: Path | None) -> StudySummary:
+    """Count a study's trials and name its best."""
+    best = best_record(records)
+    states = [record.state for record in records]
+    return StudySummary(
+        study=spec.name,
+        label=spec.label,
+        n_train=spec.n_train,
+        n_complete=states.count("complete"),
+        n_pruned=states.count("pruned"),
+        n_failed=states.count("failed"),
+        best_index=best.index if best else None,
+        best_metrics=dict(best.metrics) if best else {},
+        best_config=dict(best.config) if best else {},
+        wall_s=sum(record.wall_s for record in records),
+        champion=champion,
+    )
+
+
+def write_progress(study_folder: Path, n_finished: int) -> None:
+    """Note how many trials Optuna's store has finished."""
+    write_json(study_folder / PROGRESS_FILE, {"n_finished": n_finished, "written_s": time.time()})
+
+
+def read_progress(study_folder: Path) -> int:
+    """Return how many trials Optuna's store had finished when the study last ended."""
+    file = study_folder / PROGRESS_FILE
+    return int(json.loads(file.read_text(encoding="utf-8"))["n_finished"]) if file.is_file() else 0
+
+
+def write_json(file: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file in one step."""
+    with whole_file(file) as stream:
+        stream.write((json.dumps(content, indent=1, sort_keys=True) + "\n").encode())
+
+
+def replace_folder(new: Path, final: Path) -> None:
+    """Put a folder in the place of another; between the two steps the place is empty, never half filled."""
+    if final.exists():
+        old = final.with_name(f".{final.name}-old-{os.getpid()}")
+        shutil.rmtree(old, ignore_errors=True)
+        final.rename(old)
+        new.rename(final)
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        new.rename(final)

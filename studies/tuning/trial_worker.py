@@ -1,0 +1,299 @@
+"""Run one Optuna study trial by trial, in any process: choose, train, judge, record."""
+
+import logging
+import math
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from optuna.trial import Trial
+
+from pelsvae.config import SurrogateConfig
+from pelsvae.metrics import errors
+from pelsvae.training import EpochReport, FitResult, TrainingDiverged, fit
+from simulation.errors import InputError
+from simulation.file_lock import FileLock
+from studies.tuning.search_space import PastTrial, derived_seed, suggest, to_settings
+from studies.tuning.study_data import StudyData, load_data
+from studies.tuning.study_spec import EventKind, StudySpec, TrialState, TuneEvent, output_metric
+from studies.tuning.study_store import StudyStore
+from studies.tuning.trial_record import (
+    SURROGATE_FOLDER,
+    TrialRecord,
+    best_record,
+    keep_only_best_surrogate,
+    read_records,
+    this_owner,
+    write_progress,
+    write_record,
+)
+
+N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would cost more than a training
+PRUNE_AFTER = 0.1  # part of the epochs in which no trial is judged
+EVENT_PERIOD_S = 0.25
+HISTORY = ("epoch", "loss", "validation_mae")  # what is known of a trial without a surrogate
+
+logger = logging.getLogger(__name__)
+
+
+class StudyInterruptedError(Exception):
+    """The study was asked to stop; its running trial will be run again."""
+
+
+class _PrunedError(Exception):
+    """The trial is worse than the median of the completed ones."""
+
+
+@dataclass
+class _Outcome:
+    """What is known of a trial as it goes; becomes a record at its end."""
+
+    state: TrialState = "failed"
+    reason: str = ""
+    fitted: FitResult | None = None
+    n_epochs: int = 0
+    metrics: dict[str, float] = field(default_factory=dict)
+    reports: dict[str, float] = field(default_factory=dict)
+    history: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in HISTORY})
+
+
+def run_study(
+    spec: StudySpec,
+    *,
+    mlruns: Path,
+    n_trials: int,
+    emit: Callable[[TuneEvent], None],
+    should_stop: Callable[[], bool] = lambda: False,
+) -> None:
+    """Bring a study to `n_trials` finished trials.
+
+    Args:
+        spec: the study.
+        mlruns: folder of Optuna's journal and of the trials' records.
+        n_trials: finished trials the study shall have in total, from this call and earlier ones.
+        emit: told of trials and epochs.
+        should_stop: asked at every validated epoch.
+
+    Raises:
+        InputError: another process is working on the study, or a data set is unusable.
+        StudyInterruptedError: `should_stop` said so.
+    """
+    folder = spec.folder(mlruns)
+    lock = FileLock(spec.lock_file(mlruns))
+    if not lock.try_acquire():
+        raise InputError(f"study {spec.name} is being tuned by another process; wait for it or stop it")
+    try:
+        store = StudyStore(spec, mlruns)
+        store.reap()
+        store.mend(read_records(folder))
+        data = load_data(spec)
+        progress = _Progress(spec, folder, n_trials, emit)
+        progress.tell("study-started")
+        try:
+            while progress.n_finished < n_trials:
+                if should_stop():
+                    raise StudyInterruptedError
+                _run_trial(spec, store, folder, data, progress=progress, should_stop=should_stop)
+        except BaseException:
+            store.reap()
+            raise
+        write_progress(folder, progress.n_finished)
+        progress.tell("study-finished")
+    finally:
+        lock.release()
+
+
+def report_epochs(max_epochs: int) -> list[int]:
+    """Return the epochs at which trials are compared: a geometric row, dense where most trials stop."""
+    row = np.geomspace(max(1.0, max_epochs / 2 ** (N_REPORTS / 2)), max_epochs, N_REPORTS)
+    return sorted({round(epoch) for epoch in row})
+
+
+def _run_trial(
+    spec: StudySpec,
+    store: StudyStore,
+    folder: Path,
+    data: StudyData,
+    *,
+    progress: "_Progress",
+    should_stop: Callable[[], bool],
+) -> None:
+    """Choose, train and record the next trial."""
+    index = progress.n_finished
+    base = spec.base_config
+    params = store.params_of_interrupted(index) or suggest(
+        spec.search, progress.past, default=base.to_dict(), seed=derived_seed(spec.seed, index, 0)
+    )
+    config = base.replace(**to_settings(params))
+    owner, seed, started_s = this_owner(), derived_seed(spec.seed, index, 1), time.time()
+    handle = store.start(
+        index,
+        params=params,
+        attributes={"seed": seed, "config": config.to_dict(), "owner": owner, "started_s": started_s},
+    )
+    progress.tell("trial-started", index=index, max_epochs=config.max_epochs)
+    tick = time.perf_counter()
+    outcome = _Outcome()
+    try:
+        _train(
+            spec,
+            config,
+            seed,
+            data,
+            outcome=outcome,
+            handle=handle,
+            progress=progress,
+            should_stop=should_stop,
+        )
+    except (StudyInterruptedError, OSError):
+        raise  # a full disk is no fault of a configuration
+    except Exception as error:
+        # Whatever a configuration provokes (divergence, memory) is a result of the trial; the study goes on.
+        outcome.state, outcome.reason = "failed", f"{type(error).__name__}: {error}"
+        logger.info("%s trial %d failed: %s", spec.name, index, outcome.reason)
+    fitted = outcome.fitted
+    record = TrialRecord(
+        study=spec.name,
+        n_train=spec.n_train,
+        index=index,
+        state=outcome.state,
+        reason=outcome.reason,
+        params=params,
+        config=config.to_dict(),
+        seed=seed,
+        metrics=outcome.metrics,
+        reports=outcome.reports,
+        n_epochs=outcome.n_epochs,
+        best_epoch=fitted.best_epoch if fitted else 0,
+        n_rows=len(data.train[0]),
+        started_s=started_s,
+        wall_s=time.perf_counter() - tick,
+        digests=spec.digests,
+        owner=owner,
+    )
+    history: Mapping[str, Any] = fitted.history if fitted else outcome.history
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".weights-") as scratch:
+        weights = Path(scratch) / SURROGATE_FOLDER if fitted else None
+        if fitted and weights:
+            fitted.surrogate.save(weights)
+        write_record(folder, record, {name: np.asarray(curve) for name, curve in history.items()}, weights)
+    store.finish(handle.number, record)
+    keep_only_best_surrogate(folder)
+    progress.add(record)
+
+
+def _train(
+    spec: StudySpec,
+    config: SurrogateConfig,
+    seed: int,
+    data: StudyData,
+    *,
+    outcome: _Outcome,
+    handle: Trial,
+    progress: "_Progress",
+    should_stop: Callable[[], bool],
+) -> None:
+    """Train a surrogate, judge it, and note in `outcome` how it went."""
+    steps = report_epochs(config.max_epochs)
+    scales = np.array(spec.output_scales)
+
+    def on_epoch(report: EpochReport) -> None:
+        if should_stop():
+            raise StudyInterruptedError
+        outcome.n_epochs = report.epoch
+        seen = (report.epoch, report.train_loss, report.validation_mae)
+        for name, value in zip(HISTORY, seen, strict=True):
+            outcome.history[name].append(value)
+        progress.epoch(report)
+        due = [step for step in steps if step <= report.epoch]
+        if due and str(due[-1]) not in outcome.reports:
+            outcome.reports[str(due[-1])] = report.validation_mae
+            handle.report(report.validation_mae, due[-1])
+            if report.epoch >= PRUNE_AFTER * config.max_epochs and handle.should_prune():
+                raise _PrunedError
+
+    try:
+        fitted = fit(
+            *data.train,
+            data.validation,
+            config=config,
+            seed=seed,
+            log_columns=spec.parameter_space.is_log,
+            output_scales=scales,
+            on_epoch=on_epoch,
+        )
+    except _PrunedError:
+        outcome.state = "pruned"
+        outcome.reason = f"worse than the median of the completed trials at epoch {outcome.n_epochs}"
+        outcome.metrics = {"val/mae": min(outcome.history["validation_mae"])}
+        return
+    judged: dict[str, float] = {}
+    for name, (theta, y) in {"val": data.validation, "test": data.test}.items():
+        predicted = fitted.surrogate.predict(theta)
+        error = errors(predicted, y, scales)
+        judged |= {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
+        if len(spec.output_names) > 1:
+            by_output = np.abs(predicted - y).mean(axis=(0, 1))
+            judged |= {
+                f"{name}/{output_metric(output)}": float(mae)
+                for output, mae in zip(spec.output_names, by_output, strict=True)
+            }
+    outcome.n_epochs = fitted.n_epochs
+    if not all(map(math.isfinite, judged.values())):
+        raise TrainingDiverged("the errors of the trained surrogate are not finite")
+    outcome.state, outcome.reason = "complete", fitted.stop_reason
+    outcome.metrics, outcome.fitted = judged, fitted
+
+
+class _Progress:
+    """The finished trials of a running study and the events about it."""
+
+    def __init__(
+        self, spec: StudySpec, folder: Path, n_trials: int, emit: Callable[[TuneEvent], None]
+    ) -> None:
+        self._event = TuneEvent("study-started", spec.name, spec.n_train, n_trials, 0)
+        self._emit = emit
+        self._records = read_records(folder)
+        self._last_s = 0.0
+
+    @property
+    def n_finished(self) -> int:
+        return len(self._records)
+
+    @property
+    def past(self) -> list[PastTrial]:
+        return [
+            PastTrial(record.params, record.value, record.state == "complete") for record in self._records
+        ]
+
+    def add(self, record: TrialRecord) -> None:
+        self._records.append(record)
+        self.tell(
+            "trial-finished",
+            index=record.index,
+            epoch=record.n_epochs,
+            max_epochs=int(record.config["max_epochs"]),
+            state=record.state,
+            value=record.value,
+            message=record.reason,
+        )
+
+    def epoch(self, report: EpochReport) -> None:
+        if time.monotonic() - self._last_s >= EVENT_PERIOD_S:
+            self._last_s = time.monotonic()
+            self.tell(
+                "epoch",
+                index=self.n_finished,
+                epoch=report.epoch,
+                max_epochs=report.max_epochs,
+                value=report.validation_mae,
+            )
+
+    def tell(self, kind: EventKind, **changes: Any) -> None:
+        best = best_record(self._records)
+        event = replace(self._event, kind=kind, n_finished=self.n_finished, best=best.value if best else None)
+        self._emit(replace(event, **changes))
