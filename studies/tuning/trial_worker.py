@@ -1,25 +1,21 @@
 """Run one Optuna study trial by trial, in any process: choose, train, judge, record."""
 
 import logging
-import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from optuna.trial import Trial
 
-from pelsvae.config import SurrogateConfig
-from pelsvae.metrics import errors
-from pelsvae.training import EpochReport, FitResult, TrainingDiverged, fit
+from pelsvae.training import EpochReport
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from studies.tuning.search_space import PastTrial, derived_seed, suggest, to_settings
 from studies.tuning.study_data import StudyData, load_data
-from studies.tuning.study_spec import EventKind, StudySpec, TrialState, TuneEvent, output_metric
+from studies.tuning.study_spec import EventKind, StudySpec, TuneEvent
 from studies.tuning.study_store import StudyStore
 from studies.tuning.trial_record import (
     SURROGATE_FOLDER,
@@ -31,34 +27,15 @@ from studies.tuning.trial_record import (
     write_progress,
     write_record,
 )
+from studies.tuning.trial_training import TrialOutcome, train_trial
 
-N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would cost more than a training
-PRUNE_AFTER = 0.1  # part of the epochs in which no trial is judged
 EVENT_PERIOD_S = 0.25
-HISTORY = ("epoch", "loss", "validation_mae")  # what is known of a trial without a surrogate
 
 logger = logging.getLogger(__name__)
 
 
 class StudyInterruptedError(Exception):
     """The study was asked to stop; its running trial will be run again."""
-
-
-class _PrunedError(Exception):
-    """The trial is worse than the median of the completed ones."""
-
-
-@dataclass
-class _Outcome:
-    """What is known of a trial as it goes; becomes a record at its end."""
-
-    state: TrialState = "failed"
-    reason: str = ""
-    fitted: FitResult | None = None
-    n_epochs: int = 0
-    metrics: dict[str, float] = field(default_factory=dict)
-    reports: dict[str, float] = field(default_factory=dict)
-    history: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in HISTORY})
 
 
 def run_study(
@@ -107,12 +84,6 @@ def run_study(
         lock.release()
 
 
-def report_epochs(max_epochs: int) -> list[int]:
-    """Return the epochs at which trials are compared: a geometric row, dense where most trials stop."""
-    row = np.geomspace(max(1.0, max_epochs / 2 ** (N_REPORTS / 2)), max_epochs, N_REPORTS)
-    return sorted({round(epoch) for epoch in row})
-
-
 def _run_trial(
     spec: StudySpec,
     store: StudyStore,
@@ -136,19 +107,20 @@ def _run_trial(
         attributes={"seed": seed, "config": config.to_dict(), "owner": owner, "started_s": started_s},
     )
     progress.tell("trial-started", index=index, max_epochs=config.max_epochs)
+
+    def on_epoch(report: EpochReport) -> None:
+        if should_stop():
+            raise StudyInterruptedError
+        progress.epoch(report)
+
+    def is_hopeless(epoch: int, validation_mae: float) -> bool:
+        handle.report(validation_mae, epoch)
+        return handle.should_prune()
+
     tick = time.perf_counter()
-    outcome = _Outcome()
+    outcome = TrialOutcome()
     try:
-        _train(
-            spec,
-            config,
-            seed,
-            data,
-            outcome=outcome,
-            handle=handle,
-            progress=progress,
-            should_stop=should_stop,
-        )
+        train_trial(spec, config, seed, data, outcome=outcome, on_epoch=on_epoch, is_hopeless=is_hopeless)
     except (StudyInterruptedError, OSError):
         raise  # a full disk is no fault of a configuration
     except Exception as error:
@@ -184,69 +156,6 @@ def _run_trial(
     store.finish(handle.number, record)
     keep_only_best_surrogate(folder)
     progress.add(record)
-
-
-def _train(
-    spec: StudySpec,
-    config: SurrogateConfig,
-    seed: int,
-    data: StudyData,
-    *,
-    outcome: _Outcome,
-    handle: Trial,
-    progress: "_Progress",
-    should_stop: Callable[[], bool],
-) -> None:
-    """Train a surrogate, judge it, and note in `outcome` how it went."""
-    steps = report_epochs(config.max_epochs)
-    scales = np.array(spec.output_scales)
-
-    def on_epoch(report: EpochReport) -> None:
-        if should_stop():
-            raise StudyInterruptedError
-        outcome.n_epochs = report.epoch
-        seen = (report.epoch, report.train_loss, report.validation_mae)
-        for name, value in zip(HISTORY, seen, strict=True):
-            outcome.history[name].append(value)
-        progress.epoch(report)
-        due = [step for step in steps if step <= report.epoch]
-        if due and str(due[-1]) not in outcome.reports:
-            outcome.reports[str(due[-1])] = report.validation_mae
-            handle.report(report.validation_mae, due[-1])
-            if report.epoch >= PRUNE_AFTER * config.max_epochs and handle.should_prune():
-                raise _PrunedError
-
-    try:
-        fitted = fit(
-            *data.train,
-            data.validation,
-            config=config,
-            seed=seed,
-            log_columns=spec.parameter_space.is_log,
-            output_scales=scales,
-            on_epoch=on_epoch,
-        )
-    except _PrunedError:
-        outcome.state = "pruned"
-        outcome.reason = f"worse than the median of the completed trials at epoch {outcome.n_epochs}"
-        outcome.metrics = {"val/mae": min(outcome.history["validation_mae"])}
-        return
-    judged: dict[str, float] = {}
-    for name, (theta, y) in {"val": data.validation, "test": data.test}.items():
-        predicted = fitted.surrogate.predict(theta)
-        error = errors(predicted, y, scales)
-        judged |= {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
-        if len(spec.output_names) > 1:
-            by_output = np.abs(predicted - y).mean(axis=(0, 1))
-            judged |= {
-                f"{name}/{output_metric(output)}": float(mae)
-                for output, mae in zip(spec.output_names, by_output, strict=True)
-            }
-    outcome.n_epochs = fitted.n_epochs
-    if not all(map(math.isfinite, judged.values())):
-        raise TrainingDiverged("the errors of the trained surrogate are not finite")
-    outcome.state, outcome.reason = "complete", fitted.stop_reason
-    outcome.metrics, outcome.fitted = judged, fitted
 
 
 class _Progress:

@@ -14,7 +14,8 @@ from studies.profile import SearchRanges
 from studies.tuning.study_spec import StudySpec, TuneEvent
 from studies.tuning.study_store import StudyStore
 from studies.tuning.trial_record import read_history, read_records
-from studies.tuning.trial_worker import StudyInterruptedError, report_epochs, run_study
+from studies.tuning.trial_training import report_epochs
+from studies.tuning.trial_worker import StudyInterruptedError, run_study
 
 MakeSpec = Callable[..., StudySpec]
 N = 8  # trials: one default, some random ones, then the Gaussian process
