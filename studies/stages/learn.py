@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
@@ -13,18 +13,22 @@ from studies.report.wording import difference_unit
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
 from studies.stages.simulate import set_files
 from studies.stages.tracking import tracker_of
+from studies.stages.tuning_progress import TuningProgress
+
+if TYPE_CHECKING:
+    from studies.tuning.study_spec import StudySpec
 
 
 def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     """Tune one surrogate per training-set size."""
     budget, sizes = study.profile.tuning, study.profile.data.n_train
-    scales = tuple(study.case.measurement.error_scales.tolist())
+    unit = difference_unit(study.case.outputs[0].unit)
     inputs = {
         "simulate": simulated.digest,
         # Rows that were asked again after a failure are other data.
         "data": simulated.summary["digests"],
         "is_log": study.case.parameter_space.is_log.tolist(),
-        "output_scales": scales,
+        "output_scales": study.case.measurement.error_scales.tolist(),
         "sizes": list(sizes),
         "tuning": asdict(budget),
         "variant": VARIANTS[budget.variant].to_dict(),
@@ -33,53 +37,20 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
 
     def work() -> tuple[Summary, list[Path]]:
         from studies.tuning.crew import TuningError
-        from studies.tuning.study_spec import StudySpec, TuneEvent
         from studies.tuning.tune import tune
 
-        files = set_files(study, simulated.summary)
         _require_device(study)
-        # One thread in training and prediction: the same numbers whatever --jobs says.
-        overrides = {name: getattr(budget, name) for name in ("max_epochs", "patience", "device")}
-        overrides["n_threads"] = 1
-        specs = [
-            StudySpec.from_files(
-                train_file=files["train"],
-                validation_file=files["validation"],
-                test_file=files["test"],
-                n_train=n_train,
-                parameter_space=study.case.parameter_space,
-                label=study.label,
-                case_name=study.case.name,
-                case_digest=study.case.digest,
-                fmu_sha256=study.case.fmu_sha256,
-                output_unit=study.case.outputs[0].unit,
-                output_scales=scales,
-                variant=budget.variant,
-                overrides=overrides,
-                search=budget.search,
-                seed=study.profile.seed,
-                note=study.case.note,
-            )
-            for n_train in sizes
-        ]
+        specs = study_specs(study, simulated.summary)
         tracker = tracker_of(study.paths)
-        n_done = dict.fromkeys(sizes, 0.0)
         with study.console.bars() as bars, _stage_error(TuningError):
-
-            def show(event: TuneEvent) -> None:
-                part = event.epoch / event.max_epochs if event.kind == "epoch" else 0.0
-                n_done[event.n_train] = event.n_finished + part
-                if len(sizes) > 1:
-                    bars("all sizes", sum(n_done.values()), budget.n_trials * len(sizes))
-                bars(f"n_train {event.n_train}", n_done[event.n_train], event.n_trials)
-
+            show = TuningProgress(bars, sizes, budget.n_trials, unit)
             summaries = tune(
                 specs,
                 paths=study.paths,
                 n_trials=budget.n_trials,
                 n_jobs=study.n_jobs,
                 tracker=tracker,
-                on_event=show,
+                on_event=show.hear,
             )
         without = [summary.n_train for summary in summaries if summary.champion is None]
         if without:
@@ -99,6 +70,42 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         work=work,
         reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
     )
+
+
+def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
+    """Return one Optuna study per training-set size.
+
+    Args:
+        study: the study.
+        simulated: summary of the finished simulate stage.
+    """
+    from studies.tuning.study_spec import StudySpec
+
+    budget, files = study.profile.tuning, set_files(study, simulated)
+    # One thread in training and prediction: the same numbers whatever --jobs says.
+    overrides = {name: getattr(budget, name) for name in ("max_epochs", "patience", "device")}
+    overrides["n_threads"] = 1
+    return [
+        StudySpec.from_files(
+            train_file=files["train"],
+            validation_file=files["validation"],
+            test_file=files["test"],
+            n_train=n_train,
+            parameter_space=study.case.parameter_space,
+            label=study.label,
+            case_name=study.case.name,
+            case_digest=study.case.digest,
+            fmu_sha256=study.case.fmu_sha256,
+            output_unit=study.case.outputs[0].unit,
+            output_scales=tuple(study.case.measurement.error_scales.tolist()),
+            variant=budget.variant,
+            overrides=overrides,
+            search=budget.search,
+            seed=study.profile.seed,
+            note=study.case.note,
+        )
+        for n_train in study.profile.data.n_train
+    ]
 
 
 def show_tuning(study: Study, outcome: Outcome) -> None:
