@@ -1,4 +1,4 @@
-"""Which hyperparameters are searched, and which a trial tries next: a function of the trials before."""
+"""Which hyperparameters are searched, and which a trial tries next: a function of the trials before it."""
 
 import math
 import warnings
@@ -9,10 +9,14 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.trial import TrialState as OptunaState
 from optuna.trial import create_trial
 
+from pelsvae.config import SurrogateConfig
 from simulation.errors import InputError
 from studies.profile import SearchRanges
+from studies.tuning.study_spec import StudySpec
+from studies.tuning.trial_record import TrialRecord
 
 N_STARTUP_TRIALS = 5
 _POWERS_OF_TWO = ("n_latent", "n_hidden")
@@ -23,18 +27,20 @@ Params = dict[str, float | int]
 
 
 @dataclass(frozen=True)
-class PastTrial:
-    """A finished trial as the search sees it.
+class Proposal:
+    """What a trial tries.
 
     Args:
         params: its hyperparameters in search coordinates.
-        value: its validation error, None where it failed. [output's unit]
-        complete: whether it was trained to its end.
+        config: all settings of the surrogate.
+        seed: seed of its training.
+        origin: why these hyperparameters, such as "default", "random" or "gp".
     """
 
     params: Params
-    value: float | None
-    complete: bool
+    config: SurrogateConfig
+    seed: int
+    origin: str
 
 
 def distributions(ranges: SearchRanges) -> dict[str, BaseDistribution]:
@@ -75,33 +81,55 @@ def nearest_params(ranges: SearchRanges, settings: Mapping[str, Any]) -> Params:
     return found
 
 
-def suggest(
-    ranges: SearchRanges, past: Sequence[PastTrial], *, default: Mapping[str, Any], seed: int
-) -> Params:
-    """Choose the hyperparameters of the next trial.
+def propose(
+    spec: StudySpec, index: int, finished: Sequence[TrialRecord], pending: Sequence[Params] = ()
+) -> Proposal:
+    """Choose what a trial tries: a function of the arguments alone.
 
     The first trial is the variant's own configuration, then follow random draws, then a Gaussian process. The
-    process is refitted from the past trials with a seed of its own at every trial, so that an interrupted
+    process is refitted from the finished trials with a seed of its own at every trial, so that an interrupted
     study goes on exactly as an uninterrupted one. A trial that was pruned or failed counts as no better than
     the worst completed one: the process would otherwise not see it and propose it again.
 
     Args:
-        ranges: ranges of the hyperparameters.
-        past: all finished trials, in order.
-        default: settings of the variant.
-        seed: seed of this trial's draw.
+        spec: the study.
+        index: the trial.
+        finished: trials that it may know the results of, in order.
+        pending: hyperparameters of the trials that run beside it.
     """
-    if not past:
-        return nearest_params(ranges, default)
-    space = distributions(ranges)
+    if index == 0:
+        params, origin = nearest_params(spec.search, spec.base_config.to_dict()), "default"
+    else:
+        params, origin = _suggestion(spec, finished, pending, seed=derived_seed(spec.seed, index, 0))
+    return proposal_of(spec, index, params, origin=origin)
+
+
+def proposal_of(spec: StudySpec, index: int, params: Params, *, origin: str) -> Proposal:
+    """Return the proposal with hyperparameters that are known already, as of a trial that was interrupted."""
+    return Proposal(
+        params,
+        config=spec.base_config.replace(**to_settings(params)),
+        seed=derived_seed(spec.seed, index, 1),
+        origin=origin,
+    )
+
+
+def _suggestion(
+    spec: StudySpec, finished: Sequence[TrialRecord], pending: Sequence[Params], *, seed: int
+) -> tuple[Params, str]:
+    """Ask Optuna's sampler, in a study of its own."""
+    space = distributions(spec.search)
     study = _memory_study(seed)
-    completed = [trial.value for trial in past if trial.complete and trial.value is not None]
-    if completed:
-        worst = max(completed)
-        for trial in past:
-            value = trial.value if trial.complete and trial.value is not None else worst
-            study.add_trial(create_trial(params=dict(trial.params), distributions=space, value=value))
-    return dict(study.ask(space).params)
+    completed = [record.value for record in finished if record.state == "complete"]
+    worst = max((value for value in completed if value is not None), default=None)
+    known = finished if worst is not None else ()
+    for record in known:
+        value = record.value if record.state == "complete" else worst
+        study.add_trial(create_trial(params=dict(record.params), distributions=space, value=value))
+    for params in pending:
+        study.add_trial(create_trial(state=OptunaState.RUNNING, params=dict(params), distributions=space))
+    origin = "random" if len(known) < N_STARTUP_TRIALS else "gp"
+    return dict(study.ask(space).params), origin
 
 
 def _memory_study(seed: int) -> optuna.Study:

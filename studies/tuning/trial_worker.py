@@ -13,7 +13,8 @@ import numpy as np
 from pelsvae.training import EpochReport
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from studies.tuning.search_space import PastTrial, derived_seed, suggest, to_settings
+from studies.tuning.pruning import Pruner
+from studies.tuning.search_space import proposal_of, propose
 from studies.tuning.study_data import StudyData, load_data
 from studies.tuning.study_spec import EventKind, StudySpec, TuneEvent
 from studies.tuning.study_store import StudyStore
@@ -95,12 +96,13 @@ def _run_trial(
 ) -> None:
     """Choose, train and record the next trial."""
     index = progress.n_finished
-    base = spec.base_config
-    params = store.params_of_interrupted(index) or suggest(
-        spec.search, progress.past, default=base.to_dict(), seed=derived_seed(spec.seed, index, 0)
-    )
-    config = base.replace(**to_settings(params))
-    owner, seed, started_s = this_owner(), derived_seed(spec.seed, index, 1), time.time()
+    if interrupted := store.params_of_interrupted(index):
+        proposal = proposal_of(spec, index, interrupted, origin="retry")
+    else:
+        proposal = propose(spec, index, progress.records)
+    params, config, seed = proposal.params, proposal.config, proposal.seed
+    pruner = Pruner(spec, index, progress.records)
+    owner, started_s = this_owner(), time.time()
     handle = store.start(
         index,
         params=params,
@@ -115,7 +117,7 @@ def _run_trial(
 
     def is_hopeless(epoch: int, validation_mae: float) -> bool:
         handle.report(validation_mae, epoch)
-        return handle.should_prune()
+        return pruner.is_hopeless(epoch, validation_mae)
 
     tick = time.perf_counter()
     outcome = TrialOutcome()
@@ -174,10 +176,8 @@ class _Progress:
         return len(self._records)
 
     @property
-    def past(self) -> list[PastTrial]:
-        return [
-            PastTrial(record.params, record.value, record.state == "complete") for record in self._records
-        ]
+    def records(self) -> list[TrialRecord]:
+        return list(self._records)
 
     def add(self, record: TrialRecord) -> None:
         self._records.append(record)

@@ -1,8 +1,10 @@
 """The search space and the choice of the next trial."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,25 +15,50 @@ from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from studies.profile import SearchRanges
 from studies.tuning.search_space import (
-    PastTrial,
+    Proposal,
     derived_seed,
     distributions,
     nearest_params,
-    suggest,
+    proposal_of,
+    propose,
     to_settings,
 )
-from studies.tuning.study_spec import StudySpec
+from studies.tuning.study_spec import StudySpec, TrialState
+from studies.tuning.trial_record import TrialRecord
 
 RANGES = SearchRanges(n_latent=(4, 128), n_hidden=(32, 256), beta=(1.0, 1000.0), learning_rate=(1e-4, 1e-2))
-DEFAULT = VARIANTS["refined"].to_dict()
+MakeSpec = Callable[..., StudySpec]
 
 
-def history(n: int) -> list[PastTrial]:
-    """Make up trials whose error depends on beta alone."""
-    past: list[PastTrial] = []
+def finished(
+    spec: StudySpec, proposal: Proposal, index: int, *, value: float, state: TrialState = "complete"
+) -> TrialRecord:
+    """Make up what a proposal may have become."""
+    return TrialRecord(
+        study=spec.name,
+        n_train=spec.n_train,
+        index=index,
+        state=state,
+        reason="made up",
+        params=proposal.params,
+        config=proposal.config.to_dict(),
+        seed=proposal.seed,
+        started_s=0.0,
+        wall_s=1.0,
+        digests=spec.digests,
+        owner={},
+        metrics={} if state == "failed" else {"val/mae": value, "val/p90": 2.0 * value},
+    )
+
+
+def history(spec: StudySpec, n: int) -> list[TrialRecord]:
+    """Make up trials whose error depends on beta alone; every fourth is pruned."""
+    past: list[TrialRecord] = []
     for index in range(n):
-        params = suggest(RANGES, past, default=DEFAULT, seed=derived_seed(1, index))
-        past.append(PastTrial(params, value=abs(params["beta"] - 30.0), complete=index % 4 != 3))
+        proposal = propose(spec, index, past)
+        state: TrialState = "pruned" if index % 4 == 3 else "complete"
+        value = abs(proposal.params["beta"] - 30.0)
+        past.append(finished(spec, proposal, index, value=value, state=state))
     return past
 
 
@@ -57,19 +84,37 @@ def test_settings_are_those_of_the_surrogate() -> None:
     VARIANTS["paper"].replace(**settings)
 
 
-def test_first_suggestion_is_the_default() -> None:
-    first = suggest(RANGES, [], default=DEFAULT, seed=3)
-    assert to_settings(first) == {
-        name: DEFAULT[name] for name in ("n_latent", "n_hidden", "beta", "learning_rate")
-    }
+def test_first_proposal_is_the_default(make_spec: MakeSpec) -> None:
+    spec = make_spec(search=RANGES)
+    first = propose(spec, 0, [])
+    assert first.origin == "default"
+    assert first.config == spec.base_config
 
 
-@pytest.mark.parametrize("n", [1, 3, 8])
-def test_suggestion_depends_on_history_and_seed_alone(n: int) -> None:
-    past = history(n)
-    once = suggest(RANGES, past, default=DEFAULT, seed=11)
-    assert suggest(RANGES, past, default=DEFAULT, seed=11) == once
-    assert suggest(RANGES, past, default=DEFAULT, seed=12) != once
+@pytest.mark.parametrize(("n", "origin"), [(1, "random"), (4, "random"), (5, "gp"), (8, "gp")])
+def test_proposal_depends_on_history_and_seed_alone(make_spec: MakeSpec, n: int, origin: str) -> None:
+    spec = make_spec(search=RANGES)
+    past = history(spec, n)
+    once = propose(spec, n, past)
+    assert once.origin == origin
+    assert propose(spec, n, past) == once
+    assert propose(replace(spec, seed=6), n, past).params != once.params
+
+
+def test_trials_side_by_side_are_sent_to_different_places(make_spec: MakeSpec) -> None:
+    spec = make_spec(search=RANGES)
+    past = history(spec, 6)
+    alone = propose(spec, 7, past)
+    beside = propose(spec, 7, past, [alone.params])
+    assert beside == propose(spec, 7, past, [alone.params])
+    assert abs(np.log(beside.params["beta"] / alone.params["beta"])) > 1e-3
+
+
+def test_interrupted_trial_is_proposed_again_as_it_was(make_spec: MakeSpec) -> None:
+    spec = make_spec(search=RANGES)
+    past = history(spec, 3)
+    lost = propose(spec, 3, past)
+    assert proposal_of(spec, 3, lost.params, origin=lost.origin) == lost
 
 
 @given(
