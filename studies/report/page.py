@@ -8,11 +8,36 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import Protocol
 
-from studies.report.data import Provenance, ReportData
+from studies.report.data import Provenance
 from studies.report.tables import Table
 
 TEMPLATE = Path(__file__).with_name("page.html")
+FOOTER = (
+    "Pictures (PNG), tables (CSV, Markdown) and report.json lie beside this page; "
+    "the page itself needs none of them."
+)
+
+
+class Head(Protocol):
+    """What stands around the sections of a page."""
+
+    @property
+    def label(self) -> str:
+        """Which results they are."""
+
+    @property
+    def title(self) -> str:
+        """What the page is about."""
+
+    @property
+    def note(self) -> str:
+        """What a reader must know first; may be empty."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """How to get the page again."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +58,14 @@ class PlacedPicture:
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What a comparison came to: one word, and the paragraph that says why."""
+
+    word: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of the page; folded ones are opened by the reader."""
 
@@ -41,9 +74,19 @@ class Section:
     pictures: tuple[PlacedPicture, ...] = ()
     tables: tuple[Table, ...] = ()
     folded: tuple[Section, ...] = ()
+    verdict: Verdict | None = None
+    paragraphs: tuple[str, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to show."""
+        return not (self.pictures or self.tables or self.folded or self.verdict or self.paragraphs)
 
 
-def page(data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[Section]) -> str:
+def page(
+    data: Head, lead: str, cards: Sequence[Card], sections: Sequence[Section], *, footer: str = FOOTER
+) -> str:
     """Write the page.
 
     Args:
@@ -51,11 +94,12 @@ def page(data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[
         lead: The result in one sentence.
         cards: The headline numbers.
         sections: What follows; an empty one is left out.
+        footer: What else there is.
 
     Returns:
         A complete HTML document.
     """
-    shown = [section for section in sections if section.pictures or section.tables or section.folded]
+    shown = [section for section in sections if not section.is_empty]
     created = f" · {escape(data.provenance.created)}" if data.provenance.created else ""
     links = "".join(f'<a href="#{escape(s.anchor)}">{escape(s.heading)}</a>' for s in shown)
     note = f'<p class="note" role="note"><strong>Note.</strong> {escape(data.note)}</p>' if data.note else ""
@@ -67,8 +111,7 @@ def page(data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[
         *(_section(section) for section in shown),
         _again(data.provenance),
         "</main>",
-        "<footer>Pictures (PNG), tables (CSV, Markdown) and report.json lie beside this page; "
-        "the page itself needs none of them.</footer>",
+        f"<footer>{escape(footer)}</footer>",
     ]
     template = Template(TEMPLATE.read_text(encoding="utf-8"))
     return template.substitute(title=escape(f"{data.label}: {data.title}"), body="\n".join(body))
@@ -90,13 +133,25 @@ def _section(section: Section) -> str:
 
 
 def _content(section: Section) -> str:
-    parts = [_picture(picture) for picture in section.pictures]
+    parts = [f"<p>{escape(paragraph)}</p>" for paragraph in section.paragraphs]
+    if section.verdict is not None:
+        word, text = escape(section.verdict.word), escape(section.verdict.text)
+        parts.append(f'<p class="verdict"><strong>{word}.</strong> {text}</p>')
+    parts += [_picture(picture) for picture in section.pictures]
     parts += [table.to_html() for table in section.tables]
     parts += [
         f"<details><summary>{escape(part.heading)}</summary>{_content(part)}</details>"
         for part in section.folded
     ]
+    parts.append(_pairs(section.facts))
     return "".join(parts)
+
+
+def _pairs(pairs: Sequence[tuple[str, str]]) -> str:
+    if not pairs:
+        return ""
+    rows = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in pairs)
+    return f"<dl>{rows}</dl>"
 
 
 def _picture(picture: PlacedPicture) -> str:
@@ -120,7 +175,6 @@ def _again(provenance: Provenance) -> str:
         ("Versions", provenance.versions),
     ):
         if pairs:
-            rows = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in pairs)
-            parts.append(f"<h3>{heading}</h3><dl>{rows}</dl>")
+            parts.append(f"<h3>{heading}</h3>{_pairs(pairs)}")
     parts.append("</section>")
     return "".join(parts)
