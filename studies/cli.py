@@ -25,6 +25,7 @@ COMMANDS = (
     "tune",
     "calibrate",
     "report",
+    "status",
     "ui",
     "import-recording",
     "run",
@@ -52,6 +53,7 @@ examples:
   studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
   studies calibrate --method adaptive      no training set: right after check
+  studies status --live                    what runs, how far it is, when it will be finished
   studies ui                               compare the runs in MLflow
 
 where results land (label = <case>-<profile>):

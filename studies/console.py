@@ -1,4 +1,4 @@
-"""What a user sees on the terminal: stages, progress with time to go, tables. Only this module knows rich.
+"""What a user sees on the terminal: stages, progress with time to go, tables.
 
 Progress and stage lines go to stderr. Results go to stdout: tables for people, or one JSON document.
 """
@@ -9,13 +9,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Literal, Protocol
 
-if TYPE_CHECKING:
-    from rich.console import Console as RichConsole
-
-PLAIN_WIDTH = 160
-"""Columns of a table that is written to a file or a pipe."""
+Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
+"""How something is said: what is good, to be looked at, or of less weight."""
 
 OnProgress = Callable[[int, int], None]
 """Called with what is done and what there is to do."""
@@ -35,10 +32,50 @@ class Column:
     Args:
         title: heading.
         is_number: numbers stand right.
+        spare: columns with a larger number are left out first where the terminal is too narrow; 0 never is.
     """
 
     title: str
     is_number: bool = False
+    spare: int = 0
+
+
+@dataclass(frozen=True)
+class Said:
+    """A text with a tone, which a terminal shows as a colour and a file does not show at all.
+
+    Args:
+        text: the text.
+        tone: how it is said.
+    """
+
+    text: str
+    tone: Tone = ""
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return self.text
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a title.
+
+    Args:
+        title: above it.
+        columns: its columns.
+        rows: its cells; a cell is anything with a text, or a `Said`.
+        is_dense: two blanks between columns, not three.
+    """
+
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[object]]
+    is_dense: bool = False
+
+
+Block = Table | Said
+"""What stands on its own: a table, or a text of one or several lines."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +143,8 @@ class Console:
             TimeRemainingColumn,
         )
 
+        from studies.screen import rich_console
+
         progress = Progress(
             TextColumn("  {task.description}"),
             BarColumn(),
@@ -113,7 +152,7 @@ class Console:
             TimeElapsedColumn(),
             TextColumn("to go"),
             TimeRemainingColumn(elapsed_when_finished=False),
-            console=_rich(sys.stderr),
+            console=rich_console(sys.stderr),
             transient=True,
         )
         tasks: dict[str, TaskID] = {}
@@ -128,18 +167,28 @@ class Console:
 
     def table(self, title: str, columns: Sequence[Column], rows: Sequence[Sequence[object]]) -> None:
         """Write a table to stdout, or nothing where the result is a JSON document."""
-        if self.as_json:
-            return
-        from rich import box
-        from rich.table import Table
-        from rich.text import Text
+        self.show([Table(title, columns, rows)])
 
-        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-        for column in columns:
-            table.add_column(column.title, justify="right" if column.is_number else "left", overflow="fold")
-        for row in rows:
-            table.add_row(*(Text(str(cell)) for cell in row))
-        _rich(sys.stdout).print(table)
+    def show(self, blocks: Sequence[Block]) -> None:
+        """Write tables and texts to stdout, or nothing where the result is a JSON document."""
+        if not self.as_json:
+            from studies.screen import print_blocks
+
+            print_blocks(blocks)
+
+    def watch(self, look: Callable[[], Sequence[Block]], *, period_s: float = 1.0) -> None:
+        """Show tables and texts over and over until Ctrl-C; once where nobody watches.
+
+        Args:
+            look: returns what to show; may take its time.
+            period_s: shortest pause between two looks. [s]
+        """
+        if self.as_json or self.quiet or not sys.stdout.isatty():
+            self.show(look())
+            return
+        from studies.screen import watch_blocks
+
+        watch_blocks(look, period_s=period_s)
 
     def result(self, line: str) -> None:
         """Write one line of the result to stdout, or nothing where the result is a JSON document."""
@@ -166,10 +215,3 @@ def format_seconds(seconds: float) -> str:
 def _write(stream: Any, line: str) -> None:
     stream.write(line + "\n")
     stream.flush()
-
-
-def _rich(stream: Any) -> "RichConsole":
-    from rich.console import Console as RichConsole
-
-    width = None if stream.isatty() else PLAIN_WIDTH
-    return RichConsole(file=stream, width=width, highlight=False)

@@ -1,0 +1,1 @@
+"""What is there: studies, trials, calibrations, row sets, found by name and told on the terminal."""

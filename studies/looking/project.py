@@ -1,0 +1,191 @@
+"""What a project holds at this moment, read from its records: studies with their trials, and stages."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from studies.paths import ProjectPaths, size_name
+from studies.report.wording import difference_unit
+from studies.stages.pipeline import read_json
+from studies.tuning.trial_record import TrialRecord, best_record, read_records
+
+
+@dataclass(frozen=True)
+class StudyLook:
+    """A study as it stands.
+
+    Args:
+        name: its whole name, such as `office-quick/n0064/1a2b3c4d`.
+        label: label of case and profile.
+        case_name: name of the case, empty where nothing tells.
+        n_train: training-set size.
+        n_planned: trials that it shall have, as far as is known.
+        unit: unit of its errors.
+        records: its finished trials, in order.
+        running: its running trials.
+        folder: where its trials lie, None where they lie in a database.
+    """
+
+    name: str
+    label: str
+    case_name: str
+    n_train: int
+    n_planned: int
+    unit: str
+    records: tuple[TrialRecord, ...]
+    running: tuple[Any, ...]
+    folder: Path | None
+
+    @property
+    def short_name(self) -> str:
+        """What it is called on a command line, for example `office-quick/n0064`."""
+        return self.name.rsplit("/", 1)[0]
+
+    @property
+    def digest(self) -> str:
+        """First digits of the digest of all that decides its trials."""
+        return self.name.rsplit("/", 1)[1]
+
+    @cached_property
+    def best(self) -> TrialRecord | None:
+        """Its completed trial of least validation error."""
+        return best_record(self.records)
+
+    @property
+    def default(self) -> TrialRecord | None:
+        """Its completed trial of the default configuration, which is always the first."""
+        first = self.records[0] if self.records else None
+        return first if first and first.index == 0 and first.state == "complete" else None
+
+    @property
+    def digests(self) -> Mapping[str, str]:
+        """Sha256 of case, FMU and data sets."""
+        return self.records[0].digests if self.records else {}
+
+    def count(self, state: str) -> int:
+        """Return the trials that ended so."""
+        return sum(record.state == state for record in self.records)
+
+    @property
+    def began_s(self) -> float:
+        """Begin of its latest trial. [s since 1970, UTC]."""
+        return max((record.started_s for record in self.records), default=0.0)
+
+
+@dataclass(frozen=True)
+class StageLook:
+    """A finished stage.
+
+    Args:
+        label: label of the study.
+        stage: its name, such as `simulate` or `calibrate-n0064`.
+        manifest: what the stage left: inputs, summary, files, versions, host, wall time.
+        file: where that lies.
+    """
+
+    label: str
+    stage: str
+    manifest: Mapping[str, Any]
+    file: Path
+
+    @property
+    def name(self) -> str:
+        """What it is called on a command line."""
+        return f"{self.label}/{self.stage}"
+
+    @property
+    def summary(self) -> Mapping[str, Any]:
+        """Its results."""
+        found: Mapping[str, Any] = self.manifest["summary"]
+        return found
+
+    @property
+    def is_calibration(self) -> bool:
+        """Whether parameters were calibrated."""
+        return self.stage.startswith("calibrate-")
+
+    @property
+    def mse(self) -> float:
+        """Final error of a calibration, infinite where it has none. [first output's unit squared]."""
+        value = self.summary.get("mse_polished", self.summary.get("mse"))
+        return math.inf if value is None else float(value)
+
+    @property
+    def n_calls(self) -> int:
+        """Model calls of a calibration in the paper's count."""
+        return int(self.summary["ledger"]["total_paper"])
+
+
+@dataclass(frozen=True)
+class Project:
+    """All studies and stages of a project.
+
+    Args:
+        paths: where everything lies.
+        studies: the studies, by label and size.
+        stages: the finished stages, by label.
+    """
+
+    paths: ProjectPaths
+    studies: tuple[StudyLook, ...]
+    stages: tuple[StageLook, ...]
+
+    @property
+    def calibrations(self) -> tuple[StageLook, ...]:
+        """The finished calibrations."""
+        return tuple(stage for stage in self.stages if stage.is_calibration)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """All labels, in order."""
+        labels = [study.label for study in self.studies] + [stage.label for stage in self.stages]
+        return tuple(sorted(set(labels)))
+
+    def case_of(self, label: str) -> str:
+        """Return the name of the case behind a label, empty where nothing tells."""
+        return next((study.case_name for study in self.studies if study.label == label), "")
+
+    def unit_of(self, label: str) -> str:
+        """Return the unit of a label's errors, empty where nothing tells."""
+        return next((study.unit for study in self.studies if study.label == label), "")
+
+
+def look_at(paths: ProjectPaths) -> Project:
+    """Read what there is."""
+    stages = _stages(paths)
+    return Project(paths, tuple(_studies(paths, stages)), stages)
+
+
+def _stages(paths: ProjectPaths) -> tuple[StageLook, ...]:
+    found = []
+    for file in sorted((paths.mlruns / "results").glob("*/*.json")):
+        manifest = read_json(file)
+        if manifest is not None and manifest.get("stage") == file.stem and "summary" in manifest:
+            found.append(StageLook(file.parent.name, file.stem, manifest, file))
+    return tuple(found)
+
+
+def _studies(paths: ProjectPaths, stages: tuple[StageLook, ...]) -> list[StudyLook]:
+    found = []
+    for folder in sorted((paths.mlruns / "trials").glob("*/n*-*")):
+        label = folder.parent.name
+        size, digest = folder.name.split("-")
+        champion = read_json(paths.champion(label, int(size[1:])) / "champion.json") or {}
+        records = tuple(read_records(folder))
+        found.append(
+            StudyLook(
+                name=f"{label}/{size_name(int(size[1:]))}/{digest}",
+                label=label,
+                case_name=champion.get("case_name", ""),
+                n_train=int(size[1:]),
+                n_planned=len(records),
+                unit=difference_unit(champion.get("output_unit", "")),
+                records=records,
+                running=(),
+                folder=folder,
+            )
+        )
+    return found

@@ -1,0 +1,106 @@
+"""How tables and texts become the lines of a terminal: widths, colours, and a screen that is drawn again."""
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console as RichConsole
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.segment import Segment, Segments
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from studies.console import Block, Said, Table
+
+PLAIN_WIDTH = 160
+"""Columns of a table that is written to a file or a pipe."""
+LOOKING = 9.0
+"""Pause between two looks, as a multiple of what a look costs: looking takes a tenth of a core at most."""
+_STYLES = {"": "", "strong": "bold", "dim": "dim", "good": "green", "warn": "yellow", "bad": "red"}
+
+
+def rich_console(stream: Any) -> RichConsole:
+    """Return what draws on a stream; colours and the terminal's own width only where there is one."""
+    width = None if stream.isatty() else PLAIN_WIDTH
+    return RichConsole(file=stream, width=width, highlight=False)
+
+
+def print_blocks(blocks: Sequence[Block]) -> None:
+    """Write blocks to stdout; lines of text are left for the terminal to wrap, so that they can be copied."""
+    screen = rich_console(sys.stdout)
+    for block in blocks:
+        screen.print(_drawn(block, screen.width), soft_wrap=isinstance(block, Said))
+
+
+def watch_blocks(look: Callable[[], Sequence[Block]], *, period_s: float) -> None:
+    """Draw what is seen again and again until Ctrl-C, then leave the last of it on the terminal.
+
+    Args:
+        look: returns what to show.
+        period_s: shortest pause between two looks. [s]
+    """
+    screen = rich_console(sys.stdout)
+    blocks: Sequence[Block] = ()
+    try:
+        with Live(console=screen, screen=True, auto_refresh=False) as live:
+            while True:
+                started = time.perf_counter()
+                blocks = look()
+                live.update(_cropped(blocks, screen), refresh=True)
+                time.sleep(max(period_s, LOOKING * (time.perf_counter() - started)))
+    except KeyboardInterrupt:
+        print_blocks(blocks)
+
+
+def _drawn(block: Block, width: int) -> RenderableType:
+    """Return what rich prints for a block."""
+    if isinstance(block, Said):
+        return Text(block.text, style=_STYLES[block.tone])
+    table = RichTable(
+        title=Text(block.title) if block.title else None,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0) if block.is_dense else (0, 1),
+    )
+    kept = _fitting(block, width)
+    for index in kept:
+        column = block.columns[index]
+        table.add_column(column.title, justify="right" if column.is_number else "left", overflow="fold")
+    for row in block.rows:
+        table.add_row(*(_cell(row[index]) for index in kept))
+    return table
+
+
+def _cell(content: object) -> Text:
+    return Text(str(content), style=_STYLES[content.tone] if isinstance(content, Said) else "")
+
+
+def _fitting(table: Table, width: int) -> list[int]:
+    """Return the columns that fit beside each other, the most spare ones left out first."""
+    gap = 2 if table.is_dense else 3
+    columns = table.columns
+    widths = [
+        max(cell_len(text) for text in (column.title, *(str(row[i]) for row in table.rows)))
+        for i, column in enumerate(columns)
+    ]
+    kept = list(range(len(columns)))
+    while sum(widths[i] + gap for i in kept) > width and any(columns[i].spare for i in kept):
+        kept.remove(max(kept, key=lambda i: columns[i].spare))
+    return kept
+
+
+def _cropped(blocks: Sequence[Block], screen: RichConsole) -> RenderableType:
+    """Return blocks cut to the height of the terminal, saying so."""
+    whole = Group(*(_drawn(block, screen.width) for block in blocks))
+    lines = screen.render_lines(whole, pad=False)
+    if len(lines) <= screen.height:
+        return whole
+    fitting = lines[: screen.height - 1]
+    segments = [segment for line in fitting for segment in (*line, Segment.line())]
+    left = len(lines) - len(fitting)
+    return Segments([*segments, Segment(f"... {left} more lines: a taller window shows them")])
