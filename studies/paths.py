@@ -1,24 +1,27 @@
 """Where everything lies: the project's root, its cases, and what a run leaves behind."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
 from simulation.errors import InputError
+from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
 
 ROOT_VARIABLE = "STUDIES_ROOT"
 
 
 @dataclass(frozen=True)
 class ProjectPaths:
-    """The folders of one project.
+    """The folders of one project, and its database server where it has one.
 
     Args:
         root: folder that holds `fmus/`, `data/` and `mlruns/`.
+        storage: PostgreSQL URL of trials, Optuna's and MLflow's stores; None for files below the root.
     """
 
     root: Path
+    storage: str | None = field(default=None, repr=False)
 
     @property
     def fmus(self) -> Path:
@@ -39,6 +42,13 @@ class ProjectPaths:
     def tracking_database(self) -> Path:
         """MLflow's SQLite file."""
         return self.mlruns / "mlflow.db"
+
+    @property
+    def tracking_uri(self) -> str:
+        """MLflow's URI; on a server it holds the user's password and is not for showing."""
+        if self.storage is not None:
+            return in_schema(self.storage, "mlflow")
+        return f"sqlite:///{self.tracking_database.resolve().as_posix()}"
 
     @property
     def artifacts(self) -> Path:
@@ -88,23 +98,31 @@ def size_name(n_train: int) -> str:
     return f"n{n_train:04d}"
 
 
-def find_project() -> ProjectPaths:
+def find_project(storage: str | None = None) -> ProjectPaths:
     """Find the project: `$STUDIES_ROOT`, else a folder above the working one, else above this package.
 
+    Args:
+        storage: PostgreSQL URL; None takes `$STUDIES_STORAGE`, and files where that is not set either.
+
     Raises:
-        InputError: `$STUDIES_ROOT` is set and is no folder.
+        InputError: `$STUDIES_ROOT` is set and is no folder, or the storage is no URL of a database.
     """
+    url = storage or os.environ.get(STORAGE_VARIABLE)
+    return ProjectPaths(_find_root(), read_storage(url) if url else None)
+
+
+def _find_root() -> Path:
     declared = os.environ.get(ROOT_VARIABLE)
     if declared:
         root = Path(declared).expanduser()
         if not root.is_dir():
             raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
-        return ProjectPaths(root.resolve())
+        return root.resolve()
     working = Path.cwd().resolve()
     for folder in (working, *working.parents):
         if (folder / "fmus").is_dir() and (folder / "pyproject.toml").is_file():
-            return ProjectPaths(folder)
-    return ProjectPaths(Path(__file__).resolve().parent.parent)
+            return folder
+    return Path(__file__).resolve().parent.parent
 
 
 def find_case(paths: ProjectPaths, case: str) -> Path:

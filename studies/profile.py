@@ -1,6 +1,7 @@
 """Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -88,6 +89,9 @@ class TuningBudget:
         max_epochs: limit of one training; None holds the variant's.
         patience: epochs without a better validation error; None holds the variant's.
         device: where the trials are trained; "auto" takes CUDA where there is some.
+        n_parallel: trials of one study that may run side by side; part of what a study is, as a trial knows
+            the results of those only that stand n_parallel or more places before it.
+        max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
         search: ranges of the hyperparameters.
     """
 
@@ -96,6 +100,8 @@ class TuningBudget:
     max_epochs: Count | None = None
     patience: Count | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
+    n_parallel: Count = 1
+    max_trial_s: Positive | None = None
     search: SearchRanges = Field(default_factory=SearchRanges)
 
 
@@ -173,6 +179,22 @@ def load_profile(profile: str) -> Profile:
         raise InputError(f"{file} is no TOML: {error}") from None
     except ValidationError as error:
         raise InputError(f"{file}: {_in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
+
+
+def profile_from(content: Mapping[str, Any], where: str) -> Profile:
+    """Rebuild a profile from the values that `Profile.to_dict` gave.
+
+    Args:
+        content: the values.
+        where: where they were kept, for the message.
+
+    Raises:
+        InputError: a key or a value that this version does not know.
+    """
+    try:
+        return _READER.validate_python(dict(content))
+    except ValidationError as error:
+        raise InputError(f"{where}: profile: {_in_one_line(error)}; use the version that wrote it") from None
 
 
 def _in_one_line(error: ValidationError) -> str:

@@ -45,7 +45,9 @@ class StudySpec:
         overrides: settings of the surrogate that every trial shares; a None holds the variant's.
         search: ranges of the hyperparameters.
         seed: every random draw derives from it.
+        n_parallel: trials that may run side by side; each knows the results of those so many places before.
         note: shown where the numbers are shown.
+        recipe: what rebuilds its trainings elsewhere (see `studies.recipe`); decides nothing.
     """
 
     label: str
@@ -67,7 +69,9 @@ class StudySpec:
     overrides: Mapping[str, Any] = field(default_factory=dict)
     search: SearchRanges = field(default_factory=SearchRanges)
     seed: int = 0
+    n_parallel: int = 1
     note: str = ""
+    recipe: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def from_files(
@@ -142,7 +146,7 @@ class StudySpec:
     def digest(self) -> str:
         """Sha256 over all that decides the trials and their errors.
 
-        The number of trials, the device, names of files and notes do not.
+        The number of trials, the device, names of files, notes and the recipe do not.
         """
         settings = {k: v for k, v in self.base_config.to_dict().items() if k not in ("device", "n_threads")}
         decisive = {
@@ -157,6 +161,8 @@ class StudySpec:
             "output_scales": self.output_scales,
             "seed": self.seed,
         }
+        if self.n_parallel != 1:
+            decisive["n_parallel"] = self.n_parallel
         return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
 
     @property
