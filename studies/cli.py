@@ -27,6 +27,7 @@ COMMANDS = (
     "report",
     "status",
     "ui",
+    "reproduce-paper",
     "import-recording",
     "run",
 )

@@ -1,0 +1,152 @@
+"""`studies reproduce-paper`: make the paper's tables and figures again, and say where we agree."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from studies.commands import options, values
+from studies.commands.study import OK, open_study
+from studies.console import Column, Console, format_seconds
+
+if TYPE_CHECKING:
+    from studies.paper.plan import Plan
+    from studies.stages.pipeline import Study
+
+HELP = "make the paper's tables and figures again, and say where we agree"
+MORE = """\
+what happens: every table and figure of the paper as a stage of its own, from the same simulations, trainings
+and calibrations as the other commands. Finished items are skipped, an interrupted one goes on where it
+stopped. Beside each stands the paper's value and whether we agree. The page lands in
+mlruns/reports/<label>/paper/index.html, numbers (JSON), tables (CSV, Markdown) and pictures (PNG) in
+mlruns/results/<label>/paper/<item>/, all of it in MLflow.
+
+--budget small (default) takes about an hour on two cores, --budget full up to twelve; the full one goes on
+from the small one's trainings. --profile another one: its sizes and trials, e.g. smoke to see it work.
+
+examples:
+  studies reproduce-paper --dry-run                         what would be done, and how long it takes
+  studies reproduce-paper --only fig5 fig7
+  studies reproduce-paper office-recorded --budget full     after studies import-recording
+  studies reproduce-paper office-recorded --export data/paper-results/office-recorded.json
+"""
+
+PROFILE = "paper"
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Say what may be typed after the command."""
+    from studies.paper.catalog import ITEMS
+
+    names = " ".join(word for item in ITEMS for word in (item.name, *item.aliases))
+    command.add_argument(
+        "case",
+        nargs="?",
+        default="office",
+        metavar="CASE",
+        help="name, file or folder of a case; default: office",
+    )
+    command.add_argument("--only", nargs="+", metavar="ITEM", help=f"these items alone: {names}")
+    command.add_argument("--budget", default="small", metavar="NAME", help="small (default) or full")
+    command.add_argument(
+        "--profile", metavar="NAME", help="sizes and trials of another profile; default: paper"
+    )
+    command.add_argument("--trials", type=values.whole(1), metavar="N", help="trials per size instead")
+    command.add_argument("--seed", type=values.whole(0, 2**32 - 1), metavar="N", help="seed of every draw")
+    command.add_argument("--jobs", type=values.whole(1), metavar="N", help="processes; default: one per core")
+    command.add_argument(
+        "--again", action="store_true", help="make the items again from their finished stages"
+    )
+    command.add_argument(
+        "--dry-run", action="store_true", help="say what would be done, and how long it takes"
+    )
+    command.add_argument(
+        "--export", type=Path, metavar="FILE", help="also write the numbers of all items to one JSON file"
+    )
+    options.add_simulation(command)
+
+
+def run(chosen: argparse.Namespace, console: Console) -> int:
+    """Do it and return the exit code."""
+    from studies.paper.catalog import chosen_items, item_module, with_needs
+
+    items = with_needs(chosen_items(chosen.only))
+    plan = _plan(chosen, console)
+    from studies.paper.gather import build_page, export
+    from studies.paper.run import is_finished, run_item
+
+    study = plan.study
+    finished = {item.name: is_finished(plan, item) for item in items}
+    costs = {item.name: 0.0 if finished[item.name] else item_module(item).estimate_s(plan) for item in items}
+    console.table(
+        f"{study.label}: {plan.budget.name} budget",
+        [Column("item"), Column("what"), Column("about", True)],
+        [[i.name, i.what, "finished" if finished[i.name] else format_seconds(costs[i.name])] for i in items],
+    )
+    console.say(
+        f"reproduce-paper: about {format_seconds(sum(costs.values()))} in all, less where stages are finished"
+    )
+    outcomes = []
+    if not chosen.dry_run:
+        for item in items:
+            wanted = chosen.again and item in chosen_items(chosen.only)
+            outcomes.append(run_item(plan, item, again=wanted))
+            # After every item, so that an interruption leaves a page of what is there.
+            build_page(plan)
+    index = build_page(plan)
+    if chosen.export is not None:
+        export(study, chosen.export)
+    console.table(
+        f"{study.label}: beside the paper",
+        [Column("item"), Column("agreement"), Column("model calls", True), Column("work", True)],
+        [
+            [o.stage.removeprefix("paper/"), o.summary["agreement"], f"{o.summary['n_calls']:,}",
+             format_seconds(o.summary["work_s"])]
+            for o in outcomes
+        ],
+    )  # fmt: skip
+    console.result(f"Page: {index}")
+    console.document(
+        {
+            "command": "reproduce-paper",
+            "label": study.label,
+            "budget": plan.budget.to_dict(),
+            "estimated_s": {name: round(cost, 1) for name, cost in costs.items()},
+            "page": study.paths.show(index),
+            "stages": [outcome.to_dict() for outcome in outcomes],
+        }
+    )
+    return OK
+
+
+def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
+    """Put the plan together; its studies are those that the same words make with the other commands."""
+    from studies.paper.plan import Plan, budget_for
+    from studies.profile import load_profile
+
+    own_profile = chosen.profile is not None
+    profile = chosen.profile or PROFILE
+    budget = budget_for(chosen.budget, load_profile(profile), own_profile=own_profile, trials=chosen.trials)
+    seed = chosen.seed
+
+    def opener(
+        *,
+        window: tuple[float, float] | None = None,
+        seed: int | None = seed,
+        n_train: tuple[int, ...],
+        trials: int,
+    ) -> "Study":
+        words = vars(chosen) | {
+            "profile": profile,
+            "window": None if window is None else values.Window(*window),
+            "seed": seed,
+            "n_train": list(n_train),
+            "trials": trials,
+        }
+        return open_study(argparse.Namespace(**words), console)
+
+    words = [chosen.case]
+    words += ["--profile", profile] if own_profile else []
+    words += ["--budget", chosen.budget] if chosen.budget != "small" else []
+    words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
+    words += ["--seed", str(seed)] if seed is not None else []
+    return Plan(opener=opener, budget=budget, words=" ".join(words))

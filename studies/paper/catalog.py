@@ -1,0 +1,93 @@
+"""Which tables and figures of the paper there are, by the word for `--only`; imports nothing heavy."""
+
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from simulation.errors import InputError
+
+if TYPE_CHECKING:
+    from studies.paper.plan import Plan
+    from studies.paper.result import ItemResult
+
+
+@dataclass(frozen=True)
+class Item:
+    """One table or figure of the paper, or one that belongs beside it.
+
+    Args:
+        name: word for `--only`, name of its folder and of its module.
+        title: heading on the page.
+        what: what is done, for the terminal.
+        needs: items that must be finished before.
+        aliases: other words that mean it.
+    """
+
+    name: str
+    title: str
+    what: str
+    needs: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
+
+
+ITEMS = (
+    Item("fig4", "Fig. 4: training trajectories and coverage", "256 trajectories with the measurement"),
+    Item("fig5", "Fig. 5: Sobol indices over time", "first and total order from Saltelli's sample"),
+    Item("fig6", "Fig. 6: hyperparameters and training-set sizes", "an Optuna study per size, days 8 to 16"),
+    Item(
+        "fig7",
+        "Fig. 7: error on narrower test sets",
+        "the best surrogate per size on test sets of spread 0 to 1",
+        needs=("fig5",),
+    ),
+    Item(
+        "table4",
+        "Table 4 and Fig. 9: calibration by surrogate and polish",
+        "screening and polish per size",
+        aliases=("fig9",),
+    ),
+    Item("seeds", "Table 4 over seeds", "the whole method again with other seeds: medians and quartiles"),
+)
+
+
+class ItemModule(Protocol):
+    """What the module behind an item offers."""
+
+    def inputs(self, plan: "Plan") -> dict[str, Any]:
+        """Return all that decides the result, beside case and measurement, as JSON values."""
+
+    def estimate_s(self, plan: "Plan") -> float:
+        """Estimate how long it takes from nothing. [s]."""
+
+    def run(self, plan: "Plan") -> "ItemResult":
+        """Do it."""
+
+
+def item_module(item: Item) -> ItemModule:
+    """Return the module that does an item."""
+    return cast("ItemModule", importlib.import_module(f"studies.paper.{item.name}"))
+
+
+def chosen_items(words: list[str] | None) -> tuple[Item, ...]:
+    """Return the items that some words mean, in the order of the paper; all of them without words.
+
+    Raises:
+        InputError: a word means no item.
+    """
+    if not words:
+        return ITEMS
+    meaning = {word: item for item in ITEMS for word in (item.name, *item.aliases)}
+    unknown = [word for word in words if word not in meaning]
+    if unknown:
+        raise InputError(f"--only {unknown[0]}: there is no such item; there are {', '.join(meaning)}")
+    wanted = {meaning[word].name for word in words}
+    return tuple(item for item in ITEMS if item.name in wanted)
+
+
+def with_needs(items: tuple[Item, ...]) -> tuple[Item, ...]:
+    """Return items with all that must be finished before them, in the order of the paper."""
+    wanted = {item.name for item in items}
+    for item in reversed(ITEMS):
+        if item.name in wanted:
+            wanted |= set(item.needs)
+    return tuple(item for item in ITEMS if item.name in wanted)

@@ -1,0 +1,196 @@
+"""How much of the paper is repeated: budgets, and the studies (window, seed, sizes) they are spent on."""
+
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from simulation.errors import InputError
+from studies.profile import Profile
+from studies.stages.pipeline import Study
+
+BudgetName = Literal["small", "full"]
+Window = tuple[float, float] | None
+
+HYPERPARAMETER_WINDOW_D = (8.0, 16.0)
+"""Days of Fig. 6; everything else is done on the case's own window."""
+
+# Seconds of one training of the paper's form on one core, measured; pruned trials end sooner.
+TRAINING_S = {32: 8.0, 128: 16.0, 256: 22.0, 1024: 60.0, 4096: 260.0}
+SIMULATIONS_PER_S = 1_500.0
+PREDICTIONS_PER_S = 8_000.0
+
+
+@dataclass(frozen=True)
+class PaperBudget:
+    """How much is spent where the paper's profile leaves it open.
+
+    Args:
+        name: word for `--budget`.
+        note: what a reader of the results must know.
+        n_train: training-set sizes.
+        trials: trials per size; a size that is not named gets those of the next larger one.
+        window_trials: trials per size on the case's own window, for Fig. 7 and Table 4.
+        n_base: Saltelli blocks of the Sobol indices.
+        n_resamples: their bootstrap samples.
+        n_seeds: seeds of the robust statistics.
+        seed_sizes: training-set sizes of the robust statistics.
+        seed_trials: trials per seed and size.
+        n_spread: rows of each of Fig. 7's test sets.
+    """
+
+    name: str
+    note: str
+    n_train: tuple[int, ...]
+    trials: dict[int, int]
+    window_trials: dict[int, int]
+    n_base: int
+    n_resamples: int
+    n_seeds: int
+    seed_sizes: tuple[int, ...]
+    seed_trials: int
+    n_spread: int = 320
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the budget as JSON values."""
+        return asdict(self)
+
+
+BUDGETS: dict[str, PaperBudget] = {
+    "small": PaperBudget(
+        name="small",
+        note="Small budget: training sets up to 1,024, four trials per size, one seed, three seeds for the "
+        "robust statistics. It shows the shape of the results; --budget full has the paper's sizes.",
+        n_train=(32, 64, 128, 256, 512, 1024),
+        trials={4096: 4},
+        window_trials={4096: 4},
+        n_base=4096,
+        n_resamples=100,
+        n_seeds=3,
+        seed_sizes=(32, 64),
+        seed_trials=2,
+    ),
+    "full": PaperBudget(
+        name="full",
+        note="Full budget: all training-set sizes of the paper, fewer trials for the larger ones, ten seeds "
+        "for the robust statistics.",
+        n_train=(32, 64, 128, 256, 512, 1024, 1536, 2048, 4096),
+        trials={256: 40, 512: 24, 1024: 16, 2048: 10, 4096: 8},
+        window_trials={256: 16, 512: 12, 1024: 8, 4096: 5},
+        n_base=32_768,
+        n_resamples=200,
+        n_seeds=10,
+        seed_sizes=(32, 64, 128, 256),
+        seed_trials=4,
+    ),
+}
+
+
+def budget_for(name: str, profile: Profile, *, own_profile: bool, trials: int | None) -> PaperBudget:
+    """Return a budget.
+
+    Args:
+        name: "small" or "full".
+        profile: the profile the studies have.
+        own_profile: whether the user named it: then sizes, trials and Saltelli blocks are the profile's.
+        trials: trials per size where the user named them.
+    """
+    if name not in BUDGETS:
+        raise InputError(f"--budget {name}: there is no such budget; give {' or '.join(BUDGETS)}")
+    budget = BUDGETS[name]
+    if own_profile:
+        sizes, every = profile.data.n_train, {max(profile.data.n_train): profile.tuning.n_trials}
+        budget = replace(
+            budget,
+            note=f"{profile.note} Sizes, trials and Saltelli blocks are those of the profile "
+            f"{profile.name}.".strip(),
+            n_train=sizes,
+            trials=every,
+            window_trials=every,
+            n_base=profile.sensitivity.n_base,
+            n_resamples=profile.sensitivity.n_resamples,
+            seed_sizes=tuple(n for n in budget.seed_sizes if n in sizes) or sizes[:1],
+            seed_trials=min(budget.seed_trials, profile.tuning.n_trials),
+            n_spread=profile.data.n_test,
+        )
+    if trials is not None:
+        every = {max(budget.n_train): trials}
+        budget = replace(budget, trials=every, window_trials=every)
+    return budget
+
+
+def trials_for(trials: dict[int, int], n_train: int) -> int:
+    """Return the trials of a size: those of the next larger size that is named."""
+    named = [size for size in sorted(trials) if size >= n_train]
+    return trials[named[0]] if named else trials[max(trials)]
+
+
+class StudyOpener(Protocol):
+    """Puts a study together as the command line would from the same words."""
+
+    def __call__(
+        self, *, window: Window = None, seed: int | None = None, n_train: tuple[int, ...], trials: int
+    ) -> Study:
+        """Return the study of a window (None: the case's own), seed, sizes and trials per size."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is repeated, and with how much.
+
+    Args:
+        opener: puts a study together.
+        budget: how much is spent.
+        words: the words of the command line that name case, profile, seed and budget.
+    """
+
+    opener: StudyOpener
+    budget: PaperBudget
+    words: str
+
+    @cached_property
+    def study(self) -> Study:
+        """The study of the case's own window, which all results are named after."""
+        return self.window_study(self.budget.n_train, trials_for(self.budget.window_trials, 0))
+
+    def window_study(self, n_train: tuple[int, ...], trials: int) -> Study:
+        """Return the study of the case's own window with other sizes or trials."""
+        return self.opener(n_train=n_train, trials=trials)
+
+    def hyperparameter_study(self, n_train: tuple[int, ...], trials: int) -> Study:
+        """Return the study of Fig. 6's window, or the case's own where the recording does not hold it."""
+        try:
+            return self.opener(window=HYPERPARAMETER_WINDOW_D, n_train=n_train, trials=trials)
+        except InputError as error:
+            self.study.console.say(
+                f"fig6: days 8 to 16 cannot be had ({error}); the case's own window is used"
+            )
+            return self.window_study(n_train, trials)
+
+    def seed_study(self, seed: int) -> Study:
+        """Return the study of another seed."""
+        return self.opener(seed=seed, n_train=self.budget.seed_sizes, trials=self.budget.seed_trials)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the robust statistics: those after the plan's own, which has more trials."""
+        first = self.study.profile.seed
+        return tuple(range(first + 1, first + 1 + self.budget.n_seeds))
+
+    def command(self, item: str) -> str:
+        """Return what makes one item alone."""
+        return f"studies reproduce-paper {self.words} --only {item}".replace("  ", " ")
+
+    def training_s(self, sizes: tuple[int, ...], trials: dict[int, int]) -> float:
+        """Estimate how long tuning takes. [s]."""
+        known = sorted(TRAINING_S)
+        each = np.interp(np.log(sizes), np.log(known), [TRAINING_S[n] for n in known])
+        work = sum(float(s) * trials_for(trials, n) for n, s in zip(sizes, each, strict=True))
+        return work / min(self.study.n_jobs, len(sizes)) + 10.0
+
+    def screening_s(self) -> float:
+        """Estimate how long one calibration takes. [s]."""
+        budget, p = self.study.profile.screening, self.study.case.parameter_space.n_parameters
+        population = 1 << (max(5, budget.popsize * p) - 1).bit_length()
+        return population * (budget.maxiter + 1) / PREDICTIONS_PER_S + 5.0

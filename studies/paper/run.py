@@ -1,0 +1,103 @@
+"""Run one item of the paper as a stage: finished ones are read, new ones written, told to the tracker."""
+
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from studies.paper.catalog import Item, item_module
+from studies.paper.plan import Plan
+from studies.paper.result import item_folder, write_result
+from studies.stages.pipeline import Outcome, Summary, digest_of, read_manifest, run_stage
+from studies.stages.tracking import tracker_of
+from studies.tracking.tracker import StageRun
+
+
+def item_inputs(plan: Plan, item: Item) -> dict[str, Any]:
+    """Return all that decides an item's result."""
+    case = plan.study.case
+    return {
+        "item": item.name,
+        "case": case.digest,
+        "measurement": case.measurement.digest,
+        "seed": plan.study.profile.seed,
+        **item_module(item).inputs(plan),
+    }
+
+
+def is_finished(plan: Plan, item: Item) -> bool:
+    """Say whether an item of these inputs lies on disk."""
+    study = plan.study
+    manifest = study.results / f"paper/{item.name}.json"
+    return read_manifest(study.paths, manifest, digest_of(item_inputs(plan, item))) is not None
+
+
+def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
+    """Make one item unless it is finished.
+
+    Args:
+        plan: what is repeated, and with how much.
+        item: which one.
+        again: make it though it is finished; its stages are not repeated.
+    """
+    study, stage = plan.study, f"paper/{item.name}"
+    inputs = item_inputs(plan, item)
+
+    def work() -> tuple[Summary, list[Path]]:
+        started_s = time.time()
+        result = item_module(item).run(plan)
+        head = {
+            "item": item.name,
+            "title": item.title,
+            "command": plan.command(item.name),
+            "case": study.case.name,
+            "label": study.label,
+            "note": study.case.note,
+            "budget": plan.budget.name,
+            "profile": study.profile.name,
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        folder = item_folder(study, item.name)
+        files = write_result(folder, result, head)
+        tracker_of(study.paths).log_stage(
+            StageRun(
+                label=study.label,
+                kind="paper",
+                name=f"paper {item.name}",
+                key=digest_of(inputs),
+                params={"budget": plan.budget.name, "item": item.name, **dict(result.settings)},
+                metrics={
+                    "calls/all": sum(result.n_calls.values()),
+                    **{name: value for name, value in result.metrics.items() if value == value},
+                },
+                tags={
+                    "case": study.case.name,
+                    "case_sha256": study.case.digest,
+                    "agreement": result.agreement,
+                },
+                figures=[file for file in files if file.suffix == ".png"],
+                artifacts=[file for file in files if file.suffix != ".png"],
+                started_s=started_s,
+                wall_s=time.time() - started_s,
+                note=f"{item.title}: {result.agreement}. {result.verdict}",
+            )
+        )
+        summary: Summary = {
+            "agreement": result.agreement,
+            "verdict": result.verdict,
+            "n_calls": sum(result.n_calls.values()),
+            "work_s": round(result.work_s, 1),
+            "folder": study.paths.show(folder),
+        }
+        return summary, files
+
+    if again:
+        (study.results / f"{stage}.json").unlink(missing_ok=True)
+    return run_stage(
+        study,
+        stage,
+        what=item.what,
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: summary["agreement"],
+    )
