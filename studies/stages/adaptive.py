@@ -17,6 +17,7 @@ from studies.calibration.ledger import Ledger
 from studies.calibration.recorder import History, Progress
 from studies.console import OnBar, format_seconds
 from studies.physical_model import open_physical_model
+from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 from studies.stages.calibrate import write_arrays
 from studies.stages.calibrated_values import show_parameters
@@ -25,6 +26,7 @@ from studies.stages.results import ADAPTIVE, StoredCalibration, adaptive_files, 
 from studies.stages.simulate import say_reused
 from studies.stages.tracking import log_adaptive
 from studies.stages.validation import show_validation, validate_calibration, validation_inputs
+from studies.tracking.origin import environment
 
 MAX_CALLS = 100
 STAGE = f"calibrate-{ADAPTIVE}"
@@ -93,7 +95,12 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        numbers, arrays, n_simulated = _calibrate(study, settings)
+        numbers, arrays, n_simulated = calibrate_adaptively(study, settings)
+        recipe = recipe_of(
+            study, "adaptive", command="studies calibrate --method adaptive", settings=asdict(settings)
+        )
+        summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
+        numbers |= {"recipe": recipe, "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)
         wall_s = time.time() - started_s
@@ -104,7 +111,6 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
             started_s=started_s,
             wall_s=wall_s,
         )
-        summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
         return summary, [files.numbers, files.arrays]
 
     if again:
@@ -119,8 +125,16 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
     )
 
 
-def _calibrate(study: Study, settings: Adaptive) -> tuple[dict[str, Any], dict[str, Any], int]:
-    """Return the numbers, the arrays and how many rows were not stored before."""
+def calibrate_adaptively(study: Study, settings: Adaptive) -> tuple[dict[str, Any], dict[str, Any], int]:
+    """Calibrate and keep nothing but the simulations.
+
+    Args:
+        study: the study.
+        settings: how to search.
+
+    Returns:
+        The numbers, the arrays and how many rows were not stored before.
+    """
     from studies.calibration.problem import CalibrationProblem
 
     case, seed = study.case, study.profile.seed

@@ -13,13 +13,21 @@ from simulation.whole_file import whole_file
 from studies.console import Column
 from studies.paths import size_name
 from studies.physical_model import open_physical_model
+from studies.recipe import Recipe, recipe_of
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import StoredCalibration, calibration_files, read_arrays
 from studies.stages.simulate import say_reused
 from studies.stages.tracking import log_calibration, tracker_of
 from studies.stages.validation import show_validation, validate_calibration, validation_inputs
-from studies.tuning.champion import CHAMPION_FILE, load_champion, read_champion, restore_champion
+from studies.tracking.origin import environment
+from studies.tuning.champion import (
+    CHAMPION_FILE,
+    ChampionInfo,
+    load_champion,
+    read_champion,
+    restore_champion,
+)
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
@@ -82,13 +90,15 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        numbers, arrays, wall = _calibrate(study, n_train)
+        numbers, arrays, wall = calibrate(study, n_train)
+        numbers |= {"recipe": _recipe(study, champion), "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)
         wall_s = time.time() - started_s
         stored = StoredCalibration(files, numbers, arrays, wall_s)
         log_calibration(study, stored, digest_of(inputs), started_s=started_s, wall_s=wall_s)
-        kept = {name: value for name, value in numbers.items() if not name.endswith("_history")}
+        left_out = ("recipe", "environment")
+        kept = {k: v for k, v in numbers.items() if not k.endswith("_history") and k not in left_out}
         return {**kept, "file": study.paths.show(files.numbers), "wall": wall}, [files.numbers, files.arrays]
 
     if again:
@@ -103,8 +113,16 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
     )
 
 
-def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, float]]:
-    """Return the numbers, the arrays and the wall times of a calibration."""
+def calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, float]]:
+    """Calibrate and keep nothing but the simulations.
+
+    Args:
+        study: the study.
+        n_train: training-set size, whose champion lies in the project.
+
+    Returns:
+        The numbers, the arrays and the wall times.
+    """
     from studies.calibration.polish import LeastSquaresTRF
     from studies.calibration.screen import DifferentialEvolution
     from studies.calibration.two_phase import calibrate_two_phase
@@ -156,6 +174,24 @@ def _calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, An
         "surrogate": {"study": champion.study, "trial": champion.index, "sha256": champion.files_sha256},
     }
     return head | numbers, arrays, wall
+
+
+def _recipe(study: Study, champion: ChampionInfo) -> Recipe:
+    """Return what rebuilds a calibration, its surrogate included."""
+    return recipe_of(
+        study,
+        "calibration",
+        command="studies calibrate",
+        n_train=champion.n_train,
+        surrogate={
+            "study": champion.study,
+            "trial": champion.index,
+            "config": champion.config,
+            "seed": champion.seed,
+            "digests": champion.digests,
+            "files_sha256": champion.files_sha256,
+        },
+    )
 
 
 def _restore(study: Study, n_train: int) -> None:

@@ -2,16 +2,17 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.console import Column
+from studies.recipe import Recipe, dataset, recipe_of
 from studies.report.wording import difference_unit
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
-from studies.stages.simulate import set_files
+from studies.stages.simulate import set_files, set_seeds
 from studies.stages.tracking import tracker_of
 from studies.stages.tuning_progress import TuningProgress
 
@@ -85,7 +86,7 @@ def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
     # One thread in training and prediction: the same numbers whatever --jobs says.
     overrides = {name: getattr(budget, name) for name in ("max_epochs", "patience", "device")}
     overrides["n_threads"] = 1
-    return [
+    specs = [
         StudySpec.from_files(
             train_file=files["train"],
             validation_file=files["validation"],
@@ -106,6 +107,29 @@ def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
         )
         for n_train in study.profile.data.n_train
     ]
+    return [replace(spec, recipe=_recipe(study, spec, simulated)) for spec in specs]
+
+
+def _recipe(study: Study, spec: "StudySpec", simulated: Summary) -> Recipe:
+    """Return what rebuilds the trainings of one size."""
+    seeds, judging = set_seeds(study.profile), study.profile.data
+    n = {"train": spec.n_train, "validation": judging.n_validation, "test": judging.n_test}
+    return recipe_of(
+        study,
+        "training",
+        command="studies tune",
+        n_train=spec.n_train,
+        datasets={
+            name: dataset(
+                "uniform",
+                seed=seeds[name],
+                n=n[name],
+                digest=spec.digests[name],
+                file=simulated["files"][name],
+            )
+            for name in n
+        },
+    )
 
 
 def show_tuning(study: Study, outcome: Outcome) -> None:

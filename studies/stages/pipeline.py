@@ -19,7 +19,8 @@ from simulation.whole_file import whole_file
 from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.profile import Profile
-from studies.tracking.origin import versions
+from studies.recipe import Recipe
+from studies.tracking.origin import environment, versions
 
 if TYPE_CHECKING:
     from simulation.case import Case
@@ -107,6 +108,7 @@ def run_stage(
     work: Callable[[], tuple[Summary, Sequence[Path]]],
     reuse_note: Callable[[Summary], str],
     keep: Callable[[Summary], bool] = lambda summary: True,
+    recipe: Recipe | None = None,
 ) -> Outcome:
     """Do a stage's work unless it is finished.
 
@@ -118,6 +120,7 @@ def run_stage(
         work: does it; returns the summary and the files that must exist for the stage to count as finished.
         reuse_note: what to tell of a finished stage.
         keep: whether the stage counts as finished with this result.
+        recipe: what rebuilds it, kept in the manifest where no other file of the stage has it.
     """
     digest = digest_of(inputs)
     file = study.results / f"{stage}.json"
@@ -145,6 +148,7 @@ def run_stage(
             "seed": study.profile.seed,
             "wall_s": wall_s,
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            **({} if recipe is None else {"recipe": recipe, "environment": environment()}),
         },
     )
     return Outcome(stage, digest, summary, False, wall_s)

@@ -14,6 +14,8 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from studies.console import Column, OnProgress
 from studies.physical_model import open_physical_model, store_folder
+from studies.profile import Profile
+from studies.recipe import recipe_of
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
@@ -48,15 +50,16 @@ def train_seed(seed: int) -> int:
     return own if own < VALIDATION_SEED else own + 2
 
 
+def set_seeds(profile: Profile) -> dict[str, int]:
+    """Return the seed of each set's design."""
+    return {"train": train_seed(profile.seed), "validation": VALIDATION_SEED, "test": TEST_SEED}
+
+
 def simulate_stage(study: Study) -> Outcome:
     """Simulate the nested training design, the validation and the test set."""
     data, space = study.profile.data, study.case.parameter_space
     sizes = {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
-    seeds = {
-        "train": train_seed(study.profile.seed),
-        "validation": VALIDATION_SEED,
-        "test": TEST_SEED,
-    }
+    seeds = set_seeds(study.profile)
     inputs = {"case": study.case.digest, "n": sizes, "seeds": seeds, "design": "uniform"}
     total = sum(sizes.values())
     designs = {name: uniform_design(space, n, seeds[name]) for name, n in sizes.items()}
@@ -121,6 +124,7 @@ def sensitivity_stage(study: Study) -> Outcome:
         "seed": study.profile.seed,
     }
     file = study.results / "sensitivity.npz"
+    recipe = recipe_of(study, "sensitivity", command="studies sensitivity")
 
     def work() -> tuple[Summary, list[Path]]:
         from studies.sensitivity import sobol_indices
@@ -150,7 +154,8 @@ def sensitivity_stage(study: Study) -> Outcome:
             "mean_total_order": {indices.names[i]: _plain(total[i]) for i in order},
             "file": study.paths.show(file),
         }
-        log_sensitivity(study, summary, digest_of(inputs), file=file, wall_s=time.perf_counter() - started)
+        wall_s = time.perf_counter() - started
+        log_sensitivity(study, summary, digest_of(inputs), file=file, wall_s=wall_s, recipe=recipe)
         return summary, [file]
 
     manifest = read_json(study.results / "sensitivity.json")
@@ -163,6 +168,7 @@ def sensitivity_stage(study: Study) -> Outcome:
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"{summary['n_calls']} simulations reused",
+        recipe=recipe,
     )
 
 

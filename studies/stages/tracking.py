@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from studies.paths import ProjectPaths, size_name
+from studies.recipe import Recipe
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Study, Summary
 from studies.stages.results import StoredCalibration, calibration_record, measured_series
+from studies.tracking.origin import environment
 from studies.tracking.tracker import StageRun, Tracker, open_tracker
 
 
@@ -129,11 +131,15 @@ def _log_with_figures(
                 figures=figures,
                 artifacts=[stored.files.numbers, stored.files.arrays],
                 note=study.case.note,
+                recipe=numbers["recipe"],
+                environment=numbers["environment"],
             )
         )
 
 
-def log_sensitivity(study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float) -> None:
+def log_sensitivity(
+    study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float, recipe: Recipe
+) -> None:
     """Tell of finished Sobol indices."""
     if not study.paths.tracking_database.is_file():
         study.console.say("sensitivity: making MLflow's store, once")
@@ -151,6 +157,8 @@ def log_sensitivity(study: Study, summary: Summary, digest: str, *, file: Path, 
             artifacts=[file],
             wall_s=wall_s,
             note=study.case.note,
+            recipe=recipe,
+            environment=environment(),
         )
     )
 

@@ -1,12 +1,18 @@
-"""Who runs a study, and from which state of the code and of the packages below it."""
+"""Who runs a study, on what, and from which state of the code and of the packages below it."""
 
 import getpass
+import hashlib
 import platform
 import subprocess
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("pelsvae-studies", "numpy", "scipy", "torch", "optuna", "mlflow", "fmpy", "numba", "SALib")
+ROOMS = ("simulation", "pelsvae", "studies")
+"""The packages of this project, whose text decides numbers."""
+
+_CODE = Path(__file__).resolve().parents[2]
 
 
 def origin_tags(root: Path) -> dict[str, str]:
@@ -38,10 +44,66 @@ def versions() -> dict[str, str]:
     return found
 
 
+def environment(device: str = "cpu") -> dict[str, str]:
+    """Return all that numbers may depend on beside what a case, a profile and a seed say.
+
+    Args:
+        device: where a network was trained, "cpu" or "cuda".
+    """
+    return {**_code_state(), **versions(), **_machine(), **_blas(), "device": device}
+
+
+@lru_cache(maxsize=1)
+def _code_state() -> dict[str, str]:
+    """Return a digest of each room's text and, where the rooms are a git checkout, its commit."""
+    found = {}
+    for room in ROOMS:
+        content = hashlib.sha256()
+        for file in sorted((_CODE / room).rglob("*.py")):
+            content.update(f"{file.relative_to(_CODE).as_posix()}\0".encode() + file.read_bytes() + b"\0")
+        found[f"code {room}"] = content.hexdigest()
+    # An installed copy may lie in a folder of somebody else's repository.
+    if _git(_CODE, "ls-files", str(Path(__file__).resolve())):
+        found["git_commit"] = _git(_CODE, "rev-parse", "HEAD")
+        changed = _git(_CODE, "diff", "HEAD", "--binary", "--no-ext-diff", "--", *ROOMS)
+        found["git_dirty"] = str(bool(changed)).lower()
+        if changed:
+            found["git_diff_sha256"] = hashlib.sha256(changed.encode()).hexdigest()
+    return found
+
+
+@lru_cache(maxsize=1)
+def _machine() -> dict[str, str]:
+    model = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        model = next(
+            (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model
+        )
+    except OSError:
+        pass
+    return {"platform": platform.platform(), "machine": platform.machine(), "cpu": model or "unknown"}
+
+
+def _blas() -> dict[str, str]:
+    """Return the library below NumPy's linear algebra, its kernel for this CPU, and its threads now."""
+    import numpy as np  # noqa: F401  (loads the library)
+    from threadpoolctl import threadpool_info
+
+    for library in threadpool_info():
+        if library["user_api"] == "blas" and "numpy" in library["filepath"]:
+            kernel = library.get("architecture", "")
+            name = f"{library['internal_api']} {library['version']} {kernel}"
+            return {"blas": name.strip(), "n_threads": str(library["num_threads"])}
+    return {}
+
+
 def _git(root: Path, *arguments: str) -> str:
     command = ["git", *arguments]
     try:
-        answer = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=10, check=True)
+        answer = subprocess.run(
+            command, cwd=root, capture_output=True, text=True, errors="replace", timeout=10, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return ""
     return answer.stdout.strip()

@@ -39,6 +39,8 @@ class StageRun:
         wall_s: its duration. [s]
         status: how it ended.
         note: Markdown, shown on the run's page.
+        recipe: what rebuilds it (see `studies.recipe`); empty where nothing does.
+        environment: versions, machine and state of the code that made it.
     """
 
     label: str
@@ -55,6 +57,8 @@ class StageRun:
     wall_s: float = 0.0
     status: RunStatus = "FINISHED"
     note: str = ""
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 class Tracker(Protocol):

@@ -1,0 +1,147 @@
+"""Recipes: all that rebuilds a training or a calibration, as JSON values.
+
+A recipe holds the case file's text and names everything else by its SHA-256, so that it can be followed where
+the project was moved or changed since, and in another clone.
+"""
+
+import base64
+import hashlib
+import json
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from simulation.errors import InputError
+
+if TYPE_CHECKING:
+    from studies.stages.pipeline import Study
+
+SCHEMA = 1
+RECIPE_FILE = "recipe.json"
+CELL_LENGTH = 8000
+"""Most characters of a tag in MLflow's database."""
+
+Recipe = dict[str, Any]
+
+
+def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe:
+    """Return what rebuilds a result of a study.
+
+    Args:
+        study: the study.
+        kind: "training", "calibration", "adaptive" or "sensitivity".
+        command: the command that makes it, up to the words that name the study.
+        more: what this kind needs beyond case, profile and seed, as JSON values.
+    """
+    from simulation.case_file import read_case_file
+
+    case = study.case
+    declared = read_case_file(case.path)
+    text = case.path.read_text(encoding="utf-8")
+    recordings = dict.fromkeys([one.file for one in declared.inputs] + [one.file for one in declared.outputs])
+    files = [("fmu", declared.fmu)]
+    files += [("recording", (Path(declared.data) / name).as_posix()) for name in recordings]
+    return {
+        "schema": SCHEMA,
+        "kind": kind,
+        "command": f"{command} {study.command}",
+        "label": study.label,
+        "case": {
+            "name": case.name,
+            "place": study.paths.show(case.path),
+            "text": text,
+            "text_sha256": text_digest(text),
+            "digest": case.digest,
+            "model_digest": case.model_digest,
+            "measurement_digest": case.measurement.digest,
+        },
+        "window_d": list(case.window_d),
+        "files": [
+            {
+                "role": role,
+                "declared": place,
+                "place": study.paths.show((case.path.parent / place).resolve()),
+                "sha256": file_digest(case.path.parent / place),
+            }
+            for role, place in files
+        ],
+        "profile": study.profile.to_dict(),
+        "seed": study.profile.seed,
+        **more,
+    }
+
+
+def dataset(design: str, *, seed: int, n: int, digest: str, file: str) -> dict[str, Any]:
+    """Return how a data set is drawn and what it came to.
+
+    Args:
+        design: name of the design.
+        seed: its seed.
+        n: rows of the design that are used.
+        digest: SHA-256 of parameters, outputs and failures.
+        file: place of the set's file in the project.
+    """
+    return {"design": design, "seed": seed, "n": n, "digest": digest, "file": file}
+
+
+def to_json(recipe: Mapping[str, Any]) -> str:
+    """Return a recipe as the text that its digest is taken of; the order of keys does not matter."""
+    return json.dumps(recipe, sort_keys=True, indent=1) + "\n"
+
+
+def recipe_digest(recipe: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a recipe."""
+    return text_digest(to_json(recipe))
+
+
+def packed(content: Mapping[str, Any]) -> str:
+    """Return JSON values as one cell of a database, "" where they are too long for it."""
+    text = base64.b85encode(zlib.compress(json.dumps(content, sort_keys=True).encode(), 9)).decode()
+    return text if len(text) <= CELL_LENGTH else ""
+
+
+def unpacked(cell: str) -> dict[str, Any]:
+    """Return what was packed.
+
+    Raises:
+        InputError: the cell is damaged.
+    """
+    try:
+        content = json.loads(zlib.decompress(base64.b85decode(cell)))
+    except (ValueError, zlib.error):
+        raise InputError("a record in MLflow's database is damaged; restore the database") from None
+    if not isinstance(content, dict):
+        raise InputError("a record in MLflow's database is no JSON object; restore the database")
+    return content
+
+
+def checked(recipe: Mapping[str, Any], owner: str) -> Recipe:
+    """Return a recipe that this version can follow.
+
+    Args:
+        recipe: the recipe as it was kept.
+        owner: what it belongs to, for the message.
+
+    Raises:
+        InputError: there is none, or it is of another version.
+    """
+    if not recipe:
+        raise InputError(f"{owner} was recorded without a recipe; make it again with this version")
+    if recipe.get("schema") != SCHEMA:
+        raise InputError(
+            f"the recipe of {owner} has schema {recipe.get('schema')}, this version follows {SCHEMA}; "
+            "use the version that wrote it"
+        )
+    return dict(recipe)
+
+
+def text_digest(text: str) -> str:
+    """Return the SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def file_digest(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
