@@ -1,5 +1,6 @@
 """Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -16,6 +17,9 @@ PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Positive = Annotated[float, Field(gt=0.0)]
+POWERS_OF_TWO = ("n_latent", "n_hidden")
+WHOLE = ("n_layers",)
+Objective = Literal["val/mae", "val/p90"]
 _STRICT = ConfigDict(extra="forbid", strict=False)
 
 
@@ -78,6 +82,22 @@ class SearchRanges:
             if span is not None and span[0] > span[1]:
                 raise ValueError(f"{name} must be [low, high], got {list(span)}")
 
+    def fault(self, name: str, value: float) -> str:
+        """Say why a setting cannot be tried, nothing where it can."""
+        searched = {key: span for key, span in asdict(self).items() if span is not None}
+        if name not in searched:
+            return (
+                f"is not searched; give it a range in [tuning.search], or leave it out"
+            )
+        low, high = searched[name]
+        if not low <= value <= high:
+            return f"lies outside its range, {low} to {high}; correct it, or widen [tuning.search]"
+        if name in POWERS_OF_TWO and not math.log2(value).is_integer():
+            return "is no power of two, which is how this width is searched"
+        if name in WHOLE and not float(value).is_integer():
+            return "must be whole"
+        return ""
+
 
 @dataclass(frozen=True, config=_STRICT)
 class TuningBudget:
@@ -92,6 +112,10 @@ class TuningBudget:
         n_parallel: trials of one study that may run side by side; part of what a study is, as a trial knows
             the results of those only that stand n_parallel or more places before it.
         max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
+        objectives: errors that are minimized; with both, no trial is pruned and the best ones are a front.
+        enqueue: known-good settings that are tried right after the variant's; what one leaves out is the
+            variant's.
+        warm_start: also try the best settings of the nearest size that is finished.
         search: ranges of the hyperparameters.
     """
 
@@ -102,7 +126,20 @@ class TuningBudget:
     device: Literal["auto", "cpu", "cuda"] = "auto"
     n_parallel: Count = 1
     max_trial_s: Positive | None = None
+    objectives: tuple[Objective, ...] = ("val/mae",)
+    enqueue: tuple[dict[str, int | float], ...] = ()
+    warm_start: bool = False
     search: SearchRanges = Field(default_factory=SearchRanges)
+
+    def __post_init__(self) -> None:
+        if "val/mae" not in self.objectives or len(set(self.objectives)) < len(self.objectives):
+            raise ValueError(
+                f'objectives must be ["val/mae"] or ["val/mae", "val/p90"], got {list(self.objectives)}'
+            )
+        for place, settings in enumerate(self.enqueue):
+            for name, value in settings.items():
+                if fault := self.search.fault(name, value):
+                    raise ValueError(f"enqueue[{place}].{name} = {value} {fault}")
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -1,29 +1,27 @@
-"""Which hyperparameters are searched, and which a trial tries next: a function of the trials before it."""
+"""Which hyperparameters a trial tries: a function of the trials before it."""
 
-import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import optuna
-from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.samplers import BaseSampler
 from optuna.trial import TrialState as OptunaState
 from optuna.trial import create_trial
 
 from pelsvae.config import SurrogateConfig
-from simulation.errors import InputError
-from studies.profile import SearchRanges
+from studies.tuning.coordinates import Params, all_points, distributions, identity, to_settings
+from studies.tuning.known_good import N_WARM_STARTS, Neighbour, declared_tries, neighbour_tries
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
 
 N_STARTUP_TRIALS = 5
-_POWERS_OF_TWO = ("n_latent", "n_hidden")
-_LOGARITHMIC = ("beta", "learning_rate")
-_WHOLE = ("n_layers",)
+N_OTHER_DRAWS = 100  # in search of a configuration that was not tried; a small space is then listed in full
 
-Params = dict[str, float | int]
+
+class SearchExhaustedError(Exception):
+    """Every configuration of the search space has been tried."""
 
 
 @dataclass(frozen=True)
@@ -43,64 +41,43 @@ class Proposal:
     origin: str
 
 
-def distributions(ranges: SearchRanges) -> dict[str, BaseDistribution]:
-    """Return the search coordinates: widths as exponents of two, weights and rates on a logarithmic scale."""
-    found: dict[str, BaseDistribution] = {}
-    for name in _POWERS_OF_TWO:
-        low, high = getattr(ranges, name)
-        lowest, highest = math.ceil(math.log2(low)), math.floor(math.log2(high))
-        if lowest > highest:
-            raise InputError(f"the search range of {name}, {low} to {high}, holds no power of two; widen it")
-        found[f"log2_{name}"] = IntDistribution(lowest, highest)
-    for name in _LOGARITHMIC:
-        if (span := getattr(ranges, name)) is not None:
-            found[name] = FloatDistribution(span[0], span[1], log=True)
-    for name in _WHOLE:
-        if (span := getattr(ranges, name)) is not None:
-            found[name] = IntDistribution(span[0], span[1])
-    return found
-
-
-def to_settings(params: Mapping[str, float | int]) -> dict[str, Any]:
-    """Translate search coordinates into settings of the surrogate."""
-    return {
-        (name.removeprefix("log2_")): (2 ** int(value) if name.startswith("log2_") else value)
-        for name, value in params.items()
-    }
-
-
-def nearest_params(ranges: SearchRanges, settings: Mapping[str, Any]) -> Params:
-    """Translate settings of the surrogate into search coordinates, clipped into the ranges."""
-    found: Params = {}
-    for name, distribution in distributions(ranges).items():
-        value = settings[name.removeprefix("log2_")]
-        value = float(np.log2(value)) if name.startswith("log2_") else float(value)
-        assert isinstance(distribution, IntDistribution | FloatDistribution)
-        value = min(max(value, distribution.low), distribution.high)
-        found[name] = round(value) if isinstance(distribution, IntDistribution) else value
-    return found
-
-
 def propose(
-    spec: StudySpec, index: int, finished: Sequence[TrialRecord], pending: Sequence[Params] = ()
+    spec: StudySpec,
+    index: int,
+    finished: Sequence[TrialRecord],
+    pending: Sequence[Params] = (),
+    *,
+    neighbours: Callable[[], Sequence[Neighbour]] = tuple,
 ) -> Proposal:
     """Choose what a trial tries: a function of the arguments alone.
 
-    The first trial is the variant's own configuration, then follow random draws, then a Gaussian process. The
-    process is refitted from the finished trials with a seed of its own at every trial, so that an interrupted
-    study goes on exactly as an uninterrupted one. A trial that was pruned or failed counts as no better than
-    the worst completed one: the process would otherwise not see it and propose it again.
+    First come the variant's own configuration, those of the profile and, where the study asks for it, the
+    best ones of the nearest size; then random draws, then a Gaussian process. The process is refitted from
+    the finished trials with a seed of its own at every trial, so that an interrupted study goes on exactly as
+    an uninterrupted one. A trial that was pruned or failed counts as no better than the worst completed one:
+    the process would otherwise not see it and propose it again. No configuration is tried twice.
 
     Args:
         spec: the study.
         index: the trial.
         finished: trials that it may know the results of, in order.
         pending: hyperparameters of the trials that run beside it.
+        neighbours: finds the finished studies of other sizes; asked where a trial starts from one.
+
+    Raises:
+        SearchExhaustedError: nothing is left to be tried.
     """
-    if index == 0:
-        params, origin = nearest_params(spec.search, spec.base_config.to_dict()), "default"
-    else:
-        params, origin = _suggestion(spec, finished, pending, seed=derived_seed(spec.seed, index, 0))
+    taken = {identity(params) for params in (*(record.params for record in finished), *pending)}
+    tries = declared_tries(spec)
+    if index < len(tries):
+        return proposal_of(spec, index, tries[index].params, origin=tries[index].origin)
+    if spec.warm_start and index < len(tries) + N_WARM_STARTS:
+        for known in neighbour_tries(spec, neighbours()):
+            if identity(known.params) not in taken:
+                return proposal_of(spec, index, known.params, origin=known.origin)
+    params, origin = _suggestion(spec, finished, pending, seed=derived_seed(spec.seed, index, 0))
+    if identity(params) in taken:
+        params, origin = _untried(spec, index, taken), f"random, not {origin} again"
     return proposal_of(spec, index, params, origin=origin)
 
 
@@ -119,25 +96,50 @@ def _suggestion(
 ) -> tuple[Params, str]:
     """Ask Optuna's sampler, in a study of its own."""
     space = distributions(spec.search)
-    study = _memory_study(seed)
-    completed = [record.value for record in finished if record.state == "complete"]
-    worst = max((value for value in completed if value is not None), default=None)
-    known = finished if worst is not None else ()
-    for record in known:
-        value = record.value if record.state == "complete" else worst
-        study.add_trial(create_trial(params=dict(record.params), distributions=space, value=value))
-    for params in pending:
-        study.add_trial(create_trial(state=OptunaState.RUNNING, params=dict(params), distributions=space))
-    origin = "random" if len(known) < N_STARTUP_TRIALS else "gp"
-    return dict(study.ask(space).params), origin
-
-
-def _memory_study(seed: int) -> optuna.Study:
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=seed, n_startup_trials=N_STARTUP_TRIALS)
-    return optuna.create_study(direction="minimize", sampler=sampler)
+    study = _memory_study(sampler, n_objectives=len(spec.objectives))
+    errors = [
+        [record.metrics[name] for name in spec.objectives] if record.state == "complete" else None
+        for record in finished
+    ]
+    complete = [values for values in errors if values is not None]
+    if complete:
+        worst = [max(column) for column in zip(*complete, strict=True)]
+        for record, values in zip(finished, errors, strict=True):
+            study.add_trial(
+                create_trial(params=dict(record.params), distributions=space, values=values or worst)
+            )
+    for params in pending:
+        study.add_trial(create_trial(state=OptunaState.RUNNING, params=dict(params), distributions=space))
+    is_informed = bool(complete) and len(finished) >= N_STARTUP_TRIALS
+    return dict(study.ask(space).params), "gp" if is_informed else "random"
+
+
+def _untried(spec: StudySpec, index: int, taken: set[tuple[tuple[str, str], ...]]) -> Params:
+    """Draw a configuration that was not tried.
+
+    Raises:
+        SearchExhaustedError: there is none.
+    """
+    space = distributions(spec.search)
+    for draw in range(1, N_OTHER_DRAWS + 1):
+        sampler = optuna.samplers.RandomSampler(seed=derived_seed(spec.seed, index, 0, draw))
+        params: Params = dict(_memory_study(sampler).ask(space).params)
+        if identity(params) not in taken:
+            return params
+    left = [point for point in all_points(spec.search) or () if identity(point) not in taken]
+    if not left:
+        raise SearchExhaustedError(
+            f"every configuration of the search space has been tried ({len(taken)}); widen [tuning.search]"
+        )
+    return left[derived_seed(spec.seed, index, 0) % len(left)]
+
+
+def _memory_study(sampler: BaseSampler, n_objectives: int = 1) -> optuna.Study:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna.create_study(directions=["minimize"] * n_objectives, sampler=sampler)
 
 
 def derived_seed(seed: int, *path: int) -> int:

@@ -46,6 +46,9 @@ class StudySpec:
         search: ranges of the hyperparameters.
         seed: every random draw derives from it.
         n_parallel: trials that may run side by side; each knows the results of those so many places before.
+        objectives: errors that are minimized; with several of them no trial is pruned.
+        enqueue: known-good settings that are tried right after the variant's.
+        warm_start: whether the best settings of the nearest finished size are tried after those.
         note: shown where the numbers are shown.
         recipe: what rebuilds its trainings elsewhere (see `studies.recipe`); decides nothing.
     """
@@ -70,6 +73,9 @@ class StudySpec:
     search: SearchRanges = field(default_factory=SearchRanges)
     seed: int = 0
     n_parallel: int = 1
+    objectives: tuple[str, ...] = ("val/mae",)
+    enqueue: tuple[Mapping[str, float], ...] = ()
+    warm_start: bool = False
     note: str = ""
     recipe: Mapping[str, Any] = field(default_factory=dict)
 
@@ -161,8 +167,10 @@ class StudySpec:
             "output_scales": self.output_scales,
             "seed": self.seed,
         }
-        if self.n_parallel != 1:
-            decisive["n_parallel"] = self.n_parallel
+        plain = {"n_parallel": 1, "objectives": ("val/mae",), "enqueue": (), "warm_start": False}
+        decisive |= {
+            name: getattr(self, name) for name, usual in plain.items() if getattr(self, name) != usual
+        }
         return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
 
     @property

@@ -14,15 +14,8 @@ from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from studies.profile import SearchRanges
-from studies.tuning.search_space import (
-    Proposal,
-    derived_seed,
-    distributions,
-    nearest_params,
-    proposal_of,
-    propose,
-    to_settings,
-)
+from studies.tuning.coordinates import distributions, nearest_params, to_settings
+from studies.tuning.search_space import Proposal, derived_seed, proposal_of, propose
 from studies.tuning.study_spec import StudySpec, TrialState
 from studies.tuning.trial_record import TrialRecord
 

@@ -1,0 +1,112 @@
+"""What is tried before the search, what is never tried twice, and two errors at once."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_tuning_search import finished
+
+from simulation.errors import InputError
+from studies.profile import SearchRanges, load_profile
+from studies.tuning.coordinates import Params, all_points, identity, to_settings
+from studies.tuning.known_good import Neighbour
+from studies.tuning.search_space import SearchExhaustedError, propose
+from studies.tuning.study_spec import StudySpec
+from studies.tuning.trial_record import TrialRecord
+
+MakeSpec = Callable[..., StudySpec]
+SIX = SearchRanges(n_latent=(4, 16), n_hidden=(32, 64), beta=(10.0, 10.0))
+WIDE = SearchRanges(n_latent=(4, 128), n_hidden=(32, 256), beta=(1.0, 1000.0))
+ENQUEUED = {"n_latent": 4, "n_hidden": 64, "beta": 50.0}
+
+
+def run(spec: StudySpec, n: int, neighbours: Callable[[], Sequence[Neighbour]] = tuple) -> list[TrialRecord]:
+    """Make up a study of n trials whose error grows with the hidden width."""
+    records: list[TrialRecord] = []
+    for index in range(n):
+        proposal = propose(spec, index, records, neighbours=neighbours)
+        record = finished(spec, proposal, index, value=float(proposal.config.n_hidden))
+        records.append(replace(record, reason=proposal.origin))
+    return records
+
+
+def test_enqueued_settings_follow_the_default_and_each_is_tried_once(make_spec: MakeSpec) -> None:
+    default = {"n_latent": 32, "n_hidden": 256}
+    spec = make_spec(search=WIDE, enqueue=(default, ENQUEUED, ENQUEUED, {"beta": 500.0}))
+    records = run(spec, 4)
+    assert [record.reason for record in records] == ["default", "enqueued 1", "enqueued 3", "random"]
+    assert to_settings(records[1].params) == ENQUEUED
+    assert to_settings(records[2].params) == {**default, "beta": 500.0}
+
+
+def test_neighbours_best_are_tried_after_the_default(make_spec: MakeSpec) -> None:
+    far, near, same = make_spec(search=WIDE, n_train=4), make_spec(search=WIDE, n_train=8), make_spec()
+    found = [Neighbour(one.n_train, one.name, run(replace(one, seed=9), 6)) for one in (far, near, same)]
+    spec = make_spec(search=WIDE, warm_start=True)
+    warm = run(spec, 4, lambda: found)
+    # The neighbour began with the default as well, so its best two others are tried.
+    best = sorted(found[1].records[1:], key=lambda record: (record.metrics["val/mae"], record.index))
+    assert [record.params for record in warm[1:3]] == [record.params for record in best[:2]]
+    assert warm[1].reason == f"neighbour {near.name}/t{best[0].index:03d}"
+    assert warm[3].reason == "random"
+    cold = run(spec, 4)
+    assert [record.reason for record in cold] == ["default", "random", "random", "random"]
+
+
+def test_neighbours_are_not_asked_without_need(make_spec: MakeSpec) -> None:
+    def fail() -> Sequence[Neighbour]:
+        raise AssertionError
+
+    run(make_spec(search=WIDE), 4, fail)
+
+
+def test_no_configuration_is_trained_twice_until_none_is_left(make_spec: MakeSpec) -> None:
+    spec = make_spec(search=SIX)
+    records = run(spec, 6)
+    tried = {identity(record.params) for record in records}
+    assert tried == {identity(point) for point in all_points(SIX) or ()}
+    assert run(spec, 6) == records
+    assert any("again" in record.reason for record in records)
+    with pytest.raises(SearchExhaustedError, match=r"has been tried \(6\); widen \[tuning.search\]"):
+        propose(spec, 6, records)
+
+
+def test_configurations_that_run_beside_count_as_tried(make_spec: MakeSpec) -> None:
+    spec = make_spec(search=SIX)
+    records = run(spec, 3)
+    pending: list[Params] = []
+    for index in (3, 4, 5):
+        pending.append(propose(spec, index, records, pending).params)
+    tried = {identity(params) for params in [*(record.params for record in records), *pending]}
+    assert len(tried) == 6
+    with pytest.raises(SearchExhaustedError):
+        propose(spec, 6, records, pending)
+
+
+def test_two_errors_are_searched_together(make_spec: MakeSpec) -> None:
+    spec = make_spec(search=WIDE, objectives=("val/mae", "val/p90"))
+    records = run(spec, 7)
+    assert [record.reason for record in records[4:]] == ["random", "gp", "gp"]
+    # A failed trial has no errors, and is told to the search as a bad one.
+    lost = [*records[:6], replace(records[6], state="failed", metrics={})]
+    assert propose(spec, 7, lost).origin == "gp"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('objectives = ["val/p90"]', r"objectives must be \[.val/mae.\] or"),
+        ("enqueue = [{n_latent = 48}]", r"enqueue\[0\].n_latent = 48 is no power of two"),
+        ("enqueue = [{n_latent = 512}]", r"enqueue\[0\].n_latent = 512 lies outside its range, 8 to 128"),
+        (
+            "enqueue = [{beta = 2.0}, {learning_rate = 0.1}]",
+            r"enqueue\[1\].learning_rate = 0.1 is not searched",
+        ),
+    ],
+)
+def test_impossible_wishes_are_one_line(tmp_path: Path, line: str, message: str) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(f'name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 2\n{line}\n')
+    with pytest.raises(InputError, match=message):
+        load_profile(str(file))
