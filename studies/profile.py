@@ -86,9 +86,7 @@ class SearchRanges:
         """Say why a setting cannot be tried, nothing where it can."""
         searched = {key: span for key, span in asdict(self).items() if span is not None}
         if name not in searched:
-            return (
-                f"is not searched; give it a range in [tuning.search], or leave it out"
-            )
+            return "is not searched; give it a range in [tuning.search], or leave it out"
         low, high = searched[name]
         if not low <= value <= high:
             return f"lies outside its range, {low} to {high}; correct it, or widen [tuning.search]"
