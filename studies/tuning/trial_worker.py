@@ -13,6 +13,7 @@ import numpy as np
 from pelsvae.training import EpochReport
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
+from studies.tuning.claim import this_owner
 from studies.tuning.pruning import Pruner
 from studies.tuning.search_space import proposal_of, propose
 from studies.tuning.study_data import StudyData, load_data
@@ -24,10 +25,10 @@ from studies.tuning.trial_record import (
     best_record,
     keep_only_best_surrogate,
     read_records,
-    this_owner,
-    write_progress,
     write_record,
 )
+from studies.tuning.trial_store import StudyEntry
+from studies.tuning.trial_store_files import FileTrials
 from studies.tuning.trial_training import TrialOutcome, train_trial
 
 EVENT_PERIOD_S = 0.25
@@ -69,6 +70,8 @@ def run_study(
         store.reap()
         store.mend(read_records(folder))
         data = load_data(spec)
+        entry = StudyEntry.of(spec, n_planned=n_trials, created_s=time.time())
+        FileTrials(mlruns, spec.name).describe(entry)
         progress = _Progress(spec, folder, n_trials, emit)
         progress.tell("study-started")
         try:
@@ -79,7 +82,6 @@ def run_study(
         except BaseException:
             store.reap()
             raise
-        write_progress(folder, progress.n_finished)
         progress.tell("study-finished")
     finally:
         lock.release()
@@ -148,6 +150,7 @@ def _run_trial(
         wall_s=time.perf_counter() - tick,
         digests=spec.digests,
         owner=owner,
+        origin=proposal.origin,
     )
     history: Mapping[str, Any] = fitted.history if fitted else outcome.history
     with tempfile.TemporaryDirectory(dir=folder, prefix=".weights-") as scratch:

@@ -12,7 +12,6 @@ from studies.tuning.trial_record import (
     TrialRecord,
     best_record,
     read_history,
-    read_progress,
     read_record,
     read_records,
     summarize,
@@ -86,8 +85,7 @@ class _Desk:
             self._track_trial(spec, record)
 
     def is_finished(self, spec: StudySpec) -> bool:
-        folder = spec.folder(self._paths.mlruns)
-        return min(read_progress(folder), len(read_records(folder))) >= self._n_trials
+        return len(read_records(spec.folder(self._paths.mlruns))) >= self._n_trials
 
     def hear(self, spec: StudySpec, event: TuneEvent) -> None:
         if event.kind == "trial-finished":

@@ -1,0 +1,120 @@
+"""Who works on a trial: the claim on its place in the study, and whether its owner still lives."""
+
+import socket
+import uuid
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+GRACE_S = 120.0  # an owner on another machine that is silent for so long is dead; outlasts a server's restart
+BEAT_S = 5.0
+_SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A trial that somebody has begun.
+
+    Args:
+        index: its place in the study.
+        params: hyperparameters in search coordinates; a repeated attempt takes the same ones.
+        config: all settings of the surrogate.
+        seed: seed of its training.
+        origin: why these hyperparameters.
+        started_s: start of this attempt. [s since 1970, UTC]
+        max_epochs: most epochs it may take.
+        owner: host, process and its start; empty where the trial was interrupted and waits.
+        token: distinguishes this attempt from all others.
+        attempt: 1 for the first.
+        n_crashes: attempts that brought their process down.
+        n_lost: attempts that ended with their whole command or machine.
+        crash: how the last process ended.
+    """
+
+    index: int
+    params: dict[str, float | int]
+    config: dict[str, Any]
+    seed: int
+    origin: str
+    started_s: float
+    max_epochs: int
+    owner: dict[str, Any] = field(default_factory=dict)
+    token: str = ""
+    attempt: int = 1
+    n_crashes: int = 0
+    n_lost: int = 0
+    crash: str = ""
+
+    @property
+    def is_owned(self) -> bool:
+        """Whether somebody works on it, or died while doing so."""
+        return bool(self.owner)
+
+    def taken(self, started_s: float) -> "Claim":
+        """Return the claim with this process as its owner."""
+        return replace(self, owner=this_owner(), token=uuid.uuid4().hex, started_s=started_s)
+
+    def released(self, *, crash: str = "", lost: bool = False) -> "Claim":
+        """Return the claim without an owner, for whoever comes next.
+
+        Args:
+            crash: how its process ended, where that was the trial's own doing.
+            lost: whether its owner vanished and nobody knows why.
+        """
+        return replace(
+            self,
+            owner={},
+            token="",
+            attempt=self.attempt + 1,
+            n_crashes=self.n_crashes + bool(crash),
+            n_lost=self.n_lost + lost,
+            crash=crash or self.crash,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the claim as JSON values."""
+        return asdict(self)
+
+
+def this_owner() -> dict[str, Any]:
+    """Describe the running process, so that a reader can tell who works on a trial."""
+    process = psutil.Process()
+    return {
+        "host": socket.gethostname(),
+        "pid": process.pid,
+        "process_started_s": process.create_time(),
+        "machine": this_machine(),
+    }
+
+
+@cache
+def this_machine() -> str:
+    """Name the set of processes that this one can see: a boot of a machine, or a container on it.
+
+    Two containers may have the same host name and the same process ids.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return f"{socket.gethostname()}/{boot[:8]}/{Path('/proc/self/ns/pid').readlink()}"
+    except OSError:
+        return socket.gethostname()
+
+
+def is_dead(owner: dict[str, Any], silence_s: float) -> bool:
+    """Return whether the owner of a claim has died.
+
+    Args:
+        owner: as `this_owner` described it.
+        silence_s: how long it has not been heard of. [s]
+    """
+    if owner.get("machine") != this_machine():
+        return silence_s > GRACE_S
+    try:
+        process = psutil.Process(int(owner["pid"]))
+        is_same = abs(process.create_time() - float(owner["process_started_s"])) < _SAME_START_S
+        return not is_same or process.status() == psutil.STATUS_ZOMBIE
+    except (psutil.Error, KeyError, ValueError):
+        return True
