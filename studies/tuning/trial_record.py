@@ -45,6 +45,7 @@ class TrialRecord:
         n_epochs: epochs trained.
         best_epoch: epoch whose weights were kept.
         n_rows: training rows used, failed simulations left out.
+        weights_sha256: of the trained surrogate's weights, "" without one; weights are not kept for ever.
     """
 
     study: str
@@ -67,6 +68,7 @@ class TrialRecord:
     n_epochs: int = 0
     best_epoch: int = 0
     n_rows: int = 0
+    weights_sha256: str = ""
 
     @property
     def key(self) -> str:

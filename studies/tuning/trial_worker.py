@@ -10,9 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from pelsvae.device import resolve_device
 from pelsvae.training import EpochReport
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
+from studies.recipe import file_digest
+from studies.tracking.origin import environment
+from studies.tuning.champion import WEIGHTS_FILE
 from studies.tuning.claim import this_owner
 from studies.tuning.pruning import Pruner
 from studies.tuning.search_space import proposal_of, propose
@@ -153,10 +157,13 @@ def _run_trial(
         origin=proposal.origin,
     )
     history: Mapping[str, Any] = fitted.history if fitted else outcome.history
+    device = resolve_device(config.device).type
+    record = replace(record, environment=environment(device))
     with tempfile.TemporaryDirectory(dir=folder, prefix=".weights-") as scratch:
         weights = Path(scratch) / SURROGATE_FOLDER if fitted else None
         if fitted and weights:
             fitted.surrogate.save(weights)
+            record = replace(record, weights_sha256=file_digest(weights / WEIGHTS_FILE))
         write_record(folder, record, {name: np.asarray(curve) for name, curve in history.items()}, weights)
     store.finish(handle.number, record)
     keep_only_best_surrogate(folder)
