@@ -1,0 +1,146 @@
+"""Pictures of surrogates by training-set size: error over latent dimension, and over a spread of tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, to_hex
+
+from studies.report.drawing import (
+    INK,
+    EndLabel,
+    category_log,
+    decimal_log,
+    drawing,
+    end_labels,
+    log_limits,
+)
+from studies.report.records import Floats
+from studies.report.wording import axis_label, count
+
+_FEW_TO_MANY = LinearSegmentedColormap.from_list("sizes", ["#e0a458", "#b5657a", "#5b4a8b", "#1d3557"])
+
+
+def size_colors(sizes: Sequence[int]) -> dict[int, str]:
+    """Return a color per training-set size, from light for few simulations to dark for many."""
+    places = np.linspace(0.0, 1.0, max(len(sizes), 2))
+    return {size: to_hex(_FEW_TO_MANY(place)) for size, place in zip(sorted(sizes), places, strict=False)}
+
+
+@dataclass(frozen=True)
+class LatentTrials:
+    """The complete trials of one size: latent dimensions and test errors, each of shape (m,)."""
+
+    n_latent: Floats
+    test_mae: Floats
+
+
+def latent_figure(
+    trials: Mapping[int, LatentTrials], path: Path, *, title: str, unit: str, footnote: str = ""
+) -> Path:
+    """Draw every complete trial's test error over its latent dimension, the best of each size as a star.
+
+    Args:
+        trials: By training-set size.
+        path: Where the PNG goes.
+        title: What it shows.
+        unit: Unit of the errors.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    colors = size_colors(list(trials))
+    with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
+        axes = figure.subplots()
+        dimensions = sorted({int(z) for group in trials.values() for z in group.n_latent})
+        category_log(axes, dimensions)
+        axes.set_xlim(min(dimensions) / 1.3, max(dimensions) * 1.3)
+        decimal_log(axes, *log_limits(np.concatenate([group.test_mae for group in trials.values()])))
+        labels = []
+        for size, group in trials.items():
+            best = int(np.argmin(group.test_mae))
+            axes.plot(
+                group.n_latent, group.test_mae, linestyle="none", marker="o", markersize=4.5,
+                color=colors[size], alpha=0.7, markeredgewidth=0,
+            )  # fmt: skip
+            axes.plot(
+                group.n_latent[best], group.test_mae[best], linestyle="none", marker="*", markersize=13,
+                color=colors[size], markeredgecolor="white", markeredgewidth=0.8, zorder=4,
+            )  # fmt: skip
+            labels.append(EndLabel(float(group.test_mae[best]), f"n = {count(size)}", colors[size]))
+        axes.set_xlabel("latent dimension (★ best of its size by test error)")
+        axes.set_ylabel(axis_label("test MAE", unit))
+        end_labels(axes, labels)
+    return path
+
+
+@dataclass(frozen=True)
+class SpreadErrors:
+    """Errors on test sets of rising spread.
+
+    Attributes:
+        heading: Which parameters are restricted.
+        mae: Mean absolute error by size, each of shape (s,).
+        p90: 90th percentile over the rows by size, each of shape (s,).
+    """
+
+    heading: str
+    mae: Mapping[int, Floats]
+    p90: Mapping[int, Floats]
+
+
+def spread_figure(
+    spreads: Floats,
+    kinds: Sequence[SpreadErrors],
+    path: Path,
+    *,
+    title: str,
+    unit: str,
+    footnote: str = "",
+) -> Path:
+    """Draw errors over the spread of the test set, a panel per kind of restriction (Fig. 7).
+
+    Args:
+        spreads: The spreads, rising. Shape (s,). [1]
+        kinds: One panel each.
+        path: Where the PNG goes.
+        title: What it shows.
+        unit: Unit of the errors.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    with drawing(path, title=title, height_in=4.3, footnote=footnote) as figure:
+        panels = figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0]
+        values = [v for kind in kinds for v in (*kind.mae.values(), *kind.p90.values())]
+        limits = log_limits(np.concatenate(values))
+        for axes, kind in zip(panels, kinds, strict=True):
+            _draw_spread(axes, spreads, kind, limits)
+        panels[0].set_ylabel(axis_label("error", unit))
+        last = kinds[-1]
+        colors = size_colors(list(last.mae))
+        end_labels(
+            panels[-1],
+            [EndLabel(float(mae[-1]), f"n = {count(size)}", colors[size]) for size, mae in last.mae.items()],
+        )
+    return path
+
+
+def _draw_spread(axes: Axes, spreads: Floats, kind: SpreadErrors, limits: tuple[float, float]) -> None:
+    colors = size_colors(list(kind.mae))
+    decimal_log(axes, *limits)
+    axes.set_xlim(float(spreads[0]), float(spreads[-1]))
+    for size, mae in kind.mae.items():
+        axes.plot(spreads, mae, color=colors[size], linewidth=1.6, zorder=3)
+        axes.plot(spreads, kind.p90[size], color=colors[size], linewidth=1.0, linestyle=(0, (2, 2)), zorder=2)
+    axes.set_title(kind.heading)
+    axes.set_xlabel("spread δ of the test set [1]")
+    axes.annotate(
+        "— MAE   ··· 90th percentile", (0.02, 0.02), xycoords="axes fraction", fontsize=8.5, color=INK
+    )
