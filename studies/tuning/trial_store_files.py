@@ -42,6 +42,7 @@ class FileTrials:
         self.name = name
         self.folder = study_folder(mlruns, name)
         self._running = self.folder / RUNNING_FOLDER
+        self._known: dict[int, TrialRecord] = {}
 
     @property
     def place(self) -> str:
@@ -65,9 +66,12 @@ class FileTrials:
         return finished_indices(self.folder)
 
     def records(self) -> list[TrialRecord]:
-        """Read all finished trials."""
-        found = (self.record(index) for index in self.finished())
-        return [record for record in found if record is not None]
+        """Read all finished trials; those read before are not read again."""
+        finished = self.finished()
+        for index in finished:
+            if index not in self._known and (record := self.record(index)) is not None:
+                self._known[index] = record
+        return [self._known[index] for index in finished if index in self._known]
 
     def record(self, index: int) -> TrialRecord | None:
         """Read a finished trial."""
