@@ -112,7 +112,7 @@ def run(plan: Plan) -> ItemResult:
         if known
         else (),
         uses=(
-            f"studies simulate {study.command} "
-            f"({count(simulated.summary['n_simulations'], 'row')} for all sizes)",
+            f"studies simulate {study.command} ({count(simulated.summary['n_simulations'], 'row')} for all "
+            "sizes)",
         ),
     )

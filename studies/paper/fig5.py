@@ -1,6 +1,7 @@
 """Fig. 5: Sobol indices of all parameters over time, with confidence intervals narrow enough to rank them."""
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.paper.plan import SIMULATIONS_PER_S, Plan
 from studies.paper.published import N_IMPORTANT
-from studies.paper.result import ItemResult, item_folder
+from studies.paper.result import Agreement, ItemResult, item_folder
 from studies.physical_model import open_physical_model
 from studies.report import captions
 from studies.report.contents import Picture
@@ -19,9 +20,10 @@ from studies.report.records import SensitivityRecord
 from studies.report.tables import Column, Table
 from studies.report.wording import count, listed, percent
 from studies.sensitivity import SobolIndices, sobol_indices
-from studies.stages.pipeline import Study
 
-DAY_H = (6.0, 18.0)
+WORKING_H = (8.0, 20.0)
+"""Hours that count as day. [h]"""
+
 PASSIVE = ("UWin", "rExt1")
 """Parameters of the building itself that the paper says matter less while it is heated, by day."""
 
@@ -58,14 +60,26 @@ def run(plan: Plan) -> ItemResult:
     indices.save(file)
     record = _record(indices)
     order = [indices.names[i] for i in indices.order()]
-    first, total, by_day, by_night = _means(study, indices)
+    first, total = mean_over_time(indices.first_order[:, 0]), mean_over_time(indices.total_order[:, 0])
+    daily = daily_course(indices.time, indices.first_order[:, 0], begin_h=study.case.window_d[0] * 24.0)
     widest = float(np.nanmax(indices.first_order_ci))
     important = order[: min(N_IMPORTANT, len(order))]
-    agreement, verdict = _verdict(indices, order, by_day, by_night, widest)
+    agreement, verdict = _verdict(indices, order, daily, widest)
     half = mean_over_time(indices.first_order_ci[:, 0]), mean_over_time(indices.total_order_ci[:, 0])
-    columns = ["mean_first", "ci_first", "mean_total", "ci_total", "first_by_day", "first_by_night"]
-    titles = ["first order", "± 95 %", "total order", "± 95 %", "first order by day", "first order by night"]
-    values = np.column_stack([first, half[0], total, half[1], by_day, by_night])[list(indices.order())]
+    columns = [
+        "mean_first",
+        "ci_first",
+        "mean_total",
+        "ci_total",
+        "lowest",
+        "lowest_h",
+        "highest",
+        "highest_h",
+    ]
+    titles = ["first order", "± 95 %", "total order", "± 95 %"]
+    titles += ["lowest of the day", "at hour", "highest of the day", "at hour"]
+    courses = [daily.lowest, daily.lowest_h, daily.highest, daily.highest_h]
+    values = np.column_stack([first, half[0], total, half[1], *courses])[list(indices.order())]
     rows = tuple((name, *row) for name, row in zip(order, values.tolist(), strict=True))
     return ItemResult(
         agreement=agreement,
@@ -78,8 +92,7 @@ def run(plan: Plan) -> ItemResult:
             "mean_half_width": {row[0]: row[2] for row in rows},
             "widest_half_width_at_any_step": widest,
             "sum_of_mean_first_order": float(np.nansum(first)),
-            "first_order_by_day": {row[0]: row[5] for row in rows},
-            "first_order_by_night": {row[0]: row[6] for row in rows},
+            "daily_course": {row[0]: dict(zip(columns[4:], row[5:], strict=True)) for row in rows},
             "n_base": indices.n_base,
             "n_dropped_blocks": indices.n_dropped,
         },
@@ -87,7 +100,8 @@ def run(plan: Plan) -> ItemResult:
         tables=(
             Table(
                 "indices",
-                f"Sobol indices of {indices.output_names[0]}, averaged over time; day is 6 to 18 h",
+                f"Sobol indices of {indices.output_names[0]}, averaged over time; its course of a "
+                "mean day is that of the window's second half",
                 (
                     Column("parameter", "parameter"),
                     *(Column(key, title) for key, title in zip(columns, titles, strict=True)),
@@ -138,24 +152,47 @@ def _record(indices: SobolIndices) -> SensitivityRecord:
     )
 
 
-def _means(study: Study, indices: SobolIndices) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return mean first order, mean total order, mean first order by day and by night, each of shape (p,)."""
-    begin_h = study.case.window_d[0] * 24.0
-    hour = (begin_h + (indices.time - indices.time[0]) / 3600.0) % 24.0
-    by_day = (hour >= DAY_H[0]) & (hour < DAY_H[1])
-    first, total = indices.first_order[:, 0], indices.total_order[:, 0]
-    nowhere = np.full(first.shape[1], np.nan)
-    return (
-        mean_over_time(first),
-        mean_over_time(total),
-        mean_over_time(first[by_day]) if by_day.any() else nowhere,
-        mean_over_time(first[~by_day]) if not by_day.all() else nowhere,
+@dataclass(frozen=True)
+class DailyCourse:
+    """Extremes of a mean day, for each of p parameters; each of shape (p,).
+
+    Attributes:
+        lowest: Lowest value. [1]
+        lowest_h: When. [h of the day]
+        highest: Highest value. [1]
+        highest_h: When. [h of the day]
+    """
+
+    lowest: FloatArray
+    lowest_h: FloatArray
+    highest: FloatArray
+    highest_h: FloatArray
+
+
+def daily_course(time: FloatArray, values: FloatArray, *, begin_h: float) -> DailyCourse:
+    """Average the second half of series, where the start is forgotten, by the hour of the day.
+
+    Args:
+        time: Times. Shape (t,). [s]
+        values: Series. Shape (t, p). [1]
+        begin_h: Hour of the day at the first time. [h]
+    """
+    half = len(time) // 2
+    hour = np.floor((begin_h + (time - time[0]) / 3600.0) % 24.0)[half:]
+    hours = np.unique(hour)
+    course = np.array([mean_over_time(values[half:][hour == one]) for one in hours])
+    known = np.where(np.isfinite(course), course, 0.0)
+    return DailyCourse(
+        lowest=known.min(axis=0),
+        lowest_h=hours[known.argmin(axis=0)],
+        highest=known.max(axis=0),
+        highest_h=hours[known.argmax(axis=0)],
     )
 
 
 def _verdict(
-    indices: SobolIndices, order: list[str], by_day: FloatArray, by_night: FloatArray, widest: float
-) -> tuple[Any, str]:
+    indices: SobolIndices, order: list[str], daily: DailyCourse, widest: float
+) -> tuple[Agreement, str]:
     important = order[: min(N_IMPORTANT, len(order))]
     said = f"By mean first order the six most important are {listed(important)}"
     if len(order) > len(important):
@@ -169,11 +206,12 @@ def _verdict(
     parts, less = [], []
     for name in known:
         i = indices.names.index(name)
-        less.append(bool(by_day[i] < by_night[i]))
+        less.append(bool(WORKING_H[0] <= daily.lowest_h[i] < WORKING_H[1]))
         parts.append(
-            f"{name} explains {percent(float(by_day[i]))} by day and {percent(float(by_night[i]))} by night"
+            f"{name} goes from {percent(float(daily.highest[i]))} at {daily.highest_h[i]:.0f} h to "
+            f"{percent(float(daily.lowest[i]))} at {daily.lowest_h[i]:.0f} h"
         )
-    agreement = "agrees" if all(less) else "agrees in part" if any(less) else "differs"
+    agreement: Agreement = "agrees" if all(less) else "agrees in part" if any(less) else "differs"
     return agreement, (
         f"{said} The paper says that UWin and rExt1 matter less by day, when the room is heated: "
         f"{listed(parts)}. It prints no number and names its six in no text, so the ranking itself cannot be "

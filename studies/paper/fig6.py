@@ -198,10 +198,11 @@ def _verdict(found: dict[int, dict[str, Any]], latent: dict[int, float], unit: s
     if known:
         agreement = "agrees" if all(close) else "agrees in part" if any(close) else "differs"
     first, last = min(found), max(found)
+    falls = found[last]["best_mae"] < found[first]["best_mae"]
     parts = [
-        "The error falls with the training set as in the paper, from "
-        f"{quantity(found[first]['best_mae'], unit, 2)} "
-        f"at n = {first} to {quantity(found[last]['best_mae'], unit, 2)} at n = {count(last)}."
+        f"The error {'falls with the training set as in the paper' if falls else 'does not fall'}: "
+        f"{quantity(found[first]['best_mae'], unit, 2)} at n = {first}, "
+        f"{quantity(found[last]['best_mae'], unit, 2)} at n = {count(last)}."
     ]
     if known:
         said = [
@@ -210,9 +211,13 @@ def _verdict(found: dict[int, dict[str, Any]], latent: dict[int, float], unit: s
         ]
         parts.append(f"Ours against the paper's figure: {listed(said)}.")
     if 32 in known:
+        mean = found[32]["mean_predictor_mae"]
+        better = [
+            who for who, mae in (("ours", known[32][0]), ("the paper's", known[32][1])) if mae < 0.9 * mean
+        ]
         parts.append(
-            f"Predicting the mean trajectory errs by {quantity(found[32]['mean_predictor_mae'], unit, 2)}: "
-            "the paper's network at n = 32 is no better than that, ours is."
+            f"At n = 32 predicting the mean trajectory errs by {quantity(mean, unit, 2)}: "
+            f"{' and '.join(better) or 'neither network'} is clearly better than that."
         )
     size, low, high = FIG_6_RANGE
     if size in found:
@@ -227,8 +232,7 @@ def _verdict(found: dict[int, dict[str, Any]], latent: dict[int, float], unit: s
     parts.append(
         f"Best latent dimensions are {listed(str(z) for z in chosen.values())} (paper: 64 to 256); "
         f"{len(inside)} of {len(chosen)} lie in the paper's range, and from the best to the worst dimension "
-        "the "
-        f"error grows by a factor of {significant(max(latent.values()) / min(latent.values()), 3)} on "
+        f"the error grows by a factor of {significant(max(latent.values()) / min(latent.values()), 3)} on "
         "average."
     )
     parts.append(

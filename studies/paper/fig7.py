@@ -96,8 +96,8 @@ def run(plan: Plan) -> ItemResult:
                 "spread",
                 "Error over the spread of the test set",
                 f"Restricted in (a): {listed(important)}. A set of spread 1 is the test set of all trials; "
-                "one of "
-                "spread 0 with all parameters restricted is a single point, where both errors are the same.",
+                "one of spread 0 with all parameters restricted is a single point, where both errors are "
+                "the same.",
                 lambda path: spread_figure(
                     SPREADS,
                     [SpreadErrors(heading, mae[kind], p90[kind]) for kind, heading in KINDS.items()],
@@ -187,8 +187,7 @@ def _verdict(mae: By, unit: str) -> tuple[Agreement, str]:
         at = mae["important"][32]
         parts.append(
             f"At n = 32 it goes from {quantity(float(at[-1]), unit, 2)} to "
-            f"{quantity(float(at[eight]), unit, 2)} "
-            f"(paper: about 0.8 to 0.6 {unit})."
+            f"{quantity(float(at[eight]), unit, 2)} (paper: about 0.8 to 0.6 {unit})."
         )
     said = [
         f"{quantity(float(mae['all'][n][-1]), unit, 2)} to {quantity(float(mae['all'][n][middle]), unit, 2)} "
@@ -197,16 +196,13 @@ def _verdict(mae: By, unit: str) -> tuple[Agreement, str]:
     ]
     parts.append(
         f"(b) With all parameters restricted to δ = {INNER} the paper's MAE grows for n = 32 to 128 and not "
-        "for "
-        f"larger sets. Ours goes from {listed(said)}: it grows at {len(grows)} of these sizes, and falls at "
-        f"{len(larger_fall)} of the {len(larger)} larger ones."
+        f"for larger sets. Ours goes from {listed(said)}: it grows at {len(grows)} of these sizes, and "
+        f"falls at {len(larger_fall)} of the {len(larger)} larger ones."
     )
     if not second:
         parts.append(
-            "A surrogate whose error falls toward the middle has learned the less important parameters, too; "
-            "the paper's growth would follow from a network that is no better there than its mean, and "
-            "depends "
-            "on choices of the training that the paper does not print."
+            "The paper explains its growth by less important parameters that small sets do not teach; ours "
+            "shows it at fewer sizes. The two trainings differ in what the paper does not print."
         )
     agreement: Agreement = (
         "agrees" if first and second else "agrees in part" if first or second else "differs"

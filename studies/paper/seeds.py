@@ -182,8 +182,9 @@ def _verdict(rows: dict[int, list[dict[str, Any]]], unit: str) -> tuple[Agreemen
             _quartiles(_values(found, "mse_polished")),
         )
         told = [count(value) if np.isfinite(value) else "never" for value in calls.tolist()]
+        reached = f"{USUAL_MSE} {unit} after {told[1]} calls" if told[1] != "never" else "never there"
         said = (
-            f"n = {n}: {told[1]} calls to {USUAL_MSE} {unit} (quartiles {told[0]} and {told[2]}), final MSE "
+            f"n = {n}: {reached} (quartiles {told[0]} and {told[2]}), final MSE "
             f"{quantity(float(final[1]), unit)}"
         )
         if paper is not None:
@@ -196,6 +197,5 @@ def _verdict(rows: dict[int, list[dict[str, Any]]], unit: str) -> tuple[Agreemen
         agreement = "agrees" if all(inside) else "agrees in part" if any(inside) else "differs"
     return agreement, (
         f"The paper has one run per size; here are medians over {count(m, 'seed')}. {'; '.join(parts)}. One "
-        "run "
-        "says little: the quartiles show by how much another seed would have changed the paper's row."
+        "run says little: the quartiles show by how much another seed would have changed the paper's row."
     )
