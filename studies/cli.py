@@ -26,6 +26,8 @@ COMMANDS = (
     "calibrate",
     "report",
     "status",
+    "best",
+    "show",
     "ui",
     "reproduce-paper",
     "import-recording",

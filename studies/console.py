@@ -74,8 +74,21 @@ class Table:
     is_dense: bool = False
 
 
-Block = Table | Said
-"""What stands on its own: a table, or a text of one or several lines."""
+@dataclass(frozen=True)
+class Facts:
+    """What is known of one thing, a line each; facts without a text are left out.
+
+    Args:
+        title: above them.
+        facts: pairs of a word and what it says.
+    """
+
+    title: str
+    facts: Sequence[tuple[str, object]]
+
+
+Block = Table | Facts | Said
+"""What stands on its own: a table, facts, or a text of one or several lines."""
 
 
 @dataclass(frozen=True)

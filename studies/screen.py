@@ -14,7 +14,7 @@ from rich.segment import Segment, Segments
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from studies.console import Block, Said, Table
+from studies.console import Block, Facts, Said, Table
 
 PLAIN_WIDTH = 160
 """Columns of a table that is written to a file or a pipe."""
@@ -32,8 +32,11 @@ def rich_console(stream: Any) -> RichConsole:
 def print_blocks(blocks: Sequence[Block]) -> None:
     """Write blocks to stdout; lines of text are left for the terminal to wrap, so that they can be copied."""
     screen = rich_console(sys.stdout)
-    for block in blocks:
-        screen.print(_drawn(block, screen.width), soft_wrap=isinstance(block, Said))
+    with screen.capture() as drawn:
+        for block in blocks:
+            screen.print(_drawn(block, screen.width), soft_wrap=isinstance(block, Said))
+    sys.stdout.write("".join(f"{line.rstrip()}\n" for line in drawn.get().splitlines()))
+    sys.stdout.flush()
 
 
 def watch_blocks(look: Callable[[], Sequence[Block]], *, period_s: float) -> None:
@@ -60,9 +63,9 @@ def _drawn(block: Block, width: int) -> RenderableType:
     """Return what rich prints for a block."""
     if isinstance(block, Said):
         return Text(block.text, style=_STYLES[block.tone])
+    if isinstance(block, Facts):
+        return _titled(block.title, _facts(block))
     table = RichTable(
-        title=Text(block.title) if block.title else None,
-        title_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
         padding=(0, 1, 0, 0) if block.is_dense else (0, 1),
@@ -73,7 +76,21 @@ def _drawn(block: Block, width: int) -> RenderableType:
         table.add_column(column.title, justify="right" if column.is_number else "left", overflow="fold")
     for row in block.rows:
         table.add_row(*(_cell(row[index]) for index in kept))
-    return table
+    return _titled(block.title, table)
+
+
+def _facts(block: Facts) -> RenderableType:
+    grid = RichTable.grid(padding=(0, 2, 0, 0))
+    grid.add_column(style=_STYLES["dim"], no_wrap=True)
+    grid.add_column(overflow="fold")
+    for word, said in block.facts:
+        if str(said):
+            grid.add_row(f"  {word}", _cell(said))
+    return grid
+
+
+def _titled(title: str, content: RenderableType) -> RenderableType:
+    return Group(Text(title, style=_STYLES["strong"]), content) if title else content
 
 
 def _cell(content: object) -> Text:

@@ -7,10 +7,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from studies.paths import ProjectPaths, size_name
+from studies.paths import ProjectPaths
 from studies.report.wording import difference_unit
 from studies.stages.pipeline import read_json
-from studies.tuning.trial_record import TrialRecord, best_record, read_records
+from studies.tuning.trial_record import TrialRecord, best_record
+from studies.tuning.trial_store import RunningTrial, StudyEntry, TrialStore, list_studies, open_trials
 
 
 @dataclass(frozen=True)
@@ -18,26 +19,41 @@ class StudyLook:
     """A study as it stands.
 
     Args:
-        name: its whole name, such as `office-quick/n0064/1a2b3c4d`.
-        label: label of case and profile.
-        case_name: name of the case, empty where nothing tells.
-        n_train: training-set size.
-        n_planned: trials that it shall have, as far as is known.
-        unit: unit of its errors.
-        records: its finished trials, in order.
-        running: its running trials.
-        folder: where its trials lie, None where they lie in a database.
+        entry: what is known of it without its trials.
+        store: its records.
+        records: its finished trials, ordered by index.
+        running: the trials that somebody works on.
     """
 
-    name: str
-    label: str
-    case_name: str
-    n_train: int
-    n_planned: int
-    unit: str
+    entry: StudyEntry
+    store: TrialStore
     records: tuple[TrialRecord, ...]
-    running: tuple[Any, ...]
-    folder: Path | None
+    running: tuple[RunningTrial, ...]
+
+    @property
+    def name(self) -> str:
+        """Its whole name, such as `office-quick/n0064/1a2b3c4d`."""
+        return self.entry.name
+
+    @property
+    def label(self) -> str:
+        """Label of case and profile."""
+        return self.entry.label
+
+    @property
+    def n_train(self) -> int:
+        """Training-set size."""
+        return self.entry.n_train
+
+    @property
+    def n_planned(self) -> int:
+        """Trials that it shall have."""
+        return max(self.entry.n_planned, len(self.records))
+
+    @property
+    def unit(self) -> str:
+        """Unit of its errors."""
+        return difference_unit(self.entry.output_unit)
 
     @property
     def short_name(self) -> str:
@@ -59,11 +75,6 @@ class StudyLook:
         """Its completed trial of the default configuration, which is always the first."""
         first = self.records[0] if self.records else None
         return first if first and first.index == 0 and first.state == "complete" else None
-
-    @property
-    def digests(self) -> Mapping[str, str]:
-        """Sha256 of case, FMU and data sets."""
-        return self.records[0].digests if self.records else {}
 
     def count(self, state: str) -> int:
         """Return the trials that ended so."""
@@ -146,7 +157,7 @@ class Project:
 
     def case_of(self, label: str) -> str:
         """Return the name of the case behind a label, empty where nothing tells."""
-        return next((study.case_name for study in self.studies if study.label == label), "")
+        return next((study.entry.case_name for study in self.studies if study.label == label), "")
 
     def unit_of(self, label: str) -> str:
         """Return the unit of a label's errors, empty where nothing tells."""
@@ -154,9 +165,20 @@ class Project:
 
 
 def look_at(paths: ProjectPaths) -> Project:
-    """Read what there is."""
-    stages = _stages(paths)
-    return Project(paths, tuple(_studies(paths, stages)), stages)
+    """Read what there is.
+
+    Raises:
+        InputError: the storage cannot be reached.
+    """
+    studies = []
+    for entry in list_studies(paths):
+        store = open_trials(paths, entry.name)
+        # First what runs: a trial that ends between the two looks is counted once, as finished.
+        running, records = store.running(), store.records()
+        finished = {record.index for record in records}
+        left = tuple(trial for trial in running if trial.index not in finished)
+        studies.append(StudyLook(entry, store, tuple(records), left))
+    return Project(paths, tuple(studies), _stages(paths))
 
 
 def _stages(paths: ProjectPaths) -> tuple[StageLook, ...]:
@@ -166,26 +188,3 @@ def _stages(paths: ProjectPaths) -> tuple[StageLook, ...]:
         if manifest is not None and manifest.get("stage") == file.stem and "summary" in manifest:
             found.append(StageLook(file.parent.name, file.stem, manifest, file))
     return tuple(found)
-
-
-def _studies(paths: ProjectPaths, stages: tuple[StageLook, ...]) -> list[StudyLook]:
-    found = []
-    for folder in sorted((paths.mlruns / "trials").glob("*/n*-*")):
-        label = folder.parent.name
-        size, digest = folder.name.split("-")
-        champion = read_json(paths.champion(label, int(size[1:])) / "champion.json") or {}
-        records = tuple(read_records(folder))
-        found.append(
-            StudyLook(
-                name=f"{label}/{size_name(int(size[1:]))}/{digest}",
-                label=label,
-                case_name=champion.get("case_name", ""),
-                n_train=int(size[1:]),
-                n_planned=len(records),
-                unit=difference_unit(champion.get("output_unit", "")),
-                records=records,
-                running=(),
-                folder=folder,
-            )
-        )
-    return found

@@ -32,16 +32,16 @@ def status_blocks(project: Project, which: str | None) -> list[Block]:
     labels = chosen_labels(project, which)
     if not labels:
         return [Said(f"Nothing in {project.paths.root} yet; {FIRST_WORDS}")]
-    lines = _lines(project, labels)
+    lines = study_lines(project, labels)
     calibrations = [stage for stage in project.calibrations if stage.label in labels]
     blocks: list[Block] = []
     if lines:
-        blocks += [_studies(lines), Said(_total(lines))]
+        blocks += [studies_table(lines), Said(_total(lines))]
     running = [line for line in lines if line.study.running]
     if running:
         blocks.append(_running(running))
     if calibrations:
-        blocks.append(_calibrations(project, calibrations))
+        blocks.append(calibrations_table(project, calibrations))
     if not blocks:
         blocks = [Said(f"{', '.join(labels)}: no trials and no calibrations yet; type: studies tune")]
     return blocks
@@ -50,7 +50,7 @@ def status_blocks(project: Project, which: str | None) -> list[Block]:
 def status_document(project: Project, which: str | None) -> dict[str, Any]:
     """Return what a program reads."""
     labels = chosen_labels(project, which)
-    lines = _lines(project, labels)
+    lines = study_lines(project, labels)
     return {
         "command": "status",
         "studies": [_study_values(line) for line in lines],
@@ -72,7 +72,8 @@ def status_document(project: Project, which: str | None) -> dict[str, Any]:
     }
 
 
-def _lines(project: Project, labels: Sequence[str]) -> list[StudyLine]:
+def study_lines(project: Project, labels: Sequence[str]) -> list[StudyLine]:
+    """Return the studies of some labels with how they get on."""
     busy = {study.label for study in project.studies if study.running}
     return [
         StudyLine(study, pace_of(study, is_label_running=study.label in busy))
@@ -86,7 +87,7 @@ def _study_values(line: StudyLine) -> dict[str, Any]:
     return {
         "study": study.name,
         "label": study.label,
-        "case": study.case_name,
+        "case": study.entry.case_name,
         "n_train": study.n_train,
         "n_planned": study.n_planned,
         "n_done": len(study.records),
@@ -101,7 +102,8 @@ def _study_values(line: StudyLine) -> dict[str, Any]:
     }
 
 
-def _studies(lines: Sequence[StudyLine]) -> Table:
+def studies_table(lines: Sequence[StudyLine]) -> Table:
+    """Return a line per study."""
     units = {line.study.unit for line in lines if line.study.unit}
     title = f"Studies (errors in {units.pop()})" if len(units) == 1 else "Studies"
     columns = [
@@ -208,7 +210,8 @@ def _running(lines: Sequence[StudyLine]) -> Table:
     return Table("", columns, rows, is_dense=True)
 
 
-def _calibrations(project: Project, stages: Sequence[StageLook]) -> Table:
+def calibrations_table(project: Project, stages: Sequence[StageLook]) -> Table:
+    """Return a line per calibration, the best of each label standing out."""
     columns = [
         Column("calibration"),
         Column("final MSE", True),

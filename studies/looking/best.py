@@ -1,0 +1,252 @@
+"""What `studies best` shows: the best model per size over all labels of a case, and the best calibration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from studies.console import Block, Column, Said, Table
+from studies.looking.project import Project, StageLook, StudyLook
+from studies.looking.wording import error
+from studies.report.wording import MISSING, count, quantity, significant, squared
+from studies.stages.pipeline import read_json
+from studies.tuning.trial_record import TrialRecord, trial_name
+
+HYPERPARAMETERS = ("n_latent", "n_hidden", "n_layers", "beta", "learning_rate")
+
+
+@dataclass(frozen=True)
+class BestModel:
+    """The best model of a size.
+
+    Args:
+        study: the study it comes from.
+        trial: the trial.
+        n_trials: finished trials of all studies of the size that are judged alike.
+        champion: its folder as one types it in the project's root, empty where it is no champion.
+    """
+
+    study: StudyLook
+    trial: TrialRecord
+    n_trials: int
+    champion: str
+
+    @property
+    def name(self) -> str:
+        """What the trial is called on a command line."""
+        return f"{self.study.short_name}/{trial_name(self.trial.index)}"
+
+    @property
+    def default_mae(self) -> float | None:
+        """Validation error of the same study's default configuration."""
+        default = self.study.default
+        return default.metrics["val/mae"] if default else None
+
+    @property
+    def gain(self) -> float | None:
+        """Part of the default configuration's validation error that tuning took away."""
+        return 1.0 - self.trial.metrics["val/mae"] / self.default_mae if self.default_mae else None
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Models that were judged on the same data, so that their errors can be compared.
+
+    Args:
+        case_digest: sha256 of the physics.
+        validation_digest: sha256 of the set that judged.
+        labels: labels whose studies took part.
+        models: the best one per size.
+    """
+
+    case_digest: str
+    validation_digest: str
+    labels: tuple[str, ...]
+    models: tuple[BestModel, ...]
+
+
+def benches(project: Project, labels: Sequence[str], sizes: Sequence[int] | None) -> list[Bench]:
+    """Return the best models, apart for each set of data that judged them; the latest first."""
+    judged: dict[tuple[str, str], list[StudyLook]] = {}
+    for study in project.studies:
+        if study.label in labels and study.best and (not sizes or study.n_train in sizes):
+            key = (study.entry.digests.get("case", ""), study.entry.digests.get("validation", ""))
+            judged.setdefault(key, []).append(study)
+    latest = sorted(judged.items(), key=lambda item: -max(study.began_s for study in item[1]))
+    return [
+        Bench(
+            *key,
+            labels=tuple(sorted({study.label for study in studies})),
+            models=tuple(
+                _best_model(project, [study for study in studies if study.n_train == n_train])
+                for n_train in sorted({study.n_train for study in studies})
+            ),
+        )
+        for key, studies in latest
+    ]
+
+
+def _best_model(project: Project, studies: Sequence[StudyLook]) -> BestModel:
+    found = [(study.best.metrics["val/mae"], study, study.best) for study in studies if study.best]
+    _, study, trial = min(found, key=lambda item: item[0])
+    folder = project.paths.champion(study.label, study.n_train)
+    champion = read_json(folder / "champion.json") or {}
+    is_champion = (champion.get("study"), champion.get("index")) == (study.name, trial.index)
+    n_trials = sum(len(other.records) for other in studies)
+    return BestModel(study, trial, n_trials, project.paths.show(folder) if is_champion else "")
+
+
+def best_calibration(project: Project, labels: Sequence[str]) -> StageLook | None:
+    """Return the calibration of least error among those of the latest case and measurement."""
+    found = [stage for stage in project.calibrations if stage.label in labels and math.isfinite(stage.mse)]
+    if not found:
+        return None
+    latest = _target(max(found, key=lambda stage: str(stage.manifest.get("finished"))))
+    return min((stage for stage in found if _target(stage) == latest), key=lambda stage: stage.mse)
+
+
+def _target(stage: StageLook) -> tuple[Any, Any]:
+    return stage.summary.get("case_sha256"), stage.summary.get("measurement_sha256")
+
+
+def best_blocks(project: Project, labels: Sequence[str], sizes: Sequence[int] | None) -> list[Block]:
+    """Return what a person sees."""
+    blocks: list[Block] = []
+    found = benches(project, labels, sizes)
+    for bench in found:
+        blocks.append(_models(bench))
+        blocks.append(Said(_worth(bench)))
+    if len(found) > 1:
+        sets = count(len(found), "validation set")
+        blocks.append(Said(f"Judged on {sets}: errors of different tables are not comparable.", "warn"))
+    champions = [model for model in (found[0].models if found else ()) if model.champion]
+    if champions:
+        blocks += _how_to_load(min(champions, key=lambda model: model.trial.metrics["val/mae"]))
+    calibration = best_calibration(project, labels)
+    if calibration:
+        blocks += _calibration(project, calibration)
+    return blocks
+
+
+def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] | None) -> dict[str, Any]:
+    """Return what a program reads."""
+    calibration = best_calibration(project, labels)
+    return {
+        "command": "best",
+        "labels": list(labels),
+        "benches": [
+            {
+                "case_sha256": bench.case_digest,
+                "validation_sha256": bench.validation_digest,
+                "labels": list(bench.labels),
+                "models": [
+                    {
+                        "n_train": model.study.n_train,
+                        "trial": model.name,
+                        "study": model.study.name,
+                        "index": model.trial.index,
+                        "metrics": dict(model.trial.metrics),
+                        "unit": model.study.unit,
+                        "config": model.trial.config,
+                        "params": model.trial.params,
+                        "n_trials": model.n_trials,
+                        "default_mae": model.default_mae,
+                        "gain": model.gain,
+                        "champion": model.champion or None,
+                    }
+                    for model in bench.models
+                ],
+            }
+            for bench in benches(project, labels, sizes)
+        ],
+        "calibration": calibration
+        and {
+            "name": calibration.name,
+            "mse": calibration.mse,
+            "n_calls_paper": calibration.n_calls,
+            "theta": dict(calibration.summary["theta"]),
+        },
+    }
+
+
+def _models(bench: Bench) -> Table:
+    unit = next((model.study.unit for model in bench.models), "")
+    columns = [
+        Column("n_train", True),
+        Column("MAE val", True),
+        Column("P90 val", True, 5),
+        Column("MAE test", True),
+        Column("P90 test", True, 2),
+        Column("default", True, 3),
+        Column("tuning", True),
+        Column("n_latent", True, 6),
+        Column("n_hidden", True, 6),
+        Column("n_layers", True, 8),
+        Column("beta", True, 7),
+        Column("lr", True, 7),
+        Column("trials", True, 4),
+        Column("trial"),
+    ]
+    rows = []
+    for model in bench.models:
+        metrics, config = model.trial.metrics, model.trial.config
+        gain = model.gain
+        rows.append(
+            [
+                model.study.n_train,
+                Said(error(metrics["val/mae"]), "strong"),
+                *(error(metrics.get(name)) for name in ("val/p90", "test/mae", "test/p90")),
+                error(model.default_mae),
+                MISSING if gain is None else "±0 %" if gain <= 0.0 else f"-{100 * gain:.0f} %",
+                *(_setting(config.get(name)) for name in HYPERPARAMETERS),
+                model.n_trials,
+                Said(model.name, "good" if model.champion else ""),
+            ]
+        )
+    behind = f" (errors in {unit})" if unit else ""
+    return Table(f"{', '.join(bench.labels)}: best model per size{behind}", columns, rows, is_dense=True)
+
+
+def _setting(value: Any) -> str:
+    return significant(value).rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+
+
+def _worth(bench: Bench) -> str:
+    """Say whether tuning was worth it, against the default configuration."""
+    gains = [model.gain for model in bench.models if model.gain is not None]
+    if not gains:
+        return "Whether tuning was worth it cannot be told: no default configuration (trial 0) was completed."
+    spent = sum(record.wall_s for model in bench.models for record in model.study.records)
+    first = sum(model.study.default.wall_s for model in bench.models if model.study.default)
+    better = [gain for gain in gains if gain > 0.0]
+    times = f"at {spent / first:.1f} times the training time of the default alone" if first else ""
+    if not better:
+        return f"Tuning found nothing better than the default configuration (trial 0), {times}."
+    mean = 100.0 * sum(gains) / len(gains)
+    return (
+        f"Tuning beat the default configuration (trial 0) at {len(better)} of "
+        f"{count(len(gains), 'size')}, by {mean:.0f} % of its validation error on average, {times}."
+    )
+
+
+def _how_to_load(model: BestModel) -> list[Block]:
+    folder = model.champion
+    return [
+        Said(f"\nThe best of them is the champion in {folder}; in Python, from the project's root:"),
+        Said(
+            "  from pathlib import Path; from studies.tuning.champion import load_champion\n"
+            f'  surrogate, info = load_champion(Path("{folder}"))\n'
+            "  y = surrogate.predict(theta)  # rows of parameters, ordered as info.parameter_names",
+            "strong",
+        ),
+    ]
+
+
+def _calibration(project: Project, stage: StageLook) -> list[Block]:
+    unit = squared(project.unit_of(stage.label))
+    how = f"{count(stage.n_calls, 'model call')} in the paper's count"
+    rows = [[name, f"{value:.6g}"] for name, value in stage.summary["theta"].items()]
+    return [
+        Said(f"\nBest calibration: MSE {quantity(stage.mse, unit, 4)}, {how}"),
+        Table(stage.name, [Column("parameter"), Column("calibrated", True)], rows, is_dense=True),
+    ]

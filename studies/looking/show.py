@@ -1,0 +1,54 @@
+"""`studies show`: which card tells of which thing, where it comes from, and what to type next."""
+
+from typing import Any
+
+from studies.console import Block
+from studies.looking.card import label_blocks, study_blocks, study_values, trial_blocks, trial_values
+from studies.looking.card_stage import digest_blocks, row_set_blocks, stage_blocks, stage_values
+from studies.looking.project import Project, StageLook, StudyLook
+from studies.looking.things import LabelThing, RowSetThing, Thing, TrialThing
+from studies.tuning.trial_record import trial_name
+
+
+def thing_blocks(project: Project, thing: Thing) -> list[Block]:
+    """Return what a person sees of a thing."""
+    if isinstance(thing, TrialThing):
+        return trial_blocks(project, thing)
+    if isinstance(thing, StudyLook):
+        return study_blocks(project, thing)
+    if isinstance(thing, StageLook):
+        return stage_blocks(project, thing)
+    if isinstance(thing, LabelThing):
+        return label_blocks(project, thing)
+    return row_set_blocks(project, thing) if isinstance(thing, RowSetThing) else digest_blocks(thing)
+
+
+def thing_values(project: Project, thing: Thing) -> dict[str, Any]:
+    """Return what a program reads of a thing."""
+    if isinstance(thing, TrialThing):
+        return trial_values(thing)
+    if isinstance(thing, StudyLook):
+        return study_values(thing)
+    if isinstance(thing, StageLook):
+        return stage_values(thing)
+    if isinstance(thing, LabelThing):
+        return {
+            "studies": [study_values(study) for study in thing.studies],
+            "stages": [stage_values(stage) for stage in thing.stages],
+        }
+    if isinstance(thing, RowSetThing):
+        file = project.paths.show(thing.file)
+        return {"file": file, "digest": thing.digest or None, "users": list(thing.users)}
+    return {"what": thing.what, "users": list(thing.users)}
+
+
+def next_line(thing: Thing) -> str:
+    """Say what to type next."""
+    if isinstance(thing, TrialThing):
+        return f"next: studies reproduce {thing.name}"
+    if isinstance(thing, StudyLook):
+        best = f"studies show {thing.short_name}/{trial_name(thing.best.index)}" if thing.best else ""
+        return f"next: {best or 'studies status --live'}"
+    if isinstance(thing, StageLook):
+        return f"next: studies reproduce {thing.name}" if thing.is_calibration else "next: studies status"
+    return f"next: studies best {thing.name}" if isinstance(thing, LabelThing) else "next: studies status"

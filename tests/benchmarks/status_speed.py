@@ -1,0 +1,50 @@
+"""How long `studies status` takes to list 2,000 trials, from the shell's prompt to the last line.
+
+Writes a project of 2,000 records in the format of real ones into a temporary folder, then types the command
+in new processes and prints wall times. Type:
+
+    python tests/benchmarks/status_speed.py
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(REPOSITORY / "tests" / "cli"))
+N_LABELS, SIZES, N_TRIALS, N_RUNS = 10, (32, 64, 128, 256, 512), 40, 7
+LIMIT_S = 2.0
+
+
+def main() -> None:
+    from records_on_disk import write_study
+
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch)
+        for number in range(N_LABELS):
+            for n_train in SIZES:
+                write_study(root, f"office-made-seed{number}", n_train, n_trials=N_TRIALS, seed=number)
+        n = N_LABELS * len(SIZES) * N_TRIALS
+        print(f"{n} trials in {N_LABELS * len(SIZES)} studies")
+        for words in (["status"], ["status", "office-made-seed3"], ["status", "--json"], ["best"]):
+            walls = sorted(_wall_s(root, words) for _ in range(N_RUNS))
+            print(
+                f"studies {' '.join(words):26} median {statistics.median(walls):.2f} s, "
+                f"slowest of {N_RUNS}: {walls[-1]:.2f} s (limit {LIMIT_S:g} s)"
+            )
+
+
+def _wall_s(root: Path, words: list[str]) -> float:
+    program = [sys.executable, "-m", "studies", *words]
+    environment = os.environ | {"STUDIES_ROOT": str(root), "PYTHONPATH": str(REPOSITORY)}
+    started = time.perf_counter()
+    subprocess.run(program, env=environment, check=True, capture_output=True, cwd=root)
+    return time.perf_counter() - started
+
+
+if __name__ == "__main__":
+    main()
