@@ -110,6 +110,8 @@ class TuningBudget:
         n_parallel: trials of one study that may run side by side; part of what a study is, as a trial knows
             the results of those only that stand n_parallel or more places before it.
         max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
+        pruner: what stops trials early: "catch-up" those that cannot reach the best one any more, "median"
+            those worse than the median of the completed ones, "none" no trial.
         objectives: errors that are minimized; with both, no trial is pruned and the best ones are a front.
         enqueue: known-good settings that are tried right after the variant's; what one leaves out is the
             variant's.
@@ -124,6 +126,7 @@ class TuningBudget:
     device: Literal["auto", "cpu", "cuda"] = "auto"
     n_parallel: Count = 1
     max_trial_s: Positive | None = None
+    pruner: Literal["catch-up", "median", "none"] = "catch-up"
     objectives: tuple[Objective, ...] = ("val/mae",)
     enqueue: tuple[dict[str, int | float], ...] = ()
     warm_start: bool = False

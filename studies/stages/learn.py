@@ -102,6 +102,10 @@ def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
             variant=budget.variant,
             overrides=overrides,
             search=budget.search,
+            pruner=budget.pruner,
+            objectives=budget.objectives,
+            enqueue=budget.enqueue,
+            warm_start=budget.warm_start,
             seed=study.profile.seed,
             note=study.case.note,
         )

@@ -1,6 +1,6 @@
 """Which trials are stopped early: judged against the trials that are finished, without any storage."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import optuna
 from optuna.trial import Trial, create_trial
@@ -9,7 +9,14 @@ from optuna.trial import TrialState as OptunaState
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
 
-N_SPARED_TRIALS = 4  # completed trials before the first may be pruned
+N_SPARED_TRIALS = 4  # completed trials before the median may stop the first
+CAUTION = 2.0  # how much more than any completed trial one may improve, divided by the number of those
+
+PRUNED = {
+    "catch-up": "could not catch up with the best trial any more",
+    "median": "worse than the median of the completed trials",
+}
+"""Why a trial was stopped, by pruner."""
 
 _STATES = {"complete": OptunaState.COMPLETE, "pruned": OptunaState.PRUNED, "failed": OptunaState.FAIL}
 
@@ -17,29 +24,70 @@ _STATES = {"complete": OptunaState.COMPLETE, "pruned": OptunaState.PRUNED, "fail
 class Pruner:
     """Compares one running trial with the finished ones.
 
+    "catch-up" stops a trial that would miss the best completed one even if its error fell from here on by a
+    larger part than that of any completed trial: the largest part seen, times 1 + 2/n of n completed trials.
+    So the rule learns from the trials themselves how much a schedule still brings at an epoch; with one-cycle
+    that is most of the error early and nothing late. "median" is Optuna's pruner.
+
     Args:
-        spec: the study.
+        spec: the study; with several objectives nothing is stopped.
         index: the trial.
         finished: trials that it is compared with, in order.
     """
 
     def __init__(self, spec: StudySpec, index: int, finished: Sequence[TrialRecord]) -> None:
-        optuna.logging.set_verbosity(optuna.logging.ERROR)
-        study = optuna.create_study(
-            direction="minimize", pruner=optuna.pruners.MedianPruner(n_startup_trials=N_SPARED_TRIALS)
-        )
-        for record in finished:
-            study.add_trial(
-                create_trial(
-                    state=_STATES[record.state],
-                    value=record.value,
-                    intermediate_values={int(step): value for step, value in record.reports.items()},
-                )
-            )
-        study.add_trial(create_trial(state=OptunaState.RUNNING))
-        self._trial = Trial(study, study.get_trials(deepcopy=False)[-1]._trial_id)
+        self._least = float("inf")
+        self._completed: Sequence[TrialRecord] = ()
+        self._trial: Trial | None = None
+        if len(spec.objectives) > 1 or spec.pruner == "none":
+            return
+        if spec.pruner == "median":
+            self._trial = _beside(finished)
+        else:
+            self._completed = [record for record in finished if record.state == "complete"]
 
     def is_hopeless(self, epoch: int, value: float) -> bool:
-        """Note the validation error at an epoch, and say whether the trial shall be pruned."""
-        self._trial.report(value, epoch)
-        return self._trial.should_prune()
+        """Note the validation error at an epoch, and say whether the trial shall be stopped.
+
+        Args:
+            epoch: one of the epochs at which trials are compared.
+            value: validation error there. [output's unit]
+        """
+        if self._trial is not None:
+            self._trial.report(value, epoch)
+            return self._trial.should_prune()
+        self._least = min(self._least, value)
+        # Each completed trial's error at its end as a part of its error here.
+        parts = [
+            record.metrics["val/mae"] / here
+            for record in self._completed
+            if (here := _least_until(epoch, record.reports))
+        ]
+        if not parts:
+            return False
+        gain = (1.0 - min(parts)) * (1.0 + CAUTION / len(parts))
+        best = min(record.metrics["val/mae"] for record in self._completed)
+        return self._least * (1.0 - gain) > best
+
+
+def _least_until(epoch: int, reports: Mapping[str, float]) -> float | None:
+    """Return the least error reported until an epoch, None without a report."""
+    return min((value for step, value in reports.items() if int(step) <= epoch), default=None)
+
+
+def _beside(finished: Sequence[TrialRecord]) -> Trial:
+    """Return a running trial in an Optuna study of the finished ones, in memory."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(
+        direction="minimize", pruner=optuna.pruners.MedianPruner(n_startup_trials=N_SPARED_TRIALS)
+    )
+    for record in finished:
+        study.add_trial(
+            create_trial(
+                state=_STATES[record.state],
+                value=record.value,
+                intermediate_values={int(step): value for step, value in record.reports.items()},
+            )
+        )
+    study.add_trial(create_trial(state=OptunaState.RUNNING))
+    return Trial(study, study.get_trials(deepcopy=False)[-1]._trial_id)

@@ -46,6 +46,7 @@ class StudySpec:
         search: ranges of the hyperparameters.
         seed: every random draw derives from it.
         n_parallel: trials that may run side by side; each knows the results of those so many places before.
+        pruner: what stops trials early (see `studies.tuning.pruning`).
         objectives: errors that are minimized; with several of them no trial is pruned.
         enqueue: known-good settings that are tried right after the variant's.
         warm_start: whether the best settings of the nearest finished size are tried after those.
@@ -73,6 +74,7 @@ class StudySpec:
     search: SearchRanges = field(default_factory=SearchRanges)
     seed: int = 0
     n_parallel: int = 1
+    pruner: str = "catch-up"
     objectives: tuple[str, ...] = ("val/mae",)
     enqueue: tuple[Mapping[str, float], ...] = ()
     warm_start: bool = False
@@ -166,6 +168,7 @@ class StudySpec:
             "search": asdict(self.search),
             "output_scales": self.output_scales,
             "seed": self.seed,
+            "pruner": self.pruner,
         }
         plain = {"n_parallel": 1, "objectives": ("val/mae",), "enqueue": (), "warm_start": False}
         decisive |= {

@@ -9,16 +9,17 @@ import numpy as np
 from pelsvae.config import SurrogateConfig
 from pelsvae.metrics import errors
 from pelsvae.training import EpochReport, FitResult, TrainingDiverged, fit
+from studies.tuning.pruning import PRUNED
 from studies.tuning.study_data import StudyData
 from studies.tuning.study_spec import StudySpec, TrialState, output_metric
 
 N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would cost more than a training
-PRUNE_AFTER = 0.1  # part of the epochs in which no trial is judged
+PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
 HISTORY = ("epoch", "loss", "validation_mae")  # what is known of a trial without a surrogate
 
 
 class _PrunedError(Exception):
-    """The trial is worse than the median of the completed ones."""
+    """The trial is not worth its other epochs."""
 
 
 @dataclass
@@ -36,7 +37,7 @@ class TrialOutcome:
 
 def report_epochs(max_epochs: int) -> list[int]:
     """Return the epochs at which trials are compared: a geometric row, dense where most trials stop."""
-    row = np.geomspace(max(1.0, max_epochs / 2 ** (N_REPORTS / 2)), max_epochs, N_REPORTS)
+    row = np.geomspace(max(1.0, PRUNE_AFTER * max_epochs), max_epochs, N_REPORTS)
     return sorted({round(epoch) for epoch in row})
 
 
@@ -77,8 +78,7 @@ def train_trial(
         due = [step for step in steps if step <= report.epoch]
         if due and str(due[-1]) not in outcome.reports:
             outcome.reports[str(due[-1])] = report.validation_mae
-            may_end = report.epoch >= PRUNE_AFTER * config.max_epochs
-            if is_hopeless(due[-1], report.validation_mae) and may_end:
+            if is_hopeless(due[-1], report.validation_mae) and report.epoch < report.max_epochs:
                 raise _PrunedError
 
     try:
@@ -93,7 +93,7 @@ def train_trial(
         )
     except _PrunedError:
         outcome.state = "pruned"
-        outcome.reason = f"worse than the median of the completed trials at epoch {outcome.n_epochs}"
+        outcome.reason = f"{PRUNED[spec.pruner]} at epoch {outcome.n_epochs}"
         outcome.metrics = {"val/mae": min(outcome.history["validation_mae"])}
         return
     judged: dict[str, float] = {}

@@ -12,7 +12,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -105,8 +105,14 @@ def office_spec(folder: Path, n_train: int, seed: int = 0) -> StudySpec:
     )
 
 
-def train(spec: StudySpec, proposal: Proposal, data: StudyData, index: int) -> Trained:
-    """Train what was proposed to its end."""
+def train(
+    spec: StudySpec,
+    proposal: Proposal,
+    data: StudyData,
+    index: int,
+    is_hopeless: Callable[[int, float], bool] = lambda epoch, value: False,
+) -> tuple[Trained, TrialOutcome]:
+    """Train what was proposed, to its end where nothing stops it."""
     outcome, began = TrialOutcome(), time.process_time()
     try:
         train_trial(
@@ -116,11 +122,11 @@ def train(spec: StudySpec, proposal: Proposal, data: StudyData, index: int) -> T
             data,
             outcome=outcome,
             on_epoch=lambda report: None,
-            is_hopeless=lambda epoch, value: False,
+            is_hopeless=is_hopeless,
         )
     except Exception as error:  # a diverged training is a result here too
         print(f"n_train {spec.n_train} trial {index}: {error}", file=sys.stderr)
-    return Trained(
+    trained = Trained(
         spec.n_train,
         spec.seed,
         index,
@@ -130,23 +136,13 @@ def train(spec: StudySpec, proposal: Proposal, data: StudyData, index: int) -> T
         metrics=outcome.metrics,
         cpu_s=time.process_time() - began,
     )
+    return trained, outcome
 
 
 def as_record(
-    spec: StudySpec,
-    trained: Trained,
-    proposal: Proposal,
-    *,
-    state: TrialState = "complete",
-    n_epochs: int | None = None,
+    spec: StudySpec, trained: Trained, proposal: Proposal, *, state: TrialState = "complete"
 ) -> TrialRecord:
-    """Return the record that the trial had left, had it ended in a state after some epochs."""
-    seen = {
-        str(epoch): value
-        for epoch, value in zip(trained.epochs, trained.curve, strict=True)
-        if n_epochs is None or epoch <= n_epochs
-    }
-    pruned = {"val/mae": min(seen.values(), default=float("inf"))}
+    """Return the record of a trial; one that has no errors has failed."""
     return TrialRecord(
         study=spec.name,
         n_train=spec.n_train,
@@ -160,9 +156,8 @@ def as_record(
         wall_s=trained.cpu_s,
         digests={},
         owner={},
-        metrics=trained.metrics if state == "complete" else pruned,
-        reports=seen,
-        n_epochs=n_epochs or max(trained.epochs, default=0),
+        metrics=trained.metrics,
+        n_epochs=max(trained.epochs, default=0),
     )
 
 
@@ -175,7 +170,7 @@ def _study(spec: StudySpec, known: list[Trained], n_trials: int) -> Iterator[Tra
         if index < len(known):
             trained = known[index]
         else:
-            trained = train(spec, proposal, data, index)
+            trained, _ = train(spec, proposal, data, index)
             yield trained
         records.append(as_record(spec, trained, proposal))
 
@@ -185,7 +180,7 @@ def _random(spec: StudySpec, known: list[Trained], n_trials: int) -> Iterator[Tr
     data = load_data(spec)
     for index in range(len(known), n_trials):
         drawn = propose(replace(spec, seed=10_000 + index), 1, [])
-        yield train(spec, drawn, data, index)
+        yield train(spec, drawn, data, index)[0]
 
 
 def main() -> None:

@@ -153,6 +153,10 @@ def test_study_digest_covers_what_decides_and_nothing_else(make_spec: Any) -> No
         {"search": SearchRanges()},
         {"seed": 6},
         {"n_train": 17},
+        {"pruner": "median"},
+        {"objectives": ("val/mae", "val/p90")},
+        {"enqueue": ({"beta": 2.0},)},
+        {"warm_start": True},
     ]
     digests = {make_spec(**change).digest for change in changes}
     assert len(digests | {spec.digest}) == len(changes) + 1
