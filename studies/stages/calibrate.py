@@ -4,7 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from studies.tuning.champion import (
     read_champion,
     restore_champion,
 )
+
+if TYPE_CHECKING:
+    from pelsvae.surrogate import Surrogate
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
@@ -90,7 +93,12 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        numbers, arrays, wall = calibrate(study, n_train)
+        # On the CPU wherever it was trained: the same numbers on every machine of a kind.
+        surrogate, _ = load_champion(
+            study.paths.champion(study.label, n_train), case_digest=study.case.digest, device="cpu"
+        )
+        numbers, arrays, wall = calibrate(study, surrogate, n_train)
+        numbers = _head(study, champion) | numbers
         numbers |= {"recipe": _recipe(study, champion), "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)
@@ -113,12 +121,15 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
     )
 
 
-def calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, float]]:
+def calibrate(
+    study: Study, surrogate: "Surrogate", n_train: int
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, float]]:
     """Calibrate and keep nothing but the simulations.
 
     Args:
         study: the study.
-        n_train: training-set size, whose champion lies in the project.
+        surrogate: what the box is screened with.
+        n_train: size of its training set.
 
     Returns:
         The numbers, the arrays and the wall times.
@@ -128,10 +139,6 @@ def calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, Any
     from studies.calibration.two_phase import calibrate_two_phase
     from studies.surrogate_model import SurrogateModel
 
-    # On the CPU wherever it was trained: the same numbers on every machine of a kind.
-    surrogate, champion = load_champion(
-        study.paths.champion(study.label, n_train), case_digest=study.case.digest, device="cpu"
-    )
     measurement, profile = study.case.measurement, study.profile
     with open_physical_model(study) as physical, study.console.bars() as bars:
         result = calibrate_two_phase(
@@ -164,16 +171,20 @@ def calibrate(study: Study, n_train: int) -> tuple[dict[str, Any], dict[str, Any
         "history_mse": result.polish_history.best_mse,
         **simulated,
     }
-    head = {
+    return numbers, arrays, wall
+
+
+def _head(study: Study, champion: ChampionInfo) -> dict[str, Any]:
+    """Return what a calibration's numbers belong to."""
+    return {
         "label": study.label,
         "note": study.case.note,
         "case_sha256": study.case.digest,
-        "measurement_sha256": measurement.digest,
-        "n_train": n_train,
+        "measurement_sha256": study.case.measurement.digest,
+        "n_train": champion.n_train,
         "surrogate_errors": champion.metrics,
         "surrogate": {"study": champion.study, "trial": champion.index, "sha256": champion.files_sha256},
     }
-    return head | numbers, arrays, wall
 
 
 def _recipe(study: Study, champion: ChampionInfo) -> Recipe:

@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from studies.physical_model import open_physical_model, store_folder
 from studies.profile import Profile
 from studies.recipe import recipe_of
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
+
+if TYPE_CHECKING:
+    from studies.sensitivity import SobolIndices
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
 """Validation and test sets are the same for every profile and seed, so that all errors can be compared."""
@@ -127,33 +131,12 @@ def sensitivity_stage(study: Study) -> Outcome:
     recipe = recipe_of(study, "sensitivity", command="studies sensitivity")
 
     def work() -> tuple[Summary, list[Path]]:
-        from studies.sensitivity import sobol_indices
         from studies.stages.tracking import log_sensitivity
 
         started = time.perf_counter()
-        with (
-            open_physical_model(study) as model,
-            study.console.progress("simulations", n_rows) as advance,
-        ):
-            indices = sobol_indices(
-                model,
-                n_base=budget.n_base,
-                seed=study.profile.seed,
-                n_resamples=budget.n_resamples,
-                on_progress=advance,
-            )
-        say_reused(study, "sensitivity", model)
+        found, indices = estimate_indices(study, n_rows)
         indices.save(file)
-        first, total = indices.mean_first_order()[0], indices.mean_total_order()[0]
-        order = indices.order()
-        summary: Summary = {
-            "n_calls": indices.n_calls,
-            "n_dropped_blocks": indices.n_dropped,
-            "output": indices.output_names[0],
-            "mean_first_order": {indices.names[i]: _plain(first[i]) for i in order},
-            "mean_total_order": {indices.names[i]: _plain(total[i]) for i in order},
-            "file": study.paths.show(file),
-        }
+        summary = {**found, "file": study.paths.show(file)}
         wall_s = time.perf_counter() - started
         log_sensitivity(study, summary, digest_of(inputs), file=file, wall_s=wall_s, recipe=recipe)
         return summary, [file]
@@ -170,6 +153,43 @@ def sensitivity_stage(study: Study) -> Outcome:
         reuse_note=lambda summary: f"{summary['n_calls']} simulations reused",
         recipe=recipe,
     )
+
+
+def estimate_indices(study: Study, n_rows: int) -> "tuple[Summary, SobolIndices]":
+    """Estimate Sobol indices and keep nothing but the simulations.
+
+    Args:
+        study: the study.
+        n_rows: simulations that the budget comes to.
+
+    Returns:
+        Their averages over time, and the indices.
+    """
+    from studies.sensitivity import sobol_indices
+
+    budget = study.profile.sensitivity
+    with (
+        open_physical_model(study) as model,
+        study.console.progress("simulations", n_rows) as advance,
+    ):
+        indices = sobol_indices(
+            model,
+            n_base=budget.n_base,
+            seed=study.profile.seed,
+            n_resamples=budget.n_resamples,
+            on_progress=advance,
+        )
+    say_reused(study, "sensitivity", model)
+    first, total = indices.mean_first_order()[0], indices.mean_total_order()[0]
+    order = indices.order()
+    summary: Summary = {
+        "n_calls": indices.n_calls,
+        "n_dropped_blocks": indices.n_dropped,
+        "output": indices.output_names[0],
+        "mean_first_order": {indices.names[i]: _plain(first[i]) for i in order},
+        "mean_total_order": {indices.names[i]: _plain(total[i]) for i in order},
+    }
+    return summary, indices
 
 
 def show_sensitivity(study: Study, outcome: Outcome) -> None:
