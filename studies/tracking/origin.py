@@ -9,8 +9,20 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("pelsvae-studies", "numpy", "scipy", "torch", "optuna", "mlflow", "fmpy", "numba", "SALib")
-ROOMS = ("simulation", "pelsvae", "studies")
-"""The packages of this project, whose text decides numbers."""
+CODE: dict[str, tuple[str, ...]] = {
+    "simulation": ("simulation",),
+    "pelsvae": ("pelsvae",),
+    "studies": (
+        "studies/calibration",
+        "studies/stages",
+        "studies/tuning",
+        "studies/physical_model.py",
+        "studies/profile.py",
+        "studies/sensitivity.py",
+        "studies/surrogate_model.py",
+    ),
+}
+"""Where the text lies that decides numbers: not that of commands, pages and pictures."""
 
 _CODE = Path(__file__).resolve().parents[2]
 
@@ -55,21 +67,25 @@ def environment(device: str = "cpu") -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def _code_state() -> dict[str, str]:
-    """Return a digest of each room's text and, where the rooms are a git checkout, its commit."""
+    """Return a digest of each package's text and, where it is a git checkout, its commit."""
     found = {}
-    for room in ROOMS:
+    for room, places in CODE.items():
         content = hashlib.sha256()
-        for file in sorted((_CODE / room).rglob("*.py")):
+        for file in sorted(file for place in places for file in _modules(_CODE / place)):
             content.update(f"{file.relative_to(_CODE).as_posix()}\0".encode() + file.read_bytes() + b"\0")
         found[f"code {room}"] = content.hexdigest()
     # An installed copy may lie in a folder of somebody else's repository.
     if _git(_CODE, "ls-files", str(Path(__file__).resolve())):
         found["git_commit"] = _git(_CODE, "rev-parse", "HEAD")
-        changed = _git(_CODE, "diff", "HEAD", "--binary", "--no-ext-diff", "--", *ROOMS)
+        changed = _git(_CODE, "diff", "HEAD", "--binary", "--no-ext-diff", "--", *CODE)
         found["git_dirty"] = str(bool(changed)).lower()
         if changed:
             found["git_diff_sha256"] = hashlib.sha256(changed.encode()).hexdigest()
     return found
+
+
+def _modules(place: Path) -> list[Path]:
+    return [place] if place.is_file() else list(place.rglob("*.py"))
 
 
 @lru_cache(maxsize=1)

@@ -1,6 +1,8 @@
 """What a study tells a tracking product: the protocol, a silent tracker, and the way to MLflow's."""
 
+import errno
 import logging
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,9 +12,13 @@ from numpy.typing import NDArray
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
+from studies.storage_url import hide_passwords
 from studies.tuning.study_spec import StudySpec, StudySummary
 from studies.tuning.trial_record import TrialRecord
 
+PATIENCE_S = 90.0
+
+_PASSING_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.ECONNREFUSED, errno.ECONNRESET, errno.ETIMEDOUT)
 _T = TypeVar("_T")
 logger = logging.getLogger(__name__)
 
@@ -85,6 +91,9 @@ class Tracker(Protocol):
     def log_stage(self, stage: StageRun) -> None:
         """Hear of another finished stage."""
 
+    def end_ghosts(self) -> list[str]:
+        """End what says that it runs though nobody works on it; return the names."""
+
 
 class NullTracker:
     """A tracker that keeps nothing."""
@@ -112,18 +121,26 @@ class NullTracker:
     def log_stage(self, stage: StageRun) -> None:
         """Do nothing."""
 
+    def end_ghosts(self) -> list[str]:
+        """Know of none."""
+        return []
+
 
 class PatientTracker:
-    """Tells another tracker, and takes its failures as a warning: what it misses now it hears next time.
+    """Tells another tracker, waits for a store that is away, and takes its failures as a warning.
 
-    A store that is locked, full or read-only must not cost a training.
+    A store that is locked, full, restarted or read-only must not cost a training: what this tracker misses
+    now it hears with the next call of the same command or with the next command.
 
     Args:
         tracker: the tracker that may fail.
+        patience_s: how long to wait for a store that goes away, once per outage. [s]
     """
 
-    def __init__(self, tracker: Tracker) -> None:
+    def __init__(self, tracker: Tracker, *, patience_s: float = PATIENCE_S) -> None:
         self._tracker = tracker
+        self._patience_s = patience_s
+        self._is_away = False
 
     def start_study(self, spec: StudySpec, *, n_trials: int) -> None:
         """Pass it on."""
@@ -153,15 +170,42 @@ class PatientTracker:
         """Pass it on."""
         self._try(lambda: self._tracker.log_stage(stage), None)
 
+    def end_ghosts(self) -> list[str]:
+        """Pass it on."""
+        return self._try(self._tracker.end_ghosts, [])
+
     def _try(self, call: Callable[[], _T], otherwise: _T) -> _T:
-        try:
-            return call()
-        except Exception as error:
-            line = str(error).splitlines()[0] if str(error) else ""
-            logger.warning(
-                "MLflow missed something (%s: %s); the next run makes it good", type(error).__name__, line
-            )
-            return otherwise
+        deadline = time.monotonic() + (0.0 if self._is_away else self._patience_s)
+        wait_s = 0.1
+        while True:
+            try:
+                answer = call()
+            except Exception as error:
+                line = hide_passwords(str(error).splitlines()[0] if str(error) else "")
+                passing = _passes(error)
+                if passing and time.monotonic() < deadline:
+                    if wait_s < 0.2:
+                        logger.warning("MLflow's store is away (%s); waiting for it", line)
+                    time.sleep(wait_s)
+                    wait_s = min(2.0 * wait_s, 5.0)
+                    continue
+                self._is_away = passing
+                name = type(error).__name__
+                logger.warning("MLflow missed something (%s: %s); the next run makes it good", name, line)
+                return otherwise
+            self._is_away = False
+            return answer
+
+
+def _passes(error: BaseException | None) -> bool:
+    """Return whether an error looks like one that goes away by itself: a lost server, a lock, a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _PASSING_ERRORS:
+            return True
+        if type(error).__name__ in ("OperationalError", "InterfaceError"):
+            return not any(sign in str(error) for sign in ("no such", "readonly", "does not exist"))
+        error = error.__cause__ or error.__context__
+    return False
 
 
 _REWRITE = "move it away, tuning writes it again"
@@ -174,18 +218,25 @@ _SQLITE_CURES = {
 
 
 def open_tracker(paths: ProjectPaths) -> Tracker:
-    """Open MLflow's store under `mlruns/`, creating it where absent; costs MLflow's import, some 3 s.
+    """Open the project's MLflow store, creating it where absent; costs MLflow's import, some 3 s.
+
+    Runs that a killed process left RUNNING are ended on the way.
 
     Raises:
-        InputError: the database cannot be opened.
+        InputError: the store cannot be opened.
     """
     from studies.tracking.mlflow_tracker import MlflowTracker
 
     try:
-        return PatientTracker(MlflowTracker(paths.tracking_database, paths.artifacts, root=paths.root))
+        tracker = PatientTracker(MlflowTracker(paths))
     except OSError:
         raise
     except Exception as error:
-        line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        line = hide_passwords(str(error).splitlines()[0] if str(error) else type(error).__name__)
+        if paths.storage is not None:
+            where = hide_passwords(paths.storage)
+            raise InputError(f"MLflow cannot open {where} ({line}); check the URL and the server") from error
         remedy = next((cure for sign, cure in _SQLITE_CURES.items() if sign in line), _REWRITE)
         raise InputError(f"MLflow cannot open {paths.tracking_database} ({line}); {remedy}") from error
+    tracker.end_ghosts()
+    return tracker

@@ -87,8 +87,9 @@ def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from studies.tracking.mlflow_tracker import MlflowTracker
 
     folder = tmp_path_factory.mktemp("mlflow-template")
-    MlflowTracker(folder / "mlflow.db", folder / "artifacts")
-    return folder / "mlflow.db"
+    paths = ProjectPaths(folder)
+    MlflowTracker(paths)
+    return paths.tracking_database
 
 
 @pytest.fixture
@@ -98,4 +99,4 @@ def tracker(project: ProjectPaths, empty_database: Path) -> Tracker:
 
     project.mlruns.mkdir()
     shutil.copy(empty_database, project.tracking_database)
-    return MlflowTracker(project.tracking_database, project.artifacts)
+    return MlflowTracker(project)

@@ -178,7 +178,7 @@ def test_champion_comes_back_from_the_registry_of_a_moved_project(
     moved = ProjectPaths(tmp_path / "moved")
     shutil.copytree(project.mlruns, moved.mlruns)
     project.artifacts.rename(tmp_path / "out-of-reach")
-    there = MlflowTracker(moved.tracking_database, moved.artifacts)
+    there = MlflowTracker(moved)
     restored = tmp_path / "restored" / "n0016"
     assert restore_champion(restored, lambda scratch: there.fetch_champion("toy-small", 16, scratch))
     assert load_champion(restored, case_digest=CASE)[1] == read_champion(folder)
@@ -196,7 +196,7 @@ def test_registered_champion_loads_where_this_project_is_not(
 import sys
 sys.path[:] = [entry for entry in sys.path if entry != {str(Path.cwd())!r}]
 import mlflow, numpy as np, pandas as pd
-mlflow.set_tracking_uri({tracker.uri!r})
+mlflow.set_tracking_uri({project.tracking_uri!r})
 model = mlflow.pyfunc.load_model("models:/toy-small-n0016@champion")
 columns = [column.name for column in model.metadata.signature.inputs]
 np.save("y.npy", model.predict(pd.DataFrame(np.load("theta.npy"), columns=columns)))
