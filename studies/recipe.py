@@ -21,6 +21,8 @@ SCHEMA = 1
 RECIPE_FILE = "recipe.json"
 CELL_LENGTH = 8000
 """Most characters of a tag in MLflow's database."""
+MEMORY = "mlflow.studies."
+"""Begin of the names of tags that hold packed JSON values."""
 
 Recipe = dict[str, Any]
 
@@ -93,6 +95,20 @@ def to_json(recipe: Mapping[str, Any]) -> str:
 def recipe_digest(recipe: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a recipe."""
     return text_digest(to_json(recipe))
+
+
+def memory_tags(**contents: Mapping[str, Any]) -> dict[str, str]:
+    """Return tags from which a run can be made again where its files cannot be read.
+
+    MLflow's pages do not show tags of this kind; what is too long for one is left to the files.
+
+    Args:
+        contents: JSON values by what they are: `recipe`, `record` of a trial, `numbers` of a stage.
+    """
+    tags = {f"{MEMORY}{name}": packed(content) for name, content in contents.items() if content}
+    if contents.get("recipe"):
+        tags["recipe_sha256"] = recipe_digest(contents["recipe"])
+    return {name: value for name, value in tags.items() if value}
 
 
 def packed(content: Mapping[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """Two sets of numbers side by side, equal to the last digit or not."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -86,6 +87,13 @@ def _is_number(value: Any) -> bool:
 
 def _text(value: Any) -> str:
     return "–" if value is None else str(value)
+
+
+def shortened(text: str, length: int = 40) -> str:
+    """Return a digest's first digits, and the begin of a long text."""
+    if re.fullmatch(r"[0-9a-f]{64}", text):
+        return text[:12]
+    return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
 def flat(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from studies.profile import load_profile
 from studies.reproduction.comparison import flat
 from studies.reproduction.recorded import Recorded
 from studies.reproduction.sources import state_of
+from studies.tracking.origin import CODE
 
 # What a digit may depend on; the others are told and no more.
 DECISIVE = frozenset(
@@ -119,7 +120,7 @@ def _changed_code(commit: str, room: str) -> tuple[str, ...]:
     """Return which files of a room changed since a commit, as far as git knows."""
     if not commit:
         return ()
-    command = ["git", "diff", "--stat=90", "--no-ext-diff", commit, "--", room]
+    command = ["git", "diff", "--stat=90", "--no-ext-diff", commit, "--", *CODE[room]]
     try:
         answer = subprocess.run(
             command, cwd=_CODE_ROOT, capture_output=True, text=True, timeout=20, check=True

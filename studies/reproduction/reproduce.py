@@ -7,7 +7,7 @@ from typing import Any
 from simulation.errors import InputError
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
-from studies.reproduction.comparison import Compared, compare, n_equal
+from studies.reproduction.comparison import Compared, compare, n_equal, shortened
 from studies.reproduction.conditions import Difference, differences, expectation
 from studies.reproduction.recorded import Recorded, find_recorded
 from studies.tracking.origin import environment
@@ -104,7 +104,8 @@ def show_reproduction(console: Console, done: Reproduction) -> None:
     rows = []
     for row in done.rows:
         relative = "" if row.is_equal or row.relative is None else f"{row.relative:.1e}"
-        rows.append([row.name, row.recorded, row.now, relative, "equal" if row.is_equal else "DIFFERS"])
+        shown = [shortened(row.recorded), shortened(row.now)]
+        rows.append([row.name, *shown, relative, "equal" if row.is_equal else "DIFFERS"])
     console.table(
         f"{done.recorded.name}: recorded and made again",
         [

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from studies.paths import ProjectPaths, size_name
-from studies.recipe import Recipe
+from studies.recipe import Recipe, memory_tags
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Study, Summary
 from studies.stages.results import StoredCalibration, calibration_record, measured_series
@@ -127,7 +127,16 @@ def _log_with_figures(
                 run,
                 metrics={key: value for key, value in metrics.items() if value is not None},
                 curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
-                tags={"case": study.case.name, "case_sha256": study.case.digest, **run.tags},
+                tags={
+                    "case": study.case.name,
+                    "case_sha256": study.case.digest,
+                    **run.tags,
+                    **memory_tags(
+                        recipe=numbers["recipe"],
+                        environment=numbers["environment"],
+                        numbers=_remembered(numbers),
+                    ),
+                },
                 figures=figures,
                 artifacts=[stored.files.numbers, stored.files.arrays],
                 note=study.case.note,
@@ -135,6 +144,12 @@ def _log_with_figures(
                 environment=numbers["environment"],
             )
         )
+
+
+def _remembered(numbers: Summary) -> Summary:
+    """Return a calibration's numbers without its recipe and its long histories."""
+    kept = {name: value for name, value in numbers.items() if not name.endswith("_history")}
+    return {name: value for name, value in kept.items() if name not in ("recipe", "environment")}
 
 
 def log_sensitivity(
@@ -153,7 +168,11 @@ def log_sensitivity(
             key=digest,
             params={"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed},
             metrics={name: value for name, value in shares.items() if value is not None},
-            tags={"case": study.case.name, "case_sha256": study.case.digest},
+            tags={
+                "case": study.case.name,
+                "case_sha256": study.case.digest,
+                **memory_tags(recipe=recipe, environment=environment(), numbers=summary),
+            },
             artifacts=[file],
             wall_s=wall_s,
             note=study.case.note,
