@@ -44,8 +44,8 @@ class Pair:
     Attributes:
         first: Name of the one.
         second: Name of the other.
-        strength: A correlation, or a direction's share: above 0 the two rise together, below 0 one makes up for
-            the other.
+        strength: A correlation, or a direction's share: above 0 the two rise together, below 0 one makes up
+            for the other.
     """
 
     first: str
@@ -229,7 +229,7 @@ def correlated_pairs(names: tuple[str, ...], correlation: FloatArray, least: flo
         for i, j in zip(first, second, strict=True)
         if abs(correlation[i, j]) >= least
     ]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair.correlation)))
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.strength)))
 
 
 def _moved(u: FloatArray, to: FloatArray) -> FloatArray:
