@@ -61,6 +61,11 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="trials per size in total; default: the profile's",
     )
+    command.add_argument(
+        "--warm-start",
+        action="store_true",
+        help="try the best settings of the nearest finished size right after the default",
+    )
 
 
 def add_calibration(command: argparse.ArgumentParser) -> None:

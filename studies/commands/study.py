@@ -35,6 +35,8 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, data=replace(profile.data, n_train=tuple(sorted(set(given["n_train"])))))
     if given.get("trials"):
         profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
+    if given.get("warm_start"):
+        profile = replace(profile, tuning=replace(profile.tuning, warm_start=True))
     if given.get("max_calls"):
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
