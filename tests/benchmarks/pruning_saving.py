@@ -11,7 +11,6 @@ have gone elsewhere; --live runs whole studies with and without pruning.
 import argparse
 import statistics
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -147,31 +146,47 @@ def replay(trials: Sequence[Trained], spec: StudySpec) -> None:
                 )
 
 
-def live(spec: StudySpec, seeds: Sequence[int], n_trials: int) -> None:
-    """Run whole studies with each pruner, and print epochs trained and the best error of each."""
+def live(spec: StudySpec, trials: Sequence[Trained], seeds: Sequence[int], n_trials: int) -> None:
+    """Run whole studies with each pruner, and print epochs trained and the best error of each.
+
+    Args:
+        spec: The study.
+        trials: Trained trials; the studies among them are those without pruning.
+        seeds: Of the studies.
+        n_trials: Of each study.
+    """
     data = load_data(spec)
     print(f"\nn_train {spec.n_train}, whole studies of {n_trials} trials, seeds {list(seeds)}")
-    for name in ("none", "median", "catch-up"):
+    unpruned = [[one for one in trials if one.seed == seed][:n_trials] for seed in seeds]
+    best = [min(one.metrics["val/mae"] for one in study if one.metrics) for study in unpruned]
+    seconds = [sum(one.cpu_s for one in study) for study in unpruned]
+    report("none", [1.0] * len(seeds), seconds, best)
+    for name in ("catch-up", "median"):
         best, epochs, seconds = [], [], []
         for seed in seeds:
             study = replace(spec, seed=seed, pruner=name)
             records: list[TrialRecord] = []
-            began = time.process_time()
+            seconds.append(0.0)
             for index in range(n_trials):
                 proposal = propose(study, index, records)
                 pruner = Pruner(study, index, records)
                 trained, outcome = train(study, proposal, data, index, pruner.is_hopeless)
                 record = as_record(study, trained, proposal, state=outcome.state)
                 records.append(replace(record, reports=outcome.reports))
-            seconds.append(time.process_time() - began)
+                seconds[-1] += trained.cpu_s
             epochs.append(sum(record.n_epochs for record in records) / n_trials / 400)
             best.append(min(one.metrics["val/mae"] for one in records if one.state == "complete"))
-        print(
-            f"  {name:10s} epochs {statistics.fmean(epochs):.2f} ({min(epochs):.2f} to {max(epochs):.2f})"
-            f"  CPU {statistics.fmean(seconds):.1f} s  best {statistics.fmean(best):.4f} +- "
-            f"{statistics.stdev(best):.4f}  {' '.join(f'{one:.4f}' for one in best)}",
-            flush=True,
-        )
+        report(name, epochs, seconds, best)
+
+
+def report(name: str, epochs: Sequence[float], seconds: Sequence[float], best: Sequence[float]) -> None:
+    """Print a pruner's line: part of the epochs, processor time [s] and best error [K] of each study."""
+    print(
+        f"  {name:10s} epochs {statistics.fmean(epochs):.2f} ({min(epochs):.2f} to {max(epochs):.2f})"
+        f"  CPU {statistics.fmean(seconds):.1f} s  best {statistics.fmean(best):.4f} +- "
+        f"{statistics.stdev(best):.4f}  {' '.join(f'{one:.4f}' for one in best)}",
+        flush=True,
+    )
 
 
 def main() -> None:
@@ -185,11 +200,12 @@ def main() -> None:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
     with tempfile.TemporaryDirectory() as folder:
+        trials = read(chosen.file)
         for n_train in chosen.live:
-            live(office_spec(Path(folder), n_train), chosen.seeds, chosen.trials)
+            spec = office_spec(Path(folder), n_train)
+            live(spec, [one for one in trials if one.n_train == n_train], chosen.seeds, chosen.trials)
         if chosen.live:
             return
-        trials = read(chosen.file)
         for n_train in sorted({one.n_train for one in trials}):
             spec = office_spec(Path(folder), n_train)
             replay([one for one in trials if one.n_train == n_train], spec)
