@@ -46,6 +46,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="name, file or folder of a case; default: office",
     )
     command.add_argument("--only", nargs="+", metavar="ITEM", help=f"these items alone: {names}")
+    command.add_argument("--row", metavar="NAME", help="with --only table3: this row of it alone")
     command.add_argument("--budget", default="small", metavar="NAME", help="small (default) or full")
     command.add_argument(
         "--profile", metavar="NAME", help="sizes and trials of another profile; default: paper"
@@ -75,6 +76,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.paper.run import is_finished, run_item
 
     study = plan.study
+    if chosen.row is not None:
+        return _one_row(plan, chosen.row, console)
     finished = {item.name: is_finished(plan, item) for item in items}
     costs = {item.name: 0.0 if finished[item.name] else item_module(item).estimate_s(plan) for item in items}
     console.table(
@@ -115,6 +118,22 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
             "stages": [outcome.to_dict() for outcome in outcomes],
         }
     )
+    return OK
+
+
+def _one_row(plan: "Plan", name: str, console: Console) -> int:
+    """Compute one row of Table 3 and return the exit code."""
+    from studies.paper.table3 import run_one
+
+    found = run_one(plan, name)
+    paper = found["paper"] or {"n_calls": None, "mse": None}
+    shown = [found["title"], found["n_calls"], f"{found['mse']:.5f}", format_seconds(found["wall_s"])]
+    console.table(
+        f"{plan.study.label}: {found['name']}",
+        [Column("row"), *(Column(t, True) for t in ("calls", "MSE", "work", "paper's calls", "paper's MSE"))],
+        [[*shown, paper["n_calls"], paper["mse"]]],
+    )
+    console.document({"command": "reproduce-paper", **found})
     return OK
 
 

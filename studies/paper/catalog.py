@@ -41,6 +41,17 @@ ITEMS = (
         needs=("fig5",),
     ),
     Item(
+        "table3",
+        "Tables 2 and 3: optimizers straight on the FMU",
+        "SciPy's optimizers from the guess and from many starts",
+        aliases=("table2",),
+    ),
+    Item(
+        "fig8",
+        "Fig. 8: how unique is the calibration",
+        "256 starts of LS-TRF, clustered, and what the data determine",
+    ),
+    Item(
         "table4",
         "Table 4 and Fig. 9: calibration by surrogate and polish",
         "screening and polish per size",

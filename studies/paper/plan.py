@@ -19,6 +19,10 @@ HYPERPARAMETER_WINDOW_D = (8.0, 16.0)
 # Seconds of one training of the paper's form on one core, measured; pruned trials end sooner.
 TRAINING_S = {32: 8.0, 128: 16.0, 256: 22.0, 1024: 60.0, 4096: 260.0}
 SIMULATIONS_PER_S = 1_500.0
+DIRECT_CALLS_PER_S = 2_000.0
+DIRECT_CALLS_PER_POLISH_CALL = 250
+"""A profile that polishes with 400 calls may have Table 3's rows of 100,000."""
+
 PREDICTIONS_PER_S = 8_000.0
 
 
@@ -37,6 +41,9 @@ class PaperBudget:
         n_seeds: seeds of the robust statistics.
         seed_sizes: training-set sizes of the robust statistics.
         seed_trials: trials per seed and size.
+        max_row_calls: rows of Table 3 that took the paper more calls are left to another budget.
+        max_seeded_calls: the same for rows that are repeated with other seeds.
+        max_starts: most starts of Fig. 8.
         n_spread: rows of each of Fig. 7's test sets.
     """
 
@@ -50,6 +57,9 @@ class PaperBudget:
     n_seeds: int
     seed_sizes: tuple[int, ...]
     seed_trials: int
+    max_row_calls: int
+    max_seeded_calls: int
+    max_starts: int
     n_spread: int = 320
 
     def to_dict(self) -> dict[str, Any]:
@@ -70,6 +80,9 @@ BUDGETS: dict[str, PaperBudget] = {
         n_seeds=3,
         seed_sizes=(32, 64),
         seed_trials=2,
+        max_row_calls=100_000,
+        max_seeded_calls=20_000,
+        max_starts=256,
     ),
     "full": PaperBudget(
         name="full",
@@ -83,6 +96,9 @@ BUDGETS: dict[str, PaperBudget] = {
         n_seeds=10,
         seed_sizes=(32, 64, 128, 256),
         seed_trials=4,
+        max_row_calls=2_000_000,
+        max_seeded_calls=100_000,
+        max_starts=256,
     ),
 }
 
@@ -113,6 +129,11 @@ def budget_for(name: str, profile: Profile, *, own_profile: bool, trials: int | 
             seed_sizes=tuple(n for n in budget.seed_sizes if n in sizes) or sizes[:1],
             seed_trials=min(budget.seed_trials, profile.tuning.n_trials),
             n_spread=profile.data.n_test,
+            max_row_calls=min(budget.max_row_calls, DIRECT_CALLS_PER_POLISH_CALL * profile.polish.max_calls),
+            max_seeded_calls=min(
+                budget.max_seeded_calls, DIRECT_CALLS_PER_POLISH_CALL * profile.polish.max_calls
+            ),
+            max_starts=min(budget.max_starts, profile.polish.max_calls),
         )
     if trials is not None:
         every = {max(budget.n_train): trials}

@@ -1,0 +1,113 @@
+"""The picture of optimizers on the physical model: error over calls, ours beside the paper's (Table 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from studies.report.data import Reference
+from studies.report.drawing import (
+    FAINT,
+    MUTED,
+    SERIES,
+    EndLabel,
+    decimal_log,
+    drawing,
+    end_labels,
+    log_limits,
+)
+from studies.report.wording import axis_label
+
+
+@dataclass(frozen=True)
+class DirectPoint:
+    """One row: ours, and the paper's where it has one.
+
+    Attributes:
+        method: Name of the optimizer.
+        n_starts: Number of starts.
+        n_calls: Model calls.
+        mse: Final MSE. [unit squared]
+        paper_calls: The paper's calls.
+        paper_mse: The paper's MSE. [unit squared]
+    """
+
+    method: str
+    n_starts: int
+    n_calls: int
+    mse: float
+    paper_calls: int | None
+    paper_mse: float | None
+
+
+def direct_figure(
+    points: Sequence[DirectPoint],
+    references: Sequence[Reference],
+    path: Path,
+    *,
+    title: str,
+    mse_unit: str,
+    footnote: str = "",
+) -> Path:
+    """Draw error over model calls, the paper's rows hollow.
+
+    Args:
+        points: The rows, at least one.
+        references: Known MSEs, drawn as lines.
+        path: Where the PNG goes.
+        title: What it shows.
+        mse_unit: Unit of the MSE.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    colors = {
+        method: SERIES[i % len(SERIES)] for i, method in enumerate(dict.fromkeys(p.method for p in points))
+    }
+    with drawing(path, title=title, height_in=4.4, footnote=footnote) as figure:
+        axes = figure.subplots()
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(base=10.0))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        known = [p.mse for p in points] + [p.paper_mse for p in points if p.paper_mse is not None]
+        decimal_log(axes, *log_limits(np.array([*known, *(r.mse for r in references)])))
+        for reference in references:
+            axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
+        for point in points:
+            _draw(axes, point, colors[point.method])
+        axes.set_xlabel("model calls")
+        axes.set_ylabel(axis_label("MSE", mse_unit))
+        end_labels(axes, [EndLabel(r.mse, r.label, MUTED) for r in references])
+        for number, (method, color) in enumerate(colors.items()):
+            axes.annotate(
+                method, (0.985, 0.985), (0, -12.5 * number), xycoords="axes fraction",
+                textcoords="offset points", ha="right", va="top", fontsize=8.5, color=color,
+            )  # fmt: skip
+    return path
+
+
+def _draw(axes: Axes, point: DirectPoint, color: str) -> None:
+    if point.paper_calls is not None and point.paper_mse is not None:
+        axes.plot(
+            [point.n_calls, point.paper_calls],
+            [point.mse, point.paper_mse],
+            color=FAINT,
+            linewidth=1.2,
+            zorder=2,
+        )
+        axes.plot(
+            point.paper_calls, point.paper_mse, marker="D", markersize=6, color="white",
+            markeredgecolor=color, zorder=3,
+        )  # fmt: skip
+    axes.plot(point.n_calls, point.mse, marker="o", markersize=7.5, color=color, zorder=4)
+    axes.annotate(
+        str(point.n_starts), (point.n_calls, point.mse), (0, 7), textcoords="offset points", ha="center",
+        fontsize=8, color=color,
+    )  # fmt: skip

@@ -1,0 +1,139 @@
+"""Pictures of uniqueness: optima as parallel coordinates (Fig. 8), and what the data determine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+
+from studies.report.drawing import (
+    INK,
+    MUTED,
+    POLISHED,
+    SCREENED,
+    SERIES,
+    decimal_log,
+    drawing,
+    log_limits,
+    shortened,
+)
+from studies.report.records import Floats
+from studies.report.wording import count
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Optima drawn in one color.
+
+    Attributes:
+        name: What they have in common.
+        u: Optima, from lower to upper bound. Shape (n, p). [1]
+    """
+
+    name: str
+    u: Floats
+
+
+@dataclass(frozen=True)
+class BundlePanel:
+    """A panel of parallel coordinates."""
+
+    heading: str
+    bundles: tuple[Bundle, ...]
+
+
+def parallel_coordinates_figure(
+    names: Sequence[str], panels: Sequence[BundlePanel], path: Path, *, title: str, footnote: str = ""
+) -> Path:
+    """Draw optima as lines over the parameters, each from its lower to its upper bound (Fig. 8).
+
+    Args:
+        names: One per parameter.
+        panels: One below the other.
+        path: Where the PNG goes.
+        title: What it shows.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    with drawing(path, title=title, height_in=0.4 + 3.0 * len(panels), footnote=footnote) as figure:
+        for axes, panel in zip(figure.subplots(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
+            _draw_bundles(axes, panel)
+            axes.set_xticks(
+                range(len(names)), [shortened(name, 12) for name in names], rotation=30, ha="right"
+            )
+            axes.set_title(panel.heading)
+    return path
+
+
+def _draw_bundles(axes: Axes, panel: BundlePanel) -> None:
+    for number, bundle in enumerate(panel.bundles):
+        color = SERIES[number % len(SERIES)]
+        places = np.broadcast_to(np.arange(bundle.u.shape[1], dtype=np.float64), bundle.u.shape)
+        alpha = float(np.clip(12.0 / max(len(bundle.u), 1), 0.12, 0.9))
+        lines = np.stack([places, bundle.u], axis=-1)
+        axes.add_collection(LineCollection(list(lines), colors=color, linewidths=1.0, alpha=alpha, zorder=3))
+        axes.annotate(
+            f"{bundle.name} ({count(len(bundle.u))})", (1.0, 0.97), (5, -13.0 * number),
+            xycoords="axes fraction", textcoords="offset points", va="top", fontsize=8.5, color=color,
+        )  # fmt: skip
+    axes.set_xlim(0.0, (panel.bundles[0].u.shape[1] - 1) if panel.bundles else 1.0)
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_yticks([0.0, 0.5, 1.0], ["lower bound", "", "upper bound"])
+
+
+def identifiability_figure(
+    names: Sequence[str],
+    correlation: Floats,
+    spread: Floats,
+    singular_values: Floats,
+    path: Path,
+    *,
+    title: str,
+    footnote: str = "",
+) -> Path:
+    """Draw the correlation of the estimates, their spread, and the singular values of the Jacobian.
+
+    Args:
+        names: One per parameter.
+        correlation: Shape (p, p). [1]
+        spread: Standard deviation of each parameter as a share of its range. Shape (p,). [1]
+        singular_values: Falling. Shape (p,). [first output's unit per range]
+        path: Where the PNG goes.
+        title: What it shows.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    p = len(names)
+    labels = [shortened(name, 12) for name in names]
+    with drawing(path, title=title, height_in=4.6, footnote=footnote) as figure:
+        left, right = figure.subplots(1, 2, width_ratios=[1.35, 1.0])
+        image = left.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        left.set_xticks(range(p), labels, rotation=90, fontsize=8)
+        left.set_yticks(range(p), labels, fontsize=8)
+        left.grid(visible=False)
+        left.set_title("Correlation of the estimates")
+        figure.colorbar(image, ax=left, shrink=0.8)
+        decimal_log(right, *log_limits(np.concatenate([spread, singular_values / singular_values.max()])))
+        places = np.arange(p)
+        right.plot(places, np.sort(spread), linestyle="none", marker="o", color=POLISHED)
+        right.plot(
+            places, singular_values / singular_values.max(), linestyle="none", marker="s", color=SCREENED
+        )
+        for place, i in enumerate(np.argsort(spread)):
+            right.annotate(
+                labels[i], (place, spread[i]), (0, 6), textcoords="offset points", rotation=90, ha="center",
+                va="bottom", fontsize=7.5, color=INK,
+            )  # fmt: skip
+        right.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)))
+        right.set_xticks([])
+        right.set_title("● standard deviation / range\n■ singular value / largest")
+        right.set_xlabel("in order of size")
+    return path
