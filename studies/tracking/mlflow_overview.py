@@ -12,7 +12,6 @@ import numpy as np
 from studies.report.records_tuning import TrialsRecord
 from studies.tracking.mlflow_notes import SizeResult, answer, experiment_note, size_table
 from studies.tracking.mlflow_runs import RunStore
-from studies.tracking.mlflow_view import view_tags
 from studies.tracking.quiet_mlflow import Run
 
 OVERVIEW = "overview"
@@ -63,9 +62,7 @@ def update_overview(store: RunStore, label: str) -> str:
     describing = experiment_note(
         sizes, unit=unit, case=case, note=note, experiment=experiment, overview=run_id
     )
-    store.describe(
-        label, {NOTE: describing, "mlflow.experimentKind": "custom_model_development", **view_tags()}
-    )
+    store.describe(label, {NOTE: describing, "mlflow.experimentKind": "custom_model_development"})
     return run_id
 
 

@@ -20,6 +20,7 @@ from studies.tracking.mlflow_notes import best_sentence, gain_percent, study_not
 from studies.tracking.mlflow_overview import NOTE, OverviewClock, update_overview
 from studies.tracking.mlflow_registry import fetch_champion, register_champion
 from studies.tracking.mlflow_runs import TERMINAL, RunStore, ms, params, thinned
+from studies.tracking.mlflow_view import view_tags
 from studies.tracking.quiet_mlflow import Metric, RunTag
 from studies.tracking.tracker import History, RunStatus, StageRun
 from studies.tuning.study_spec import StudySpec, StudySummary
@@ -50,6 +51,7 @@ class MlflowTracker:
     def start_study(self, spec: StudySpec, *, n_trials: int) -> None:
         """Open the study's run, a new one or the one an earlier call or another machine made."""
         self._told.setdefault(spec.name, {})
+        self.runs.describe(spec.label, view_tags())
         with self.runs.lock(spec.name):
             found = self.runs.find(spec.label, {"study_key": spec.name, "role": "study"})
             self._studies[spec.name] = found[0].info.run_id if found else self._make_study(spec)

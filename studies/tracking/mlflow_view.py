@@ -11,14 +11,14 @@ from typing import Any
 from urllib.parse import quote, urlencode
 
 LEADERBOARD, TRIALS = "leaderboard", "trials"
-_TAG = "mlflow.sharedViewState."
+SHARED_VIEW = "mlflow.sharedViewState."
 _MADE_MS = 1_767_225_600_000  # a view is no news: the same one has the same bytes
 _Chart = dict[str, Any]
 
 
 def view_tags() -> dict[str, str]:
     """Return the tags of an experiment that hold its views."""
-    return {f"{_TAG}{LEADERBOARD}": _leaderboard(), f"{_TAG}{TRIALS}": _trials()}
+    return {f"{SHARED_VIEW}{LEADERBOARD}": _leaderboard(), f"{SHARED_VIEW}{TRIALS}": _trials()}
 
 
 def view_address(experiment_id: str, view: str, *, charts: bool = False) -> str:

@@ -141,8 +141,8 @@ def test_ui_says_what_it_would_start(project: Path, studies: Run) -> None:
     document = studies("ui", "--dry-run", "--json").document
     assert document["environment"]["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
     assert document["argv"][document["argv"].index("--host") + 1] == "127.0.0.1"
-    assert f"sqlite:///{project}/mlruns/mlflow.db" in document["argv"]
-    assert document["url"].startswith("http://127.0.0.1:")
+    assert document["environment"]["MLFLOW_BACKEND_STORE_URI"] == f"sqlite:///{project}/mlruns/mlflow.db"
+    assert document["url"].startswith("http://studies.localhost:")
     assert not (project / "mlruns").exists()
 
 
