@@ -41,9 +41,12 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
     case = study.case
     declared = read_case_file(case.path)
     text = case.path.read_text(encoding="utf-8")
-    recordings = dict.fromkeys([one.file for one in declared.inputs] + [one.file for one in declared.outputs])
+    uses = [("inputs", one.file) for one in declared.inputs] + [
+        ("measurement", o.file) for o in declared.outputs
+    ]
+    roles = {file: dict.fromkeys(role for role, used in uses if used == file) for _, file in uses}
     files = [("fmu", declared.fmu)]
-    files += [("recording", (Path(declared.data) / name).as_posix()) for name in recordings]
+    files += [(" and ".join(role), (Path(declared.data) / name).as_posix()) for name, role in roles.items()]
     return {
         "schema": SCHEMA,
         "kind": kind,

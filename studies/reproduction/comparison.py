@@ -44,6 +44,20 @@ def compare(recorded: Mapping[str, Any], now: Mapping[str, Any]) -> list[Compare
     return [_compared(name, value, is_now.get(name)) for name, value in was.items()]
 
 
+def aligned(now: Mapping[str, NDArray[Any]], recorded: Mapping[str, Any]) -> Mapping[str, NDArray[Any]]:
+    """Take those points of learning curves that were recorded; MLflow keeps some of them.
+
+    Args:
+        now: curves, each of shape (m,), one of them named epoch.
+        recorded: the same at some of the epochs.
+    """
+    epochs = recorded.get("epoch")
+    if epochs is None or "epoch" not in now or not set(epochs) <= set(now["epoch"]):
+        return now
+    chosen = np.searchsorted(now["epoch"], epochs)
+    return {name: curve[chosen] for name, curve in now.items()}
+
+
 def _leaves(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in content.items():
         if isinstance(value, Mapping):

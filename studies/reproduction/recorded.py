@@ -10,21 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
+from studies.looking.names import find_thing, kind_of
+from studies.looking.project import StageLook, StudyLook, look_at
+from studies.looking.things import TrialThing
 from studies.paths import ProjectPaths
 from studies.recipe import Recipe, checked, file_digest
 from studies.stages.pipeline import read_json
 from studies.stages.results import read_arrays
-from studies.tuning.trial_record import TrialRecord, best_record, trial_name
-from studies.tuning.trial_store import StudyEntry, TrialStore, list_studies, open_trials
+from studies.tuning.trial_record import TrialRecord
 
 Arrays = Mapping[str, NDArray[Any]]
-
-_TRIAL = re.compile(r"(?P<study>.+/n\d+(?:/[0-9a-f]{8})?)/t(?P<index>\d+)")
-_STUDY = re.compile(r"(?P<label>[^/]+)/(?P<size>n\d+)(?:/(?P<digest>[0-9a-f]{8}))?")
-_STAGE = re.compile(
-    r"(?P<label>[^/ ]+)[/ ](?:calibrat(?:e|ion)-)?(?P<what>n\d+|adaptive|sensitivity)(?P<word> calibration)?"
-)
-_SPOKEN = "a run's id, office-quick/n0064/t003, office-quick/n0064, office-quick/calibrate-n0064"
 
 
 @dataclass(frozen=True)
@@ -63,28 +58,35 @@ def find_recorded(paths: ProjectPaths, run: str) -> Recorded:
     Raises:
         InputError: nothing is called so, or its record does not tell how it was made.
     """
-    run = run.strip().strip("/")
-    if found := _TRIAL.fullmatch(run):
-        entry = _study(paths, found["study"])
-        return _trial(paths, entry, int(found["index"]))
-    if found := _STAGE.fullmatch(run):
-        is_study = _STUDY.fullmatch(run) and not found["word"]
-        if not is_study:
-            return recorded_stage(paths, found["label"], found["what"])
-    if _STUDY.fullmatch(run):
-        entry = _study(paths, run)
-        best = best_record(open_trials(paths, entry.name).records())
-        if best is None:
-            raise InputError(f"{entry.name} has no completed trial; name one, such as {entry.name}/t000")
-        return _trial(paths, entry, best.index)
     if re.fullmatch(r"[0-9a-f]{4,32}", run):
         from studies.reproduction.mlflow_records import find_run
 
-        return find_run(paths, run)
-    raise InputError(f"{run!r} is no run; give {_SPOKEN}")
+        found = find_run(paths, run)
+        if found is not None:
+            return found
+    thing = find_thing(look_at(paths), _as_named(run))
+    if isinstance(thing, TrialThing):
+        return recorded_trial(thing.study, thing.record)
+    if isinstance(thing, StudyLook):
+        if thing.best is None:
+            raise InputError(
+                f"{thing.name} has no completed trial; name one, such as {thing.short_name}/t000"
+            )
+        return recorded_trial(thing, thing.best)
+    if isinstance(thing, StageLook) and (thing.is_calibration or thing.stage == "sensitivity"):
+        return recorded_stage(paths, thing.label, thing.stage.removeprefix("calibrate-"))
+    raise InputError(
+        f"{run!r} is a {kind_of(thing)}; trials, studies, calibrations and sensitivity can be made again"
+    )
 
 
-def recorded_trial(entry: StudyEntry, store: TrialStore, record: TrialRecord, *, place: str = "") -> Recorded:
+def _as_named(run: str) -> str:
+    """Return the name of what people call `office-quick/n0064 calibration` or `office-quick adaptive`."""
+    run = re.sub(r"[/ ]adaptive( calibration)?$", "/calibrate-adaptive", run.strip())
+    return re.sub(r"[/ ]n(\d+) calibration$", lambda found: f"/calibrate-n{int(found[1]):04d}", run)
+
+
+def recorded_trial(study: StudyLook, record: TrialRecord) -> Recorded:
     """Return a trial as its store has it.
 
     Raises:
@@ -92,13 +94,13 @@ def recorded_trial(entry: StudyEntry, store: TrialStore, record: TrialRecord, *,
     """
     return Recorded(
         name=record.key,
-        place=place or store.place,
-        recipe=checked(entry.recipe, entry.name),
+        place=study.store.place,
+        recipe=checked(study.entry.recipe, study.name),
         environment=record.environment,
         numbers=numbers_of(record),
-        arrays=store.history(record.index),
+        arrays=study.store.history(record.index),
         trial=record,
-        rivals=tuple(store.records()),
+        rivals=study.records,
     )
 
 
@@ -165,30 +167,6 @@ def stage_numbers(numbers: Mapping[str, Any]) -> dict[str, Any]:
 def weights_digest(folder: Path) -> str:
     """Return the SHA-256 of a saved surrogate's weights."""
     return file_digest(folder / "weights.npz")
-
-
-def _study(paths: ProjectPaths, name: str) -> StudyEntry:
-    """Return a study by its whole name, or the newest of a label and size."""
-    entries = list_studies(paths)
-    found = [entry for entry in entries if name in (entry.name, entry.name.rpartition("/")[0])]
-    if not found:
-        known = sorted({entry.name.rpartition("/")[0] for entry in entries})
-        raise InputError(f"there is no study {name}; there are {', '.join(known) or 'none'}")
-    return max(found, key=lambda entry: entry.created_s)
-
-
-def _trial(paths: ProjectPaths, entry: StudyEntry, index: int) -> Recorded:
-    store = open_trials(paths, entry.name)
-    record = store.record(index)
-    if record is None:
-        finished = ", ".join(trial_name(one) for one in store.finished()) or "none"
-        raise InputError(f"{entry.name} has no finished trial {trial_name(index)}; it has {finished}")
-    return recorded_trial(entry, store, record, place=_shown(paths, store.place, index))
-
-
-def _shown(paths: ProjectPaths, place: str, index: int) -> str:
-    folder = Path(place)
-    return paths.show(folder / trial_name(index)) if folder.is_dir() else place
 
 
 def as_arrays(curves: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:

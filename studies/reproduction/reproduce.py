@@ -7,7 +7,7 @@ from typing import Any
 from simulation.errors import InputError
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
-from studies.reproduction.comparison import Compared, compare, n_equal, shortened
+from studies.reproduction.comparison import Compared, aligned, compare, n_equal, shortened
 from studies.reproduction.conditions import Difference, differences, expectation
 from studies.reproduction.recorded import Recorded, find_recorded
 from studies.tracking.origin import environment
@@ -85,7 +85,7 @@ def reproduce(paths: ProjectPaths, run: str, console: Console, *, n_jobs: int, i
         rebuilt(recorded, paths, console, n_jobs=n_jobs, keep=keep) as again,
     ):
         numbers, arrays = make_again(again)
-    rows = compare(expected(recorded), numbers) + compare(recorded.arrays, arrays)
+    rows = compare(expected(recorded), numbers) + compare(recorded.arrays, aligned(arrays, recorded.arrays))
     return Reproduction(recorded, found, expected_note, rows, again.notes, keep)
 
 
