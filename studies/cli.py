@@ -31,6 +31,7 @@ COMMANDS = (
     "compare",
     "show",
     "ui",
+    "dashboard",
     "reproduce-paper",
     "import-recording",
     "run",
