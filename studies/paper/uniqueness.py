@@ -138,7 +138,7 @@ def run_uniqueness(
         "name": row.name,
         "title": f"{row.title}, {row.objective} in {row.coordinates} coordinates",
         "row": asdict(row),
-        "command": starts["command"].replace("--only table3", "--only fig8"),
+        "command": f"studies reproduce-paper {study.command} --only fig8".replace("  ", " "),
         "label": study.label,
         "n_calls": starts["n_calls"] + local.n_calls,
         "wall_s": starts["wall_s"],
