@@ -11,6 +11,7 @@ from scipy.stats import norm
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
+from simulation.parameters import ParameterSpace
 from simulation.streaming import streamed
 from simulation.whole_file import whole_file
 
@@ -134,12 +135,7 @@ def sobol_indices(
         raise InputError(f"n_resamples is {n_resamples}; give at least 2")
     space = model.parameter_space
     p = space.n_parameters
-    declared = {
-        "num_vars": p,
-        "names": list(space.names),
-        "bounds": np.column_stack([space.lower, space.upper]).tolist(),
-    }
-    theta = np.asarray(salib_sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
+    theta = saltelli_design(space, n_base, seed)
     shape = (len(model.time), len(model.output_names))
     sums = _Sums(_weights(np.random.default_rng(seed), n_base, n_resamples), shape[0] * shape[1], p)
     for blocks in _saltelli_blocks(model, theta, on_progress):
@@ -158,6 +154,22 @@ def sobol_indices(
         n_dropped=n_base - sums.n_good,
         n_calls=len(theta),
     )
+
+
+def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray:
+    """Return the rows that the indices are estimated from. Shape (n_base (p + 2), p). [per parameter].
+
+    Args:
+        space: The p parameters.
+        n_base: Saltelli blocks, a power of two.
+        seed: Seed of the sample; 0 is a seed like any other.
+    """
+    declared = {
+        "num_vars": space.n_parameters,
+        "names": list(space.names),
+        "bounds": np.column_stack([space.lower, space.upper]).tolist(),
+    }
+    return np.asarray(salib_sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
 
 
 def _saltelli_blocks(

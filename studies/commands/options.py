@@ -62,6 +62,21 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
         help="trials per size in total; default: the profile's",
     )
     command.add_argument(
+        "--parallel",
+        type=values.whole(1, 1000),
+        metavar="N",
+        help="trials of one size that may run side by side; default: the profile's",
+    )
+    command.add_argument(
+        "--max-hours",
+        type=values.positive,
+        metavar="H",
+        help="no trial begins later than this; the same command goes on with the rest",
+    )
+    command.add_argument(
+        "--dry-run", action="store_true", help="say what would be done and how long it takes; write nothing"
+    )
+    command.add_argument(
         "--warm-start",
         action="store_true",
         help="try the best settings of the nearest finished size right after the default",

@@ -3,7 +3,7 @@
 import argparse
 
 from studies.commands import options
-from studies.commands.study import FAILED, hand_over, open_study
+from studies.commands.study import FAILED, foretell, hand_over, open_study
 from studies.console import Console
 
 HELP = "do everything in order, skipping what is finished"
@@ -14,6 +14,7 @@ mlruns/reports/<label>/index.html.
 
 examples:
   studies run                              the office, quick profile
+  studies run --dry-run                    what would be done, and how long it takes
   studies run office-recorded --seed 3
   studies run office --n-train 32 64 --trials 4
 """
@@ -38,6 +39,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.simulate import sensitivity_stage, simulate_stage
 
     study = open_study(chosen, console)
+    if chosen.dry_run:
+        return foretell(study, "run", whole=True)
     checked, diagnosis = check_stage(study)
     if not diagnosis.is_sound:
         show_diagnosis(console, study.label, diagnosis)

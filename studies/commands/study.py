@@ -37,6 +37,8 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
     if given.get("warm_start"):
         profile = replace(profile, tuning=replace(profile.tuning, warm_start=True))
+    if given.get("parallel"):
+        profile = replace(profile, tuning=replace(profile.tuning, n_parallel=given["parallel"]))
     if given.get("max_calls"):
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
@@ -56,6 +58,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         command=_command(chosen),
         retry_failed=given.get("retry_failed", False),
         dask=given.get("dask"),
+        max_hours=given.get("max_hours"),
     )
 
 
@@ -69,6 +72,22 @@ def _command(chosen: argparse.Namespace) -> str:
     if chosen.seed is not None:
         words += ["--seed", str(chosen.seed)]
     return shlex.join(words)
+
+
+def foretell(study: "Study", command: str, *, whole: bool) -> int:
+    """Say what a command would do and how long that takes, and return the exit code.
+
+    Args:
+        study: the study.
+        command: the command.
+        whole: whether it does all stages, or simulations and tuning alone.
+    """
+    from studies.looking.forecast import forecast, forecast_blocks, forecast_document
+
+    found = forecast(study, whole=whole)
+    study.console.show(forecast_blocks(found))
+    study.console.document(forecast_document(command, found))
+    return OK
 
 
 def hand_over(study: "Study", command: str, outcomes: "list[Outcome]", **extra: Any) -> int:

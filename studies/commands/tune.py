@@ -3,7 +3,7 @@
 import argparse
 
 from studies.commands import options
-from studies.commands.study import hand_over, open_study
+from studies.commands.study import foretell, hand_over, open_study
 from studies.console import Console
 
 HELP = "tune one surrogate per training-set size"
@@ -16,6 +16,8 @@ mlruns/champions/<label>/ and in the MLflow registry. A resumed study equals an 
 examples:
   studies tune                             all sizes of the profile
   studies tune --n-train 32 128 --trials 20
+  studies tune --dry-run                   what would run, and how long it takes
+  studies tune --parallel 4 --max-hours 8  four trials of a size at once, over night
 """
 
 
@@ -32,6 +34,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.simulate import simulate_stage
 
     study = open_study(chosen, console)
+    if chosen.dry_run:
+        return foretell(study, "tune", whole=False)
     simulated = simulate_stage(study)
     tuned = tune_stage(study, simulated)
     show_tuning(study, tuned)

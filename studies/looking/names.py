@@ -18,7 +18,6 @@ from studies.looking.things import (
 )
 from studies.looking.wording import hint
 
-LEAST_DIGITS = 4
 N_NAMED = 6
 """Names that a message lists at most."""
 
@@ -60,7 +59,7 @@ def find_thing(project: Project, text: str) -> Thing:
         return things[next(iter(ends.values()))]
     if len(ends) > 1:
         raise InputError(f"{text!r} may be {_listed(sorted(ends.values()))}; give the whole name")
-    found = _by_digest(project, things, text) if re.fullmatch(r"[0-9a-f]+", text) else None
+    found = _by_digest(project, things, text) if re.fullmatch(r"[0-9a-f]{4,}", text) else None
     if found is not None:
         return found
     if not things:
@@ -105,8 +104,6 @@ def _in_full(text: str) -> str:
 
 
 def _by_digest(project: Project, things: dict[str, Thing], text: str) -> Thing | None:
-    if len(text) < LEAST_DIGITS:
-        raise InputError(f"{text!r} is too short for a digest; give {LEAST_DIGITS} digits or more")
     sets = row_sets(project)
     known = all_digests(project, sets)
     matching = sorted(digest for digest in known if digest.startswith(text))

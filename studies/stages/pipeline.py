@@ -46,6 +46,7 @@ class Study:
         command: the end of the command line that names this study, for messages and the report.
         retry_failed: whether simulations that failed before are asked again.
         dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
+        max_hours: no trial begins later than this after the tuning did; None sets no limit. [h]
     """
 
     case: "Case"
@@ -57,6 +58,7 @@ class Study:
     command: str
     retry_failed: bool = False
     dask: str | None = None
+    max_hours: float | None = None
 
     @property
     def results(self) -> Path:
