@@ -1,6 +1,7 @@
 """Which trials are stopped early: judged against the trials that are finished, without any storage."""
 
-from collections.abc import Mapping, Sequence
+import statistics
+from collections.abc import Sequence
 
 import optuna
 from optuna.trial import Trial, create_trial
@@ -57,12 +58,7 @@ class Pruner:
             self._trial.report(value, epoch)
             return self._trial.should_prune()
         self._least = min(self._least, value)
-        # Each completed trial's error at its end as a part of its error here.
-        parts = [
-            record.metrics["val/mae"] / here
-            for record in self._completed
-            if (here := _least_until(epoch, record.reports))
-        ]
+        parts = _parts_left(epoch, self._completed)
         if not parts:
             return False
         gain = (1.0 - min(parts)) * (1.0 + CAUTION / len(parts))
@@ -70,9 +66,26 @@ class Pruner:
         return self._least * (1.0 - gain) > best
 
 
-def _least_until(epoch: int, reports: Mapping[str, float]) -> float | None:
-    """Return the least error reported until an epoch, None without a report."""
-    return min((value for step, value in reports.items() if int(step) <= epoch), default=None)
+def expected_end(pruned: TrialRecord, completed: Sequence[TrialRecord]) -> float | None:
+    """Return the error that a pruned trial was heading for, None where nothing is known of its way.
+
+    Args:
+        pruned: the trial.
+        completed: trials that went on; half of them gained less from that epoch to their end, half more.
+    """
+    if not pruned.reports:
+        return None
+    parts = _parts_left(max(map(int, pruned.reports)), completed)
+    return min(pruned.reports.values()) * statistics.median(parts) if parts else None
+
+
+def _parts_left(epoch: int, completed: Sequence[TrialRecord]) -> list[float]:
+    """Return each trial's error at its end as a part of its least error until an epoch."""
+    least = [
+        min((value for step, value in record.reports.items() if int(step) <= epoch), default=None)
+        for record in completed
+    ]
+    return [record.metrics["val/mae"] / here for record, here in zip(completed, least, strict=True) if here]
 
 
 def _beside(finished: Sequence[TrialRecord]) -> Trial:

@@ -13,6 +13,7 @@ from optuna.trial import create_trial
 from pelsvae.config import SurrogateConfig
 from studies.tuning.coordinates import Params, all_points, distributions, identity, to_settings
 from studies.tuning.known_good import N_WARM_STARTS, Neighbour, declared_tries, neighbour_tries
+from studies.tuning.pruning import expected_end
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
 
@@ -54,8 +55,7 @@ def propose(
     First come the variant's own configuration, those of the profile and, where the study asks for it, the
     best ones of the nearest size; then random draws, then a Gaussian process. The process is refitted from
     the finished trials with a seed of its own at every trial, so that an interrupted study goes on exactly as
-    an uninterrupted one. A trial that was pruned or failed counts as no better than the worst completed one:
-    the process would otherwise not see it and propose it again. No configuration is tried twice.
+    an uninterrupted one. No configuration is tried twice.
 
     Args:
         spec: the study.
@@ -100,21 +100,34 @@ def _suggestion(
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=seed, n_startup_trials=N_STARTUP_TRIALS)
     study = _memory_study(sampler, n_objectives=len(spec.objectives))
-    errors = [
-        [record.metrics[name] for name in spec.objectives] if record.state == "complete" else None
-        for record in finished
-    ]
-    complete = [values for values in errors if values is not None]
-    if complete:
-        worst = [max(column) for column in zip(*complete, strict=True)]
-        for record, values in zip(finished, errors, strict=True):
-            study.add_trial(
-                create_trial(params=dict(record.params), distributions=space, values=values or worst)
-            )
+    told = _errors_told(spec, finished)
+    for record, values in zip(finished, told, strict=False):
+        study.add_trial(create_trial(params=dict(record.params), distributions=space, values=values))
     for params in pending:
         study.add_trial(create_trial(state=OptunaState.RUNNING, params=dict(params), distributions=space))
-    is_informed = bool(complete) and len(finished) >= N_STARTUP_TRIALS
-    return dict(study.ask(space).params), "gp" if is_informed else "random"
+    return dict(study.ask(space).params), "gp" if len(told) >= N_STARTUP_TRIALS else "random"
+
+
+def _errors_told(spec: StudySpec, finished: Sequence[TrialRecord]) -> list[list[float]]:
+    """Return what the sampler is told of every finished trial, nothing while none is complete.
+
+    Of a pruned trial it is told the error that the trial was heading for, of a failed one the worst error of
+    all: it would otherwise not see them and propose them again.
+    """
+    complete = [record for record in finished if record.state == "complete"]
+    if not complete:
+        return []
+    known: list[list[float] | None] = []
+    for record in finished:
+        if record.state == "complete":
+            known.append([record.metrics[name] for name in spec.objectives])
+        elif record.state == "pruned" and len(spec.objectives) == 1:
+            end = expected_end(record, complete)
+            known.append(None if end is None else [end])
+        else:
+            known.append(None)
+    worst = [max(column) for column in zip(*(values for values in known if values), strict=True)]
+    return [values or worst for values in known]
 
 
 def _untried(spec: StudySpec, index: int, taken: set[tuple[tuple[str, str], ...]]) -> Params:

@@ -146,7 +146,9 @@ def replay(trials: Sequence[Trained], spec: StudySpec) -> None:
                 )
 
 
-def live(spec: StudySpec, trials: Sequence[Trained], seeds: Sequence[int], n_trials: int) -> None:
+def live(
+    spec: StudySpec, trials: Sequence[Trained], seeds: Sequence[int], n_trials: int, pruners: Sequence[str]
+) -> None:
     """Run whole studies with each pruner, and print epochs trained and the best error of each.
 
     Args:
@@ -154,6 +156,7 @@ def live(spec: StudySpec, trials: Sequence[Trained], seeds: Sequence[int], n_tri
         trials: Trained trials; the studies among them are those without pruning.
         seeds: Of the studies.
         n_trials: Of each study.
+        pruners: Rules to compare.
     """
     data = load_data(spec)
     print(f"\nn_train {spec.n_train}, whole studies of {n_trials} trials, seeds {list(seeds)}")
@@ -161,7 +164,7 @@ def live(spec: StudySpec, trials: Sequence[Trained], seeds: Sequence[int], n_tri
     best = [min(one.metrics["val/mae"] for one in study if one.metrics) for study in unpruned]
     seconds = [sum(one.cpu_s for one in study) for study in unpruned]
     report("none", [1.0] * len(seeds), seconds, best)
-    for name in ("catch-up", "median"):
+    for name in pruners:
         best, epochs, seconds = [], [], []
         for seed in seeds:
             study = replace(spec, seed=seed, pruner=name)
@@ -196,6 +199,7 @@ def main() -> None:
     parser.add_argument("--live", type=int, nargs="*", default=[], metavar="N_TRAIN")
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    parser.add_argument("--pruners", nargs="+", default=["catch-up", "median"])
     chosen = parser.parse_args()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -203,7 +207,13 @@ def main() -> None:
         trials = read(chosen.file)
         for n_train in chosen.live:
             spec = office_spec(Path(folder), n_train)
-            live(spec, [one for one in trials if one.n_train == n_train], chosen.seeds, chosen.trials)
+            live(
+                spec,
+                [one for one in trials if one.n_train == n_train],
+                chosen.seeds,
+                chosen.trials,
+                chosen.pruners,
+            )
         if chosen.live:
             return
         for n_train in sorted({one.n_train for one in trials}):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from test_tuning_search import finished
 
-from studies.tuning.pruning import Pruner
+from studies.tuning.pruning import Pruner, expected_end
 from studies.tuning.search_space import propose
 from studies.tuning.study_spec import StudySpec, TrialState
 from studies.tuning.trial_record import TrialRecord
@@ -79,3 +79,12 @@ def test_median_is_optunas(make_spec: MakeSpec) -> None:
 def test_nothing_is_stopped_where_that_is_asked(make_spec: MakeSpec, change: dict[str, object]) -> None:
     spec = make_spec(**change)
     assert stopped_at(spec, past(spec, *[GOOD] * 10), {10: 100.0, 40: 100.0}) is None
+
+
+def test_a_pruned_trial_was_heading_for_what_half_of_the_others_reach(make_spec: MakeSpec) -> None:
+    spec = make_spec()
+    completed = past(spec, {10: 4.0, 40: 1.0}, {10: 4.0, 40: 2.0}, {10: 4.0, 40: 3.0})
+    (pruned,) = past(spec, {5: 7.0, 10: 6.0}, state="pruned")
+    assert expected_end(pruned, completed) == 3.0
+    assert expected_end(pruned, []) is None
+    assert expected_end(replace(pruned, reports={}), completed) is None
