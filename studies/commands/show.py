@@ -32,14 +32,20 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.looking.names import find_thing, kind_of
     from studies.looking.project import look_at
-    from studies.looking.show import next_line, thing_blocks, thing_values
+    from studies.looking.show import lineage_blocks, lineage_values, next_line, thing_blocks, thing_values
     from studies.paths import find_project
 
     project = look_at(find_project())
     thing = find_thing(project, chosen.run)
-    console.show(thing_blocks(project, thing))
+    console.show([*thing_blocks(project, thing), *lineage_blocks(project, thing)])
     console.result(next_line(thing))
     console.document(
-        {"command": "show", "kind": kind_of(thing), "name": thing.name, **thing_values(project, thing)}
+        {
+            "command": "show",
+            "kind": kind_of(thing),
+            "name": thing.name,
+            **thing_values(project, thing),
+            "lineage": lineage_values(project, thing),
+        }
     )
     return 0

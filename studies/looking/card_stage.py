@@ -1,7 +1,9 @@
 """What `studies show` tells of a calibration, another stage, a row set or a digest."""
 
 import math
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from studies.looking.curve import plot
 from studies.looking.mlflow_runs import find_runs
 from studies.looking.project import Project, StageLook
 from studies.looking.things import DigestThing, RowSetThing
-from studies.report.wording import count, percent, quantity, squared
+from studies.report.wording import count, quantity, squared
 from studies.stages.pipeline import read_json
 
 AT_BOUND = 0.01
@@ -50,7 +52,7 @@ def row_set_blocks(project: Project, thing: RowSetThing) -> list[Block]:
         ("rows", f"{count(rows.n)}, {count(rows.theta.shape[1], 'parameter')} each"),
         ("digest", thing.digest),
         ("file", project.paths.show(thing.file)),
-        ("simulations", project.paths.show(rows.store)),
+        ("simulations", project.paths.show(Path(os.path.normpath(rows.store)))),
         ("used by", ", ".join(thing.users)),
     ]
     return [Facts(f"{thing.name}: a set of stored simulations", facts)]
@@ -174,5 +176,5 @@ def _summary(stage: StageLook) -> list[Block]:
 
 def _short(value: object) -> str:
     if isinstance(value, float):
-        return percent(value) if 0.0 <= value <= 1.0 else f"{value:.4g}"
+        return f"{value:.3g}"
     return str(value)[:12] if isinstance(value, str) and len(str(value)) == 64 else str(value)
