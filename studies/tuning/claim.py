@@ -2,6 +2,7 @@
 
 import socket
 import uuid
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import psutil
 
 GRACE_S = 120.0  # an owner on another machine that is silent for so long is dead; outlasts a server's restart
-BEAT_S = 5.0
+BEAT_S = 2.0
 _SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile
 
 
@@ -53,9 +54,9 @@ class Claim:
         """Whether somebody works on it, or died while doing so."""
         return bool(self.owner)
 
-    def taken(self, started_s: float) -> "Claim":
-        """Return the claim with this process as its owner."""
-        return replace(self, owner=this_owner(), token=uuid.uuid4().hex, started_s=started_s)
+    def taken(self, owner: dict[str, Any], started_s: float) -> "Claim":
+        """Return the claim with an owner."""
+        return replace(self, owner=owner, token=uuid.uuid4().hex, started_s=started_s)
 
     def released(self, *, crash: str = "", lost: bool = False) -> "Claim":
         """Return the claim without an owner, for whoever comes next.
@@ -79,15 +80,16 @@ class Claim:
         return asdict(self)
 
 
-def this_owner() -> dict[str, Any]:
-    """Describe the running process, so that a reader can tell who works on a trial."""
-    process = psutil.Process()
-    return {
-        "host": socket.gethostname(),
-        "pid": process.pid,
-        "process_started_s": process.create_time(),
-        "machine": this_machine(),
-    }
+def this_owner(command_pid: int | None = None) -> dict[str, Any]:
+    """Describe the running process, so that a reader can tell who works on a trial.
+
+    Args:
+        command_pid: process of the command that looks after this one.
+    """
+    owner = {"host": socket.gethostname(), "machine": this_machine(), **_process(psutil.Process())}
+    if command_pid is not None:
+        owner["command"] = _process(psutil.Process(command_pid))
+    return owner
 
 
 @cache
@@ -103,8 +105,8 @@ def this_machine() -> str:
         return socket.gethostname()
 
 
-def is_dead(owner: dict[str, Any], silence_s: float) -> bool:
-    """Return whether the owner of a claim has died.
+def is_dead(owner: Mapping[str, Any], silence_s: float) -> bool:
+    """Return whether the owner of a claim has died, and nobody of its own will see to it.
 
     Args:
         owner: as `this_owner` described it.
@@ -112,9 +114,20 @@ def is_dead(owner: dict[str, Any], silence_s: float) -> bool:
     """
     if owner.get("machine") != this_machine():
         return silence_s > GRACE_S
+    if _is_running(owner):
+        return False
+    # Its command knows best why it died, and says so at once.
+    return not _is_running(owner.get("command", {})) or silence_s > GRACE_S
+
+
+def _process(process: psutil.Process) -> dict[str, Any]:
+    return {"pid": process.pid, "process_started_s": process.create_time()}
+
+
+def _is_running(described: Mapping[str, Any]) -> bool:
     try:
-        process = psutil.Process(int(owner["pid"]))
-        is_same = abs(process.create_time() - float(owner["process_started_s"])) < _SAME_START_S
-        return not is_same or process.status() == psutil.STATUS_ZOMBIE
-    except (psutil.Error, KeyError, ValueError):
-        return True
+        process = psutil.Process(int(described["pid"]))
+        is_same = abs(process.create_time() - float(described["process_started_s"])) < _SAME_START_S
+        return is_same and process.status() != psutil.STATUS_ZOMBIE
+    except (psutil.Error, KeyError):
+        return False

@@ -1,24 +1,27 @@
-"""Worker processes that run studies: hired, listened to, replaced when they die, dismissed in order."""
+"""Worker processes that train trials: hired, listened to, replaced when they die, dismissed in order."""
 
 import multiprocessing
 import os
 import signal
 import time
 import traceback
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from multiprocessing.synchronize import Event
-from pathlib import Path
 
 from simulation.errors import InputError
-from simulation.file_lock import FileLock
 from simulation.workers.parallel import exit_with_parent
 from studies.environment import explain
+from studies.paths import ProjectPaths
+from studies.storage_url import hide_passwords
+from studies.tuning.memory_watch import OutOfMemoryWatch
+from studies.tuning.outage import StudyInterruptedError, wait_out
+from studies.tuning.slots import reap
 from studies.tuning.study_spec import StudySpec, TuneEvent
+from studies.tuning.trial_store import open_trials
 
 GRACE_S = 3.0  # a worker looks at the stop sign at every validated epoch
 MAX_IDLE_DEATHS = 3  # workers in a row that die before they begin a trial; another would hardly do better
@@ -37,32 +40,50 @@ class _Failure:
     is_input_error: bool
 
 
+@dataclass(frozen=True)
+class _Done:
+    """What a worker says when it has found no more to do."""
+
+
 @dataclass
 class _Worker:
     process: SpawnProcess
     connection: Connection
-    spec: StudySpec
     has_begun: bool = False
 
 
 class Crew:
-    """Processes that each run one study at a time.
+    """Processes that train the trials of several studies, side by side with those of other commands.
 
     Args:
-        mlruns: folder of Optuna's journal and of the trials' records.
+        paths: the project.
         n_trials: finished trials per study in total.
         n_workers: processes.
+        deadline_s: no trial begins after this moment. [s since 1970, UTC]
+        tell: told what is waited for, and an empty line when it is there again.
     """
 
-    def __init__(self, *, mlruns: Path, n_trials: int, n_workers: int) -> None:
-        self._mlruns = mlruns
+    def __init__(
+        self,
+        *,
+        paths: ProjectPaths,
+        n_trials: int,
+        n_workers: int,
+        deadline_s: float | None = None,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self._paths = paths
         self._n_trials = n_trials
         self._n_workers = n_workers
+        self._deadline_s = deadline_s
+        self._tell = tell
         self._context = multiprocessing.get_context("spawn")
         self._stop: Event = self._context.Event()
         self._workers: list[_Worker] = []
-        self._waiting: deque[StudySpec] = deque()
+        self._leaving: list[SpawnProcess] = []
+        self._studies: list[StudySpec] = []
         self._n_idle_deaths = 0
+        self._memory = OutOfMemoryWatch()
 
     @property
     def pids(self) -> list[int]:
@@ -76,12 +97,15 @@ class Crew:
             studies: the studies, in the order they shall begin.
 
         Raises:
-            InputError: a study cannot be run as declared, or another process is running it.
+            InputError: a study cannot be run as declared.
             TuningError: a worker failed for a reason that is not a trial's.
         """
-        self._waiting = deque(studies)
-        while self._waiting and len(self._workers) < self._n_workers:
-            self._hire(self._waiting.popleft())
+        self._studies = list(studies)
+        by_name = {spec.name: spec for spec in studies}
+        finished: set[str] = set()
+        n_places = sum(min(spec.n_parallel, self._n_trials) for spec in studies)
+        for _ in range(min(self._n_workers, n_places)):
+            self._hire()
         while self._workers:
             heard = wait([worker.connection for worker in self._workers])
             for worker in [worker for worker in self._workers if worker.connection in heard]:
@@ -92,14 +116,21 @@ class Crew:
                     continue
                 if isinstance(message, _Failure):
                     raise InputError(message.line) if message.is_input_error else TuningError(message.line)
-                spec = worker.spec
+                if isinstance(message, _Done):
+                    self._workers.remove(worker)
+                    self._leaving.append(worker.process)
+                    continue
                 worker.has_begun |= message.kind == "trial-started"
                 if message.kind == "study-finished":
-                    self._assign(worker)
-                yield spec, message
+                    if message.study in finished:
+                        continue  # every worker finds out by itself
+                    finished.add(message.study)
+                yield by_name[message.study], message
+        for process in self._leaving:
+            process.join()
 
     def dismiss(self) -> None:
-        """Stop all workers soon, and leave no trial running in Optuna's store."""
+        """Stop all workers soon, and leave no trial with an owner that is gone."""
         self._stop.set()
         deadline = time.monotonic() + GRACE_S
         for worker in self._workers:
@@ -109,62 +140,56 @@ class Crew:
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
-        # Only now: a store that cannot be read must leave no worker behind, and is not why we are here.
-        gone, self._workers = self._workers, []
-        for worker in gone:
-            with suppress(InputError, OSError):
-                self._reap(worker.spec)
+        stopped = self.pids
+        self._workers = []
+        # A store that cannot be reached is not why we are here: whoever comes next finds the owners dead.
+        with suppress(InputError, OSError):
+            self._reap(stopped=stopped)
 
-    def _hire(self, spec: StudySpec) -> None:
+    def _hire(self) -> None:
         ours, theirs = self._context.Pipe()
-        arguments = (theirs, self._mlruns, self._n_trials, self._stop)
-        process = self._context.Process(target=_work, args=arguments, name=f"tune-n{spec.n_train}")
+        arguments = (theirs, self._paths, self._n_trials, self._stop, self._deadline_s, os.getpid())
+        process = self._context.Process(target=_work, args=arguments, name=f"tune-{len(self._workers)}")
         with _one_thread():
             process.start()
         theirs.close()
-        ours.send(spec)
-        self._workers.append(_Worker(process, ours, spec))
-
-    def _assign(self, worker: _Worker) -> None:
-        """Give a worker its next study, or send it home."""
-        if self._waiting:
-            worker.spec = self._waiting.popleft()
-            worker.connection.send(worker.spec)
-        else:
-            worker.connection.send(None)
-            self._workers.remove(worker)
-            worker.process.join(GRACE_S)
+        ours.send(self._studies)
+        self._workers.append(_Worker(process, ours))
 
     def _replace(self, dead: _Worker) -> None:
         dead.process.join(GRACE_S)
         self._workers.remove(dead)
         crash = f"exit code {dead.process.exitcode}"
-        self._reap(dead.spec, crash=crash)
+        if dead.process.exitcode == -signal.SIGKILL and self._memory.has_struck():
+            crash = "out of memory: the system killed it"
+        wait_out(lambda: self._reap(crashed={dead.process.pid or 0: crash}), tell=self._tell)
         self._n_idle_deaths = 0 if dead.has_begun else self._n_idle_deaths + 1
         if self._n_idle_deaths == MAX_IDLE_DEATHS:
             raise TuningError(
-                f"study {dead.spec.name}: its process ended {MAX_IDLE_DEATHS} times in a row before a trial "
-                f'began ({crash}); out of memory, or a script without `if __name__ == "__main__"`?'
+                f"a worker's process ended {MAX_IDLE_DEATHS} times in a row before a trial began ({crash}); "
+                'out of memory, or a script without `if __name__ == "__main__"`?'
             )
-        self._hire(dead.spec)
+        self._hire()
 
-    def _reap(self, spec: StudySpec, crash: str = "") -> None:
-        from studies.tuning.study_store import StudyStore
-
-        lock = FileLock(spec.lock_file(self._mlruns))
-        if not lock.try_acquire():
-            return  # another command works on this study, and mends what it finds
-        try:
-            StudyStore(spec, self._mlruns).reap(crash=crash)
-        finally:
-            lock.release()
+    def _reap(self, *, crashed: Mapping[int, str] | None = None, stopped: Sequence[int] = ()) -> None:
+        for spec in self._studies:
+            store = open_trials(self._paths, spec)
+            with store.lock():
+                reap(spec, store, crashed=crashed, stopped=stopped)
 
 
-def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> None:
-    """Run one study after the other in a worker process, until told to go home."""
+def _work(
+    connection: Connection,
+    paths: ProjectPaths,
+    n_trials: int,
+    stop: Event,
+    deadline_s: float | None,
+    command_pid: int,
+) -> None:
+    """Train trials in a worker process until there is nothing left to begin."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     exit_with_parent()
-    from studies.tuning.trial_worker import StudyInterruptedError, run_study
+    from studies.tuning.trial_worker import Worker
 
     def emit(event: TuneEvent) -> None:
         try:
@@ -172,24 +197,35 @@ def _work(connection: Connection, mlruns: Path, n_trials: int, stop: Event) -> N
         except OSError:  # the parent has hung up; without this the trial would look like a failed one
             raise StudyInterruptedError from None
 
-    while (spec := _next(connection)) is not None:
-        try:
-            run_study(spec, mlruns=mlruns, n_trials=n_trials, emit=emit, should_stop=stop.is_set)
-        except StudyInterruptedError:
-            return
-        except InputError as error:
-            connection.send(_Failure(str(error), is_input_error=True))
-        except Exception as error:
-            where = explain(error) or "".join(traceback.format_exception(error))
-            connection.send(_Failure(f"study {spec.name}: {where}", is_input_error=False))
-
-
-def _next(connection: Connection) -> StudySpec | None:
+    specs = _received(connection)
+    if specs is None:
+        return
     try:
-        spec: StudySpec | None = connection.recv()
+        Worker(
+            specs,
+            paths=paths,
+            n_trials=n_trials,
+            emit=emit,
+            should_stop=stop.is_set,
+            deadline_s=deadline_s,
+            command_pid=command_pid,
+        ).run()
+        connection.send(_Done())
+    except StudyInterruptedError:
+        return
+    except InputError as error:
+        connection.send(_Failure(str(error), is_input_error=True))
+    except Exception as error:
+        where = explain(error) or "".join(traceback.format_exception(error))
+        connection.send(_Failure(hide_passwords(where), is_input_error=False))
+
+
+def _received(connection: Connection) -> list[StudySpec] | None:
+    try:
+        specs: list[StudySpec] = connection.recv()
     except (EOFError, OSError):  # the parent has hung up
         return None
-    return spec
+    return specs
 
 
 @contextmanager

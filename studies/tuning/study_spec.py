@@ -17,7 +17,9 @@ from studies.paths import size_name
 from studies.profile import SearchRanges
 
 TrialState = Literal["complete", "pruned", "failed"]
-EventKind = Literal["study-started", "trial-started", "epoch", "trial-finished", "study-finished"]
+EventKind = Literal[
+    "study-started", "trial-started", "epoch", "trial-finished", "study-finished", "waiting", "joined"
+]
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class StudySpec:
         objectives: errors that are minimized; with several of them no trial is pruned.
         enqueue: known-good settings that are tried right after the variant's.
         warm_start: whether the best settings of the nearest finished size are tried after those.
+        max_trial_s: longest training; a trial that reaches it counts as pruned. Decides nothing else. [s]
         note: shown where the numbers are shown.
         recipe: what rebuilds its trainings elsewhere (see `studies.recipe`); decides nothing.
     """
@@ -78,6 +81,7 @@ class StudySpec:
     objectives: tuple[str, ...] = ("val/mae",)
     enqueue: tuple[Mapping[str, float], ...] = ()
     warm_start: bool = False
+    max_trial_s: float | None = None
     note: str = ""
     recipe: Mapping[str, Any] = field(default_factory=dict)
 
@@ -181,10 +185,6 @@ class StudySpec:
         """Name of the Optuna study, for example `office-quick/n0064/1a2b3c4d`."""
         return f"{self.label}/{size_name(self.n_train)}/{self.digest[:8]}"
 
-    def lock_file(self, mlruns: Path) -> Path:
-        """File whose lock the process holds that works on the study."""
-        return self.folder(mlruns) / ".lock"
-
     def folder(self, mlruns: Path) -> Path:
         """Folder of the study's finished trials."""
         return mlruns / "trials" / self.label / f"{size_name(self.n_train)}-{self.digest[:8]}"
@@ -211,7 +211,7 @@ class TuneEvent:
         state: how a finished trial ended.
         value: validation error of the trial so far. [output's unit]
         best: least validation error among the study's completed trials, if any. [output's unit]
-        message: reason of a failed or pruned trial.
+        message: reason of a failed or pruned trial; what is waited for, empty once it is there again.
     """
 
     kind: EventKind

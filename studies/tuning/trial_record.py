@@ -106,7 +106,7 @@ def write_record(
         study_folder: folder of the study's trials.
         record: what is known of the trial.
         history: learning curves, one array per name, each of shape (epochs validated,).
-        surrogate: folder with the saved surrogate, which is moved into the trial's folder.
+        surrogate: folder with the saved surrogate.
     """
     final = study_folder / trial_name(record.index)
     scratch = study_folder / f".{final.name}-{os.getpid()}"
@@ -116,7 +116,7 @@ def write_record(
         scratch / HISTORY_FILE, allow_pickle=False, **{k: np.asarray(v) for k, v in history.items()}
     )
     if surrogate is not None:
-        surrogate.rename(scratch / SURROGATE_FOLDER)
+        shutil.copytree(surrogate, scratch / SURROGATE_FOLDER)
     (scratch / RECORD_FILE).write_text(record_to_json(record) + "\n", encoding="utf-8")
     replace_folder(scratch, final)
     return final
@@ -174,14 +174,6 @@ def best_record(records: Sequence[TrialRecord]) -> TrialRecord | None:
     """Return the completed trial of least validation error, the earlier one of equals."""
     complete = [r for r in records if r.state == "complete" and math.isfinite(r.metrics["val/mae"])]
     return min(complete, key=lambda r: (r.metrics["val/mae"], r.index), default=None)
-
-
-def keep_only_best_surrogate(study_folder: Path) -> None:
-    """Remove the weights of all trials but the best."""
-    best = best_record(read_records(study_folder))
-    for folder in study_folder.glob(f"t*/{SURROGATE_FOLDER}"):
-        if best is None or folder.parent.name != trial_name(best.index):
-            shutil.rmtree(folder)
 
 
 def summarize(spec: StudySpec, records: Sequence[TrialRecord], champion: Path | None) -> StudySummary:

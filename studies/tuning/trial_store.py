@@ -137,7 +137,7 @@ class TrialStore(Protocol):
         Args:
             record: what is known of the trial.
             history: learning curves, one array per name, each of shape (epochs validated,).
-            surrogate: folder with the saved surrogate; its files may be moved away.
+            surrogate: folder with the saved surrogate.
 
         Returns:
             False where the trial was finished before: the first record stays.

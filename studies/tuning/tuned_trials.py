@@ -1,30 +1,27 @@
 """What tuning left on disk, read back as the records that figures and tables are made of."""
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.paths import size_name
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 from studies.stages.pipeline import Study, read_json
-from studies.tuning.trial_record import TrialRecord, best_record, read_history, read_records
+from studies.tuning.trial_record import TrialRecord, best_record
+from studies.tuning.trial_store import TrialStore, open_trials
 
 
-def tuned_trials(study: Study) -> dict[int, tuple[Path, list[TrialRecord]]]:
-    """Return, per training-set size of the last tuning, the folder of its trials and the trials."""
+def tuned_trials(study: Study) -> dict[int, tuple[TrialStore, list[TrialRecord]]]:
+    """Return, per training-set size of the last tuning, the store of its trials and the trials."""
     manifest = read_json(study.results / "tune.json")
     found = {}
     for summary in manifest["summary"]["studies"] if manifest else []:
-        name = f"{size_name(summary['n_train'])}-{summary['study'].rsplit('/', 1)[-1]}"
-        folder = study.paths.mlruns / "trials" / study.label / name
-        records = read_records(folder)
+        store = open_trials(study.paths, summary["study"])
+        records = store.records()
         if records and records[0].digests.get("case") == study.case.digest:
-            found[int(summary["n_train"])] = (folder, records)
+            found[int(summary["n_train"])] = (store, records)
     return found
 
 
-def trials_record(trials: dict[int, tuple[Path, list[TrialRecord]]]) -> TrialsRecord | None:
+def trials_record(trials: dict[int, tuple[TrialStore, list[TrialRecord]]]) -> TrialsRecord | None:
     """Return all trials as one record, None where there are none."""
     records = [(record, best_record(group)) for _, group in trials.values() for record in group]
     if not records:
@@ -43,14 +40,14 @@ def trials_record(trials: dict[int, tuple[Path, list[TrialRecord]]]) -> TrialsRe
     )
 
 
-def learning_curves(trials: dict[int, tuple[Path, list[TrialRecord]]]) -> tuple[LearningCurves, ...]:
+def learning_curves(trials: dict[int, tuple[TrialStore, list[TrialRecord]]]) -> tuple[LearningCurves, ...]:
     """Return the learning curves of the best trial of each size."""
     curves = []
-    for n_train, (folder, records) in trials.items():
+    for n_train, (store, records) in trials.items():
         best = best_record(records)
         if best is None:
             continue
-        history = read_history(folder, best.index)
+        history = store.history(best.index)
         terms = [name for name in history if name not in ("epoch", "validation_mae")]
         curves.append(
             LearningCurves(

@@ -37,9 +37,10 @@ CASE = "c" * 64
 @pytest.fixture(scope="module")
 def original(make_spec: MakeSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple[StudySpec, Path, Path]:
     """A study, the folder of its trials, and the folder of its champion."""
-    mlruns = tmp_path_factory.mktemp("crowned")
+    paths = ProjectPaths(tmp_path_factory.mktemp("crowned"))
+    mlruns = paths.mlruns
     spec = make_spec()
-    run_study(spec, mlruns=mlruns, n_trials=3, emit=ignore)
+    run_study(spec, paths=paths, n_trials=3, emit=ignore)
     folder = mlruns / "champions" / "n0016"
     crown(spec, spec.folder(mlruns), folder)
     return spec, spec.folder(mlruns), folder

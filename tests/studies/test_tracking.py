@@ -26,9 +26,10 @@ N = 7
 @pytest.fixture(scope="module")
 def study(make_spec: MakeSpec, tmp_path_factory: pytest.TempPathFactory) -> tuple[StudySpec, Path]:
     """A finished study with completed, pruned and failed trials, and the folder of its records."""
-    mlruns = tmp_path_factory.mktemp("tracked")
+    paths = ProjectPaths(tmp_path_factory.mktemp("tracked"))
+    mlruns = paths.mlruns
     spec = make_spec()
-    run_study(spec, mlruns=mlruns, n_trials=N, emit=ignore)
+    run_study(spec, paths=paths, n_trials=N, emit=ignore)
     return spec, spec.folder(mlruns)
 
 

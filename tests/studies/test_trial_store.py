@@ -53,7 +53,7 @@ def a_claim(index: int) -> Claim:
     claim = Claim(
         index=index, params={"beta": 3.0}, config={}, seed=1, origin="gp", started_s=0.0, max_epochs=20
     )
-    return claim.taken(1.7e9)
+    return claim.taken(this_owner(), 1.7e9)
 
 
 def some_weights(folder: Path) -> Path:
@@ -72,7 +72,9 @@ def test_what_is_written_comes_back_to_the_last_bit(store: TrialStore, tmp_path:
     assert store.finished() == [0, 1, 2]
     expected = [record_to_json(a_record(i, 0.1 + i)) for i in range(3)]
     assert [record_to_json(record) for record in store.records()] == expected
-    assert (again := store.record(1)) and record_to_json(again) == expected[1]
+    again = store.record(1)
+    assert again is not None
+    assert record_to_json(again) == expected[1]
     assert store.record(3) is None
     np.testing.assert_array_equal(store.history(1)["loss"], CURVES["loss"])
     with pytest.raises(KeyError, match="no finished trial 7"):

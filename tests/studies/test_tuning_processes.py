@@ -11,16 +11,15 @@ from pathlib import Path
 
 import psutil
 import pytest
-from tuning_checks import essence, in_journal
+from tuning_checks import essence, in_optuna, records_of
 
 from simulation.errors import InputError
-from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.profile import SearchRanges
 from studies.tracking.tracker import NullTracker
 from studies.tuning.crew import Crew, TuningError
 from studies.tuning.study_spec import StudySpec, TuneEvent
-from studies.tuning.trial_record import TrialRecord, read_records
+from studies.tuning.trial_store import open_trials
 from studies.tuning.tune import tune
 
 
@@ -95,10 +94,6 @@ def start(specs: list[StudySpec], tmp_path: Path) -> Iterator[Callable[[], subpr
         process.communicate()
 
 
-def records_of(spec: StudySpec, paths: ProjectPaths) -> list[TrialRecord]:
-    return read_records(spec.folder(paths.mlruns))
-
-
 def wait_for_trial(process: subprocess.Popen[str], index: int, *, n_studies: int) -> None:
     """Read the command's output until so many studies have begun a trial of this index or a later one."""
     assert process.stdout is not None
@@ -134,7 +129,7 @@ def test_interrupted_and_killed_commands_lose_and_repeat_nothing(
     assert errors.strip().endswith("KeyboardInterrupt")
     wait_for_end(workers)
     for spec in specs:
-        assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
+        assert not [t for t in in_optuna(spec, paths) if not t.state.is_finished()]
 
     killed = start()
     wait_for_trial(killed, 3, n_studies=2)
@@ -150,7 +145,7 @@ def test_interrupted_and_killed_commands_lose_and_repeat_nothing(
         assert (
             records_of(spec, paths)[: len(finished[spec.name])] == finished[spec.name]
         )  # none was run again
-        assert not [t for t in in_journal(spec, paths.mlruns) if not t.state.is_finished()]
+        assert not [t for t in in_optuna(spec, paths) if not t.state.is_finished()]
         assert (paths.champion(spec.label, spec.n_train) / "champion.json").is_file()
 
 
@@ -158,7 +153,7 @@ def test_worker_killed_once_is_replaced_and_killed_twice_is_a_failed_trial(
     make_spec: MakeSpec, project: ProjectPaths
 ) -> None:
     spec = make_spec(16)
-    crew = Crew(mlruns=project.mlruns, n_trials=4, n_workers=1)
+    crew = Crew(paths=project, n_trials=4, n_workers=1)
     n_kills = 0
     for _, event in crew.run([spec]):
         if event.kind == "trial-started" and event.index == 1 and n_kills < 2:
@@ -166,9 +161,9 @@ def test_worker_killed_once_is_replaced_and_killed_twice_is_a_failed_trial(
             os.kill(crew.pids[0], signal.SIGKILL)
     records = records_of(spec, project)
     assert n_kills == 2
-    assert [record.state for record in records] == ["complete", "failed", "complete", "complete"]
-    assert "ended twice (exit code -9)" in records[1].reason
-    assert not [t for t in in_journal(spec, project.mlruns) if not t.state.is_finished()]
+    assert [record.state == "failed" for record in records] == [False, True, False, False]
+    assert records[1].reason == "its process ended twice (exit code -9)"
+    assert open_trials(project, spec).claims() == []
 
 
 def test_a_worker_that_never_comes_to_a_trial_ends_the_command(
@@ -200,17 +195,13 @@ def test_a_trial_that_failed_with_its_process_is_tracked(
             worker.kill()
 
     (summary,) = tune([make_spec(16)], paths=project, n_trials=2, n_jobs=1, tracker=tracker, on_event=kill)
-    assert (summary.n_failed, summary.n_complete) == (1, 1)
+    assert (summary.n_failed, summary.n_trials) == (1, 2)
     assert told == {0, 1}
 
 
 def test_input_error_of_a_worker_is_one_line_here(make_spec: MakeSpec, project: ProjectPaths) -> None:
-    spec = make_spec(16)
-    with (
-        FileLock(spec.lock_file(project.mlruns)),
-        pytest.raises(InputError, match="by another process") as caught,
-    ):
-        tune([spec], paths=project, n_trials=1, n_jobs=1)
+    with pytest.raises(InputError, match="has changed since") as caught:
+        tune([make_spec(train_digest="0" * 64)], paths=project, n_trials=1, n_jobs=1)
     assert "\n" not in str(caught.value)
 
 
@@ -218,7 +209,7 @@ def test_a_damaged_journal_is_one_line_leaves_no_worker_and_can_be_moved_away(
     specs: list[StudySpec], project: ProjectPaths
 ) -> None:
     tune(specs, paths=project, n_trials=1, n_jobs=2)
-    before = [read_records(spec.folder(project.mlruns)) for spec in specs]
+    before = [records_of(spec, project) for spec in specs]
     journal = project.mlruns / "optuna.journal"
     lines = journal.read_text().splitlines()
     journal.write_text("\n".join([lines[0], "garbage", *lines[1:]]) + "\n")
@@ -228,5 +219,5 @@ def test_a_damaged_journal_is_one_line_leaves_no_worker_and_can_be_moved_away(
     journal.unlink()
     tune(specs, paths=project, n_trials=2, n_jobs=2)
     for spec, kept in zip(specs, before, strict=True):
-        assert read_records(spec.folder(project.mlruns))[:1] == kept
-        assert len(in_journal(spec, project.mlruns)) == 2
+        assert records_of(spec, project)[:1] == kept
+        assert len(in_optuna(spec, project)) == 2

@@ -1,13 +1,15 @@
 """What tests of tuning compare."""
 
-from pathlib import Path
+from typing import Any
 
 import optuna
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
 
+from studies.paths import ProjectPaths
 from studies.tuning.study_spec import StudySpec, TuneEvent
+from studies.tuning.study_store import StudyStore, open_optuna
 from studies.tuning.trial_record import TrialRecord
+from studies.tuning.trial_store import open_trials
+from studies.tuning.trial_worker import run_study
 
 
 def ignore(event: TuneEvent) -> None:
@@ -19,7 +21,17 @@ def essence(records: list[TrialRecord]) -> list[tuple[object, ...]]:
     return [(r.index, r.state, r.params, r.seed, r.metrics, r.reports, r.n_epochs) for r in records]
 
 
-def in_journal(spec: StudySpec, mlruns: Path) -> list[optuna.trial.FrozenTrial]:
-    """Read a study's trials as any Optuna user would."""
-    storage = JournalStorage(JournalFileBackend(str(mlruns / "optuna.journal")))
-    return optuna.load_study(study_name=spec.name, storage=storage).get_trials()
+def in_optuna(spec: StudySpec, paths: ProjectPaths) -> list[optuna.trial.FrozenTrial]:
+    """Read a study's trials from Optuna's store."""
+    return optuna.load_study(study_name=spec.name, storage=open_optuna(paths)).get_trials()
+
+
+def run_and_tell(spec: StudySpec, paths: ProjectPaths, n_trials: int, **more: Any) -> None:
+    """Run a study in this process, and tell Optuna as a command does."""
+    run_study(spec, paths=paths, n_trials=n_trials, emit=more.pop("emit", ignore), **more)
+    StudyStore(spec, paths).tell(open_trials(paths, spec))
+
+
+def records_of(spec: StudySpec, paths: ProjectPaths) -> list[TrialRecord]:
+    """Read a study's records."""
+    return open_trials(paths, spec).records()
