@@ -33,7 +33,7 @@ class Proposal:
         params: its hyperparameters in search coordinates.
         config: all settings of the surrogate.
         seed: seed of its training.
-        origin: why these hyperparameters, such as "default", "random" or "gp".
+        origin: why these hyperparameters, such as "default", "random", "gp" or "tpe".
     """
 
     params: Params
@@ -53,9 +53,9 @@ def propose(
     """Choose what a trial tries: a function of the arguments alone.
 
     First come the variant's own configuration, those of the profile and, where the study asks for it, the
-    best ones of the nearest size; then random draws, then a Gaussian process. The process is refitted from
-    the finished trials with a seed of its own at every trial, so that an interrupted study goes on exactly as
-    an uninterrupted one. No configuration is tried twice.
+    best ones of the nearest size; then random draws, then a Gaussian process (for two errors TPE). It is
+    fitted anew to the finished trials, with a seed of its own, at every trial, so that an interrupted study
+    goes on exactly as an uninterrupted one. No configuration is tried twice.
 
     Args:
         spec: the study.
@@ -96,16 +96,25 @@ def _suggestion(
 ) -> tuple[Params, str]:
     """Ask Optuna's sampler, in a study of its own."""
     space = distributions(spec.search)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        sampler = optuna.samplers.GPSampler(seed=seed, n_startup_trials=N_STARTUP_TRIALS)
+    origin, sampler = _sampler(spec, seed)
     study = _memory_study(sampler, n_objectives=len(spec.objectives))
     told = _errors_told(spec, finished)
     for record, values in zip(finished, told, strict=False):
         study.add_trial(create_trial(params=dict(record.params), distributions=space, values=values))
     for params in pending:
         study.add_trial(create_trial(state=OptunaState.RUNNING, params=dict(params), distributions=space))
-    return dict(study.ask(space).params), "gp" if len(told) >= N_STARTUP_TRIALS else "random"
+    return dict(study.ask(space).params), origin if len(told) >= N_STARTUP_TRIALS else "random"
+
+
+def _sampler(spec: StudySpec, seed: int) -> tuple[str, BaseSampler]:
+    """Return the sampler that follows the random draws: with two errors TPE is no worse and much faster."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        if len(spec.objectives) > 1:
+            return "tpe", optuna.samplers.TPESampler(
+                seed=seed, n_startup_trials=N_STARTUP_TRIALS, multivariate=True, constant_liar=True
+            )
+        return "gp", optuna.samplers.GPSampler(seed=seed, n_startup_trials=N_STARTUP_TRIALS)
 
 
 def _errors_told(spec: StudySpec, finished: Sequence[TrialRecord]) -> list[list[float]]:

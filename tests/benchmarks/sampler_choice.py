@@ -9,7 +9,8 @@ MAE; the Gaussian process's studies are those in FILE.
 Without it nothing is trained: a proposal becomes the nearest of the kept trials that the study has not had
 yet. That landscape is coarse, and densest where the Gaussian process went, so it flatters nobody much but
 is no more than a hint; it serves for two errors, where the dominated area of MAE and 90th percentile is told
-as a part of the area that all kept trials dominate.
+as a part of the area that all kept trials dominate. (NSGA-II keeps its generations in the study, and ours is
+made anew for every trial: it would be random search.)
 """
 
 import argparse
@@ -23,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import optuna
-from optuna.samplers import BaseSampler, GPSampler, NSGAIISampler, RandomSampler, TPESampler
+from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
 from optuna.trial import create_trial
 from trained_trials import Trained, office_spec, read, train
 
@@ -37,7 +38,6 @@ MAE, BOTH = ("val/mae",), ("val/mae", "val/p90")
 SAMPLERS: dict[str, Callable[[int], BaseSampler]] = {
     "GP": lambda seed: GPSampler(seed=seed, n_startup_trials=N_STARTUP_TRIALS),
     "TPE": lambda seed: TPESampler(seed=seed, multivariate=True, n_startup_trials=N_STARTUP_TRIALS),
-    "NSGA-II": lambda seed: NSGAIISampler(seed=seed, population_size=10),
     "random": lambda seed: RandomSampler(seed=seed),
 }
 

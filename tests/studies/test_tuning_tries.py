@@ -87,10 +87,10 @@ def test_configurations_that_run_beside_count_as_tried(make_spec: MakeSpec) -> N
 def test_two_errors_are_searched_together(make_spec: MakeSpec) -> None:
     spec = make_spec(search=WIDE, objectives=("val/mae", "val/p90"))
     records = run(spec, 7)
-    assert [record.reason for record in records[4:]] == ["random", "gp", "gp"]
+    assert [record.reason for record in records[4:]] == ["random", "tpe", "tpe"]
     # A failed trial has no errors, and is told to the search as a bad one.
     lost = [*records[:6], replace(records[6], state="failed", metrics={})]
-    assert propose(spec, 7, lost).origin == "gp"
+    assert propose(spec, 7, lost).origin == "tpe"
 
 
 @pytest.mark.parametrize(
