@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from simulation.errors import InputError
 from studies.commands import options
 from studies.console import Console
+from studies.storage_url import hide_passwords
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = (
@@ -27,6 +28,7 @@ COMMANDS = (
     "report",
     "reproduce",
     "status",
+    "doctor",
     "best",
     "compare",
     "show",
@@ -98,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         return _bad_input(console, " ".join(str(error).split()))
     except KeyboardInterrupt:
-        again = shlex.join(["studies", *arguments])
+        again = hide_passwords(shlex.join(["studies", *arguments]))
         console.warn(f"interrupted; what is finished is kept, go on with: {again}")
         console.document({"error": "interrupted", "go_on_with": again})
         return INTERRUPTED
@@ -132,6 +134,7 @@ def build_parser() -> argparse.ArgumentParser:
             allow_abbrev=False,
         )
         words.add_options(command)
+        options.add_storage(command)
         options.add_output(command)
     return parser
 
@@ -157,6 +160,7 @@ class _Version(argparse.Action):
 
 
 def _bad_input(console: Console, line: str) -> int:
+    line = hide_passwords(line)
     console.warn(f"error: {line}")
     console.document({"error": line})
     return BAD_INPUT
@@ -169,8 +173,8 @@ def _failed(console: Console, error: Exception) -> int:
 
     explained = explain(error)
     if explained is None and not isinstance(error, StageError):
-        traceback.print_exception(error)
-    line = explained or " ".join(f"{error}".split()) or type(error).__name__
+        sys.stderr.write(hide_passwords("".join(traceback.format_exception(error))))
+    line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
     console.warn(f"error: {line}")
     console.document({"error": line})
     return FAILED

@@ -1,0 +1,90 @@
+"""Optuna's view of the studies: what it says of each trial, and writing it again from the records."""
+
+from dataclasses import dataclass
+
+import optuna
+from optuna.storages import RDBStorage
+from optuna.trial import TrialState as OptunaState
+
+from studies.keeping.stores import KeptStudy
+from studies.paths import ProjectPaths
+from studies.storage_url import in_schema
+from studies.tuning.study_store import JOURNAL, StudyStore, open_optuna
+
+_STATES = {
+    OptunaState.COMPLETE: "complete",
+    OptunaState.PRUNED: "pruned",
+    OptunaState.FAIL: "failed",
+    OptunaState.RUNNING: "running",
+    OptunaState.WAITING: "waiting",
+}
+
+
+@dataclass(frozen=True)
+class OptunaTrial:
+    """A trial as Optuna has it.
+
+    Args:
+        number: Optuna's own number.
+        index: its place in the study, -1 where it does not say.
+        state: complete, pruned, failed, running or waiting.
+        value: its validation error.
+    """
+
+    number: int
+    index: int
+    state: str
+    value: float | None
+
+
+def has_optuna(paths: ProjectPaths) -> bool:
+    """Return whether there is a store of Optuna's at all."""
+    return paths.storage is not None or (paths.mlruns / JOURNAL).is_file()
+
+
+def read_optuna(paths: ProjectPaths) -> dict[str, list[OptunaTrial]]:
+    """Return all trials of all studies, by study.
+
+    Raises:
+        InputError: the store is damaged, of another version, or away.
+    """
+    if not has_optuna(paths):
+        return {}
+    storage = open_optuna(paths)
+    found = {}
+    for study in storage.get_all_studies():
+        trials = storage.get_all_trials(study._study_id, deepcopy=False)
+        found[study.study_name] = [
+            OptunaTrial(
+                number=trial.number,
+                index=int(trial.user_attrs.get("index", -1)),
+                state=_STATES[trial.state],
+                value=trial.values[0] if trial.values else None,
+            )
+            for trial in trials
+        ]
+    return found
+
+
+def rebuild_optuna(study: KeptStudy) -> None:
+    """Write one study again from its records."""
+    forget_optuna(study.paths, study.name)
+    StudyStore(study.spec, study.paths).tell(study.store)
+
+
+def forget_optuna(paths: ProjectPaths, name: str) -> bool:
+    """Remove one study; return whether there was one."""
+    if not has_optuna(paths):
+        return False
+    storage = open_optuna(paths)
+    if name not in {study.study_name for study in storage.get_all_studies()}:
+        return False
+    optuna.delete_study(study_name=name, storage=storage)
+    return True
+
+
+def upgrade_optuna(paths: ProjectPaths) -> None:
+    """Bring the tables of Optuna's database up to date."""
+    assert paths.storage is not None
+    url = in_schema(paths.storage, "optuna")
+    RDBStorage(url, skip_compatibility_check=True, skip_table_creation=True).upgrade()
