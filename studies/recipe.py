@@ -77,19 +77,6 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
     }
 
 
-def dataset(design: str, *, seed: int, n: int, digest: str, file: str) -> dict[str, Any]:
-    """Return how a data set is drawn and what it came to.
-
-    Args:
-        design: name of the design.
-        seed: its seed.
-        n: rows of the design that are used.
-        digest: SHA-256 of parameters, outputs and failures.
-        file: place of the set's file in the project.
-    """
-    return {"design": design, "seed": seed, "n": n, "digest": digest, "file": file}
-
-
 def to_json(recipe: Mapping[str, Any]) -> str:
     """Return a recipe as the text that its digest is taken of; the order of keys does not matter."""
     return json.dumps(recipe, sort_keys=True, indent=1) + "\n"

@@ -126,7 +126,7 @@ def _changed_code(commit: str, room: str) -> tuple[str, ...]:
             command, cwd=_CODE_ROOT, capture_output=True, text=True, timeout=20, check=True
         )
     except (OSError, subprocess.SubprocessError):
-        return (f"commit {commit[:12]} is not in this checkout; get it with git fetch",)
+        return (f"commit {commit[:12]} is not known here, so what changed cannot be told; try git fetch",)
     lines = [line.strip() for line in answer.stdout.splitlines()]
     if not lines:
         return (f"as committed in {commit[:12]}; the result was made from changes that were never committed",)

@@ -66,13 +66,13 @@ def find_recorded(paths: ProjectPaths, run: str) -> Recorded:
             return found
     thing = find_thing(look_at(paths), _as_named(run))
     if isinstance(thing, TrialThing):
-        return recorded_trial(thing.study, thing.record)
+        return recorded_trial(paths, thing.study, thing.record)
     if isinstance(thing, StudyLook):
         if thing.best is None:
             raise InputError(
                 f"{thing.name} has no completed trial; name one, such as {thing.short_name}/t000"
             )
-        return recorded_trial(thing, thing.best)
+        return recorded_trial(paths, thing, thing.best)
     if isinstance(thing, StageLook) and (thing.is_calibration or thing.stage == "sensitivity"):
         return recorded_stage(paths, thing.label, thing.stage.removeprefix("calibrate-"))
     raise InputError(
@@ -86,7 +86,7 @@ def _as_named(run: str) -> str:
     return re.sub(r"[/ ]n(\d+) calibration$", lambda found: f"/calibrate-n{int(found[1]):04d}", run)
 
 
-def recorded_trial(study: StudyLook, record: TrialRecord) -> Recorded:
+def recorded_trial(paths: ProjectPaths, study: StudyLook, record: TrialRecord) -> Recorded:
     """Return a trial as its store has it.
 
     Raises:
@@ -94,7 +94,7 @@ def recorded_trial(study: StudyLook, record: TrialRecord) -> Recorded:
     """
     return Recorded(
         name=record.key,
-        place=study.store.place,
+        place=paths.show(place) if (place := Path(study.store.place)).is_dir() else study.store.place,
         recipe=checked(study.entry.recipe, study.name),
         environment=record.environment,
         numbers=numbers_of(record),

@@ -70,10 +70,9 @@ def _content(
             content = _from_git(paths.root, revision, one["place"])
             if content is not None and hashlib.sha256(content).hexdigest() == wanted:
                 return content, f"{said}; the recorded content is taken from git, {revision[:12]}"
-    remedy = f"git checkout {commit[:12]} -- {one['place']}, or copy" if commit else "copy"
     raise InputError(
-        f"{said} and nothing below {paths.fmus} and {paths.data} has the recorded content (sha256 "
-        f"{wanted[:12]}); bring it back: {remedy} it from where the result was made"
+        f"{said} and no file below fmus/ and data/ has the recorded content (sha256 "
+        f"{wanted[:12]}), nor has git; copy it from where the result was made"
     )
 
 

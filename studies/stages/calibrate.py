@@ -17,7 +17,7 @@ from studies.recipe import Recipe, recipe_of
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import StoredCalibration, calibration_files, read_arrays
-from studies.stages.simulate import say_reused
+from studies.stages.simulate import datasets_of, say_reused
 from studies.stages.tracking import log_calibration, tracker_of
 from studies.stages.validation import show_validation, validate_calibration, validation_inputs
 from studies.tracking.origin import environment
@@ -194,6 +194,7 @@ def _recipe(study: Study, champion: ChampionInfo) -> Recipe:
         "calibration",
         command="studies calibrate",
         n_train=champion.n_train,
+        datasets=datasets_of(study.profile, champion.n_train, champion.digests),
         surrogate={
             "study": champion.study,
             "trial": champion.index,

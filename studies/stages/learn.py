@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.console import Column
-from studies.recipe import Recipe, dataset, recipe_of
+from studies.recipe import Recipe, recipe_of
 from studies.report.wording import difference_unit
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
-from studies.stages.simulate import set_files, set_seeds
+from studies.stages.simulate import datasets_of, set_files
 from studies.stages.tracking import tracker_of
 from studies.stages.tuning_progress import TuningProgress
 
@@ -50,6 +50,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 paths=study.paths,
                 n_trials=budget.n_trials,
                 n_jobs=study.n_jobs,
+                max_s=None if study.max_hours is None else 3600.0 * study.max_hours,
                 tracker=tracker,
                 on_event=show.hear,
             )
@@ -70,6 +71,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
+        keep=lambda summary: all(s["n_trials"] >= budget.n_trials for s in summary["studies"]),
     )
 
 
@@ -106,6 +108,8 @@ def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
             objectives=budget.objectives,
             enqueue=budget.enqueue,
             warm_start=budget.warm_start,
+            n_parallel=budget.n_parallel,
+            max_trial_s=budget.max_trial_s,
             seed=study.profile.seed,
             note=study.case.note,
         )
@@ -116,23 +120,12 @@ def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
 
 def _recipe(study: Study, spec: "StudySpec", simulated: Summary) -> Recipe:
     """Return what rebuilds the trainings of one size."""
-    seeds, judging = set_seeds(study.profile), study.profile.data
-    n = {"train": spec.n_train, "validation": judging.n_validation, "test": judging.n_test}
     return recipe_of(
         study,
         "training",
         command="studies tune",
         n_train=spec.n_train,
-        datasets={
-            name: dataset(
-                "uniform",
-                seed=seeds[name],
-                n=n[name],
-                digest=spec.digests[name],
-                file=simulated["files"][name],
-            )
-            for name in n
-        },
+        datasets=datasets_of(study.profile, spec.n_train, spec.digests, simulated["files"]),
     )
 
 

@@ -1,9 +1,10 @@
 """Stages that ask the physical model for data: the simulated sets and the Sobol indices."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -57,6 +58,30 @@ def train_seed(seed: int) -> int:
 def set_seeds(profile: Profile) -> dict[str, int]:
     """Return the seed of each set's design."""
     return {"train": train_seed(profile.seed), "validation": VALIDATION_SEED, "test": TEST_SEED}
+
+
+def datasets_of(
+    profile: Profile, n_train: int, digests: Mapping[str, str], files: Mapping[str, str] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return how the sets behind one surrogate are drawn, for a recipe.
+
+    Args:
+        profile: the budget.
+        n_train: training-set size.
+        digests: what each set came to.
+        files: place of each set's file, where it is known.
+    """
+    n = {"train": n_train, "validation": profile.data.n_validation, "test": profile.data.n_test}
+    return {
+        name: {
+            "design": "uniform",
+            "seed": seed,
+            "n": n[name],
+            "digest": digests[name],
+            "file": (files or {}).get(name, ""),
+        }
+        for name, seed in set_seeds(profile).items()
+    }
 
 
 def simulate_stage(study: Study) -> Outcome:
