@@ -36,7 +36,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.looking.status import FIRST_WORDS
     from studies.paths import find_project
 
-    project = look_at(find_project())
+    project = look_at(find_project(chosen.storage))
     labels = chosen_labels(project, chosen.which)
     blocks = best_blocks(project, labels, chosen.n_train)
     if not blocks and chosen.n_train:

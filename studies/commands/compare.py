@@ -30,7 +30,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.looking.project import look_at
     from studies.paths import find_project
 
-    kind, sides = compared(look_at(find_project()), [chosen.first, *chosen.others])
+    kind, sides = compared(look_at(find_project(chosen.storage)), [chosen.first, *chosen.others])
     console.show(comparison_blocks(kind, sides))
     console.document(comparison_document(kind, sides))
     return 0

@@ -32,4 +32,4 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.tracking.dashboard_server import open_dashboard
 
-    return open_dashboard(find_project(getattr(chosen, "storage", None)), console, port=chosen.port)
+    return open_dashboard(find_project(chosen.storage), console, port=chosen.port)

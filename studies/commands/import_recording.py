@@ -32,7 +32,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     from studies.recording import import_recording
 
-    paths = find_project()
+    paths = find_project(chosen.storage)
     report = import_recording(
         [Path(file).expanduser() for file in chosen.files], paths.data / "office-recorded"
     )

@@ -47,4 +47,4 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.new.terminal import list_variables, new_case
 
-    return (list_variables if chosen.list else new_case)(chosen, find_project(), console)
+    return (list_variables if chosen.list else new_case)(chosen, find_project(chosen.storage), console)

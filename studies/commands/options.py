@@ -96,6 +96,16 @@ def add_calibration(command: argparse.ArgumentParser) -> None:
     command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
 
 
+def add_storage(command: argparse.ArgumentParser) -> None:
+    """Where trials, Optuna's studies and MLflow's runs lie."""
+    command.add_argument(
+        "--storage",
+        metavar="URL",
+        help="PostgreSQL of trials, Optuna and MLflow, e.g. postgresql://user@host/database; "
+        "default: $STUDIES_STORAGE, else files in mlruns/",
+    )
+
+
 def add_output(command: argparse.ArgumentParser) -> None:
     """What is said, and how."""
     command.add_argument(

@@ -43,7 +43,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.reproduction.reproduce import reproduce, show_reproduction
 
     done = reproduce(
-        find_project(),
+        find_project(chosen.storage),
         " ".join(chosen.run),
         console,
         n_jobs=chosen.jobs or available_cores(),

@@ -35,7 +35,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.looking.show import lineage_blocks, lineage_values, next_line, thing_blocks, thing_values
     from studies.paths import find_project
 
-    project = look_at(find_project())
+    project = look_at(find_project(chosen.storage))
     thing = find_thing(project, chosen.run)
     console.show([*thing_blocks(project, thing), *lineage_blocks(project, thing)])
     console.result(next_line(thing))

@@ -36,7 +36,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.looking.status import status_blocks, status_document
     from studies.paths import find_project
 
-    paths = find_project()
+    paths = find_project(chosen.storage)
     if chosen.which is not None:
         chosen_labels(look_at(paths), chosen.which)
     if chosen.live:

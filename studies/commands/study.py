@@ -22,7 +22,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     """
     from studies.profile import load_profile
 
-    paths = find_project()
+    paths = find_project(chosen.storage)
     profile = load_profile(chosen.profile)
     label_end = ""
     if chosen.window is not None:

@@ -51,7 +51,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.tracking.ui_server import open_ui
 
     return open_ui(
-        find_project(getattr(chosen, "storage", None)),
+        find_project(chosen.storage),
         console,
         label=chosen.label,
         host=chosen.host,
