@@ -140,7 +140,7 @@ def _best_title(search: SearchRecord, unit: str) -> str:
     if not best.size:
         return f"n = {search.n_train}: none of {count(len(search.state), 'trial')} has an error yet"
     settings = ", ".join(
-        f"{name} {significant(float(search.values[best[0], i]))}" for i, name in enumerate(search.names)
+        f"{name} {_setting(float(search.values[best[0], i]))}" for i, name in enumerate(search.names)
     )
     error = quantity(float(search.error[best[0]]), unit)
     return (
@@ -168,12 +168,26 @@ def _hyperparameter_axis(axes: Axes, search: SearchRecord, number: int) -> None:
     if search.is_log[number] and values.size and values.min() > 0:
         axes.set_xscale("log")
         axes.minorticks_off()
-        low, high = float(values.min()), float(values.max())
-        ticks = sorted({low, float(np.sqrt(low * high)), high})
-        axes.set_xticks(ticks, [significant(tick, 2) for tick in ticks])
+        ticks = _log_ticks(values)
+        axes.set_xticks(ticks, [_setting(tick) for tick in ticks])
         axes.set_xlim(*log_limits(values))
     elif values.size and (values == np.round(values)).all() and len(np.unique(values)) <= 6:
         axes.set_xticks(np.unique(values))
+
+
+def _log_ticks(values: Floats) -> list[float]:
+    """Return values to write below a logarithmic axis: those there are, where they are few, else three."""
+    present = np.unique(values)
+    if len(present) <= 4:
+        return [float(value) for value in present]
+    low, high = float(present[0]), float(present[-1])
+    return [low, float(np.sqrt(low * high)), high]
+
+
+def _setting(value: float) -> str:
+    """Write a hyperparameter, without zeros that say nothing."""
+    text = significant(value, 2)
+    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
 def _parallel_lines(figure: Figure, axes: Axes, search: SearchRecord, unit: str) -> None:
@@ -201,7 +215,7 @@ def _parallel_lines(figure: Figure, axes: Axes, search: SearchRecord, unit: str)
         middle = float(np.sqrt(low * high)) if is_log and low > 0 else 0.5 * (low + high)
         for height, value in ((0.0, low), (0.5, middle), (1.0, high)) if high > low else ((0.5, low),):
             axes.annotate(
-                significant(value, 2 if value == middle else 3), (place, height), (4, 0),
+                _setting(value), (place, height), (4, 0),
                 textcoords="offset points", va="center", fontsize=8, color=INK, zorder=1000,
                 bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
             ).set_in_layout(False)  # fmt: skip

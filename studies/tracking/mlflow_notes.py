@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from studies.report.wording import MISSING, count, quantity, shown_unit, significant, squared
-from studies.tracking.mlflow_view import TRIALS, run_address, view_address
-from studies.tuning.study_spec import StudySpec
+from studies.report.wording import MISSING, count, difference_unit, quantity, significant, squared
+from studies.tracking.mlflow_view import STAGES, TRIALS, run_address, view_address
+from studies.tuning.study_spec import StudySpec, StudySummary
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,8 @@ def answer(sizes: Sequence[SizeResult], unit: str) -> str:
     gains = [size.gain_percent for size in known if math.isfinite(size.gain_percent)]
     hours = sum(size.tuning_h for size in sizes)
     if gains:
-        spread = f"{min(gains):.0f} to {max(gains):.0f} %" if len(gains) > 1 else f"{gains[0]:.0f} %"
+        low, high = round(min(gains)), round(max(gains))
+        spread = f"{low} %" if low == high else f"{low} to {high} %"
         text += f" Tuning lowered it by {spread} against the default configuration, in {_hours(hours)}."
     calibrated = [size for size in known if math.isfinite(size.mse)]
     if calibrated:
@@ -105,7 +106,7 @@ def size_table(sizes: Sequence[SizeResult], unit: str, experiment: str) -> str:
             f"**{significant(size.test_mae)}**",
             significant(size.test_p90),
             significant(size.default_mae),
-            f"{size.gain_percent:.0f} %" if math.isfinite(size.gain_percent) else MISSING,
+            f"{round(size.gain_percent)} %" if math.isfinite(size.gain_percent) else MISSING,
             str(size.n_trials),
             str(size.n_pruned),
             str(size.n_failed),
@@ -117,43 +118,101 @@ def size_table(sizes: Sequence[SizeResult], unit: str, experiment: str) -> str:
     return "\n".join(lines)
 
 
-def experiment_note(
-    sizes: Sequence[SizeResult], *, unit: str, case: str, note: str, experiment: str, overview: str
-) -> str:
-    """Return an experiment's description."""
-    parts = [
-        answer(sizes, unit),
-        size_table(sizes, unit, experiment),
-        f"[Picture of all trials over n]({run_address(experiment, overview, artifact='mae_over_n.png')}) · "
+def overview_note(sizes: Sequence[SizeResult], *, unit: str, experiment: str, picture: str) -> str:
+    """Return the answer, the table behind it and the picture of all trials.
+
+    Args:
+        sizes: what is known of each size.
+        unit: unit of the errors.
+        experiment: id of the experiment.
+        picture: where the page finds the picture, empty without one.
+    """
+    parts = [answer(sizes, unit), size_table(sizes, unit, experiment)]
+    return "\n\n".join([*parts, f"![Error of all trials over n]({picture})"] if picture else parts)
+
+
+def experiment_note(overview: str, *, unit: str, case: str, note: str, experiment: str) -> str:
+    """Return an experiment's description.
+
+    Args:
+        overview: the overview run's note.
+        unit: unit of the errors.
+        case: name of the case.
+        note: the case's note.
+        experiment: id of the experiment.
+    """
+    links = [
         f"[all trials in charts]({view_address(experiment, TRIALS, charts=True)})",
-        f"PELS-VAE surrogates of the case **{case}**. A run per study (one training-set size n), its trials "
-        "below it; calibrations, sensitivities and reports beside it. `test/mae` is the mean absolute error "
-        f"over the test set{f' in {unit}' if unit else ''}, `p90` the 90th percentile over its simulations, "
-        "`best/…` on a study its best trial by validation error, `gain_percent` that trial's test error "
-        "against the default configuration's. FINISHED means complete, KILLED pruned or interrupted, FAILED "
-        "has its `reason` as a tag.",
+        f"[all trials in a table]({view_address(experiment, TRIALS)})",
+        f"[calibrations, sensitivities, reports]({view_address(experiment, STAGES)})",
     ]
+    words = (
+        f"PELS-VAE surrogates of the case **{case}**. A run per study (one training-set size n), its trials "
+        "below it. `test/mae` is the mean absolute error over the test set"
+        f"{f' in {unit}' if unit else ''}, `p90` the 90th percentile over its simulations, `best/…` on a "
+        "study its best trial by validation error, `gain_percent` that trial's test error against the "
+        "default configuration's, `calibrated/…` the newest calibration with that surrogate. FINISHED means "
+        "complete, KILLED pruned or interrupted, FAILED has its `reason` as a tag."
+    )
+    parts = [overview, "More: " + " · ".join(links), words]
     return "\n\n".join([*parts, note] if note else parts)
 
 
-def study_note(spec: StudySpec, best: str = "") -> str:
-    """Return a study's description."""
+def study_note(spec: StudySpec, best: str = "", pictures: Sequence[str] = ()) -> str:
+    """Return a study's description.
+
+    Args:
+        spec: the study.
+        best: what is said of its best trial.
+        pictures: where the page finds its pictures.
+    """
     text = (
         f"Surrogates trained on the first {spec.n_train} simulations of the design, searched from the "
         f"variant `{spec.variant}`. Optuna study `{spec.name}`. Its trials are the runs below it."
     )
-    return f"{best}\n\n{text}" if best else text
+    shown = [f"![]({picture})" for picture in pictures]
+    return "\n\n".join([best, text, *shown] if best else [text, *shown])
 
 
-def best_sentence(metrics: dict[str, float], index: int, default: float, output_unit: str) -> str:
-    """Say how good the best trial is."""
-    unit = shown_unit(output_unit)
-    text = f"Trial {index} is best: test MAE **{quantity(metrics.get('test/mae', math.nan), unit)}**"
-    text += f", 90th percentile {quantity(metrics.get('test/p90', math.nan), unit)}"
-    gain = gain_percent(metrics.get("test/mae", math.nan), default)
-    if math.isfinite(gain):
-        text += f", {gain:.0f} % below the default configuration's {quantity(default, unit)}"
+def best_sentence(summary: StudySummary, default: float, output_unit: str) -> str:
+    """Say how good the best trial is, also against the default configuration."""
+    unit, errors = difference_unit(output_unit), summary.best_metrics
+    tuned, p90 = (errors.get(name, math.nan) for name in ("test/mae", "test/p90"))
+    text = f"Trial {summary.best_index} is best: test MAE **{quantity(tuned, unit)}**, "
+    text += f"90th percentile {quantity(p90, unit)}"
+    gain = gain_percent(tuned, default)
+    if math.isfinite(gain) and round(gain) != 0:
+        more = "below" if gain > 0 else "above"
+        text += f", {abs(gain):.0f} % {more} the default configuration's {quantity(default, unit)}"
     return text + "."
+
+
+def study_numbers(summary: StudySummary, default: float) -> dict[str, float]:
+    """Return what a study came to, in numbers that a table has room for; the trials' own are whole.
+
+    Args:
+        summary: the study.
+        default: test error of the default configuration, NaN where it is not known.
+    """
+    best = summary.best_metrics
+    numbers: dict[str, float] = {
+        "n_train": summary.n_train,
+        "n_trials": summary.n_trials,
+        "n_complete": summary.n_complete,
+        "n_pruned": summary.n_pruned,
+        "n_failed": summary.n_failed,
+        "train_wall_s": round(summary.wall_s, 1),
+        "tuning_h": round(summary.wall_s / 3600.0, 4),
+        **{f"best/{name}": rounded(value) for name, value in best.items()},
+        "default/test/mae": rounded(default),
+        "gain_percent": round(gain_percent(best.get("test/mae", math.nan), default), 1),
+    }
+    return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}
+
+
+def rounded(value: float) -> float:
+    """Return a number with as many digits as a table has room for."""
+    return float(f"{value:.4g}")
 
 
 def _link(text: str, experiment: str, run_id: str) -> str:

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from studies.report.records_tuning import TrialsRecord
-from studies.tracking.mlflow_notes import SizeResult, answer, experiment_note, size_table
-from studies.tracking.mlflow_runs import RunStore
-from studies.tracking.quiet_mlflow import Run
+from studies.tracking.mlflow_notes import SizeResult, experiment_note, overview_note, rounded
+from studies.tracking.mlflow_runs import RunStore, ms
+from studies.tracking.mlflow_view import ON_BOARD, picture_address
+from studies.tracking.quiet_mlflow import Metric, Run
 
 OVERVIEW = "overview"
 NAME = "all sizes"
@@ -43,27 +44,45 @@ def update_overview(store: RunStore, label: str) -> str:
     experiment = store.experiment(label)
     with store.lock(f"{label}/{OVERVIEW}"):
         found = store.find(label, {"role": OVERVIEW})
-        run_id = (
-            found[0].info.run_id if found else store.create(label, NAME, {"role": OVERVIEW, "label": label})
-        )
+        tags = {"role": OVERVIEW, "label": label, ON_BOARD: "yes"}
+        run_id = found[0].info.run_id if found else store.create(label, NAME, tags)
+        before = found[0].data.tags if found else {}
         drawn = _digest(trials)
-        if (
-            trials
-            and (not found or found[0].data.tags.get("drawn") != drawn)
-            and store.reaches_artifacts(label)
-        ):
+        if trials and before.get("drawn") != drawn and store.reaches_artifacts(label):
             _draw(store, run_id, studies, trials, unit=unit, footnote=label)
             store.client.set_tag(run_id, "drawn", drawn)
-        text = "\n\n".join([answer(sizes, unit), size_table(sizes, unit, experiment)])
-        if not found or found[0].data.tags.get(NOTE) != text:
+            before = {**before, "drawn": drawn}
+        picture = picture_address(run_id, PICTURE, version=drawn) if "drawn" in before else ""
+        text = overview_note(sizes, unit=unit, experiment=experiment, picture=picture)
+        if before.get(NOTE) != text:
             store.client.set_tag(run_id, NOTE, text)
+            _log_totals(store, run_id, sizes)
+            _log_calibrations(store, sizes)
         if not found or found[0].info.status != "FINISHED":
             store.finish(run_id, "FINISHED")
-    describing = experiment_note(
-        sizes, unit=unit, case=case, note=note, experiment=experiment, overview=run_id
-    )
+    describing = experiment_note(text, unit=unit, case=case, note=note, experiment=experiment)
     store.describe(label, {NOTE: describing, "mlflow.experimentKind": "custom_model_development"})
-    return run_id
+    return str(run_id)
+
+
+def _log_totals(store: RunStore, run_id: str, sizes: Sequence[SizeResult]) -> None:
+    numbers = {
+        "n_trials": sum(size.n_trials for size in sizes),
+        "n_pruned": sum(size.n_pruned for size in sizes),
+        "tuning_h": round(sum(size.tuning_h for size in sizes), 4),
+    }
+    now = ms(time.time())
+    store.client.log_batch(run_id, metrics=[Metric(k, float(v), now, 0) for k, v in numbers.items()])
+
+
+def _log_calibrations(store: RunStore, sizes: Sequence[SizeResult]) -> None:
+    """Write on each study what the newest calibration with its surrogate came to, for the leaderboard."""
+    now = ms(time.time())
+    for size in sizes:
+        numbers = {"calibrated/mse": rounded(size.mse), "calibrated/calls": size.n_calls}
+        metrics = [Metric(k, v, now, 0) for k, v in numbers.items() if math.isfinite(v)]
+        if metrics:
+            store.client.log_batch(size.run_id, metrics=metrics)
 
 
 def _newest_studies(found: Sequence[Run]) -> dict[str, Run]:

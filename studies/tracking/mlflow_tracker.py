@@ -16,18 +16,17 @@ from studies.paths import ProjectPaths, size_name
 from studies.recipe import memory_tags
 from studies.report.wording import difference_unit
 from studies.tracking.mlflow_datasets import dataset_inputs
-from studies.tracking.mlflow_notes import best_sentence, gain_percent, study_note
+from studies.tracking.mlflow_notes import best_sentence, study_note, study_numbers
 from studies.tracking.mlflow_overview import NOTE, OverviewClock, update_overview
 from studies.tracking.mlflow_registry import fetch_champion, register_champion
 from studies.tracking.mlflow_runs import TERMINAL, RunStore, ms, params, thinned
-from studies.tracking.mlflow_view import view_tags
+from studies.tracking.mlflow_view import ON_BOARD, picture_address, view_tags
 from studies.tracking.quiet_mlflow import Metric, RunTag
 from studies.tracking.tracker import History, RunStatus, StageRun
 from studies.tuning.study_spec import StudySpec, StudySummary
 from studies.tuning.trial_record import TrialRecord
 
 N_CURVE_POINTS = 40  # per curve: a trial's curves fit in one call, which MLflow limits to 1,000 metrics
-N_DIGITS = 4  # of the leaderboard's numbers; the trials' own are whole
 _STATUS: dict[str, RunStatus] = {"complete": "FINISHED", "pruned": "KILLED", "failed": "FAILED"}
 _BEST_SETTINGS = ("n_latent", "n_hidden", "beta", "learning_rate")
 
@@ -91,32 +90,17 @@ class MlflowTracker:
         if run.info.status == status and run.data.tags.get("told") == told:
             return
         default = self._default_error(spec)
-        best = summary.best_metrics
-        numbers: dict[str, float] = {
-            "n_train": summary.n_train,
-            "n_trials": summary.n_trials,
-            "n_complete": summary.n_complete,
-            "n_pruned": summary.n_pruned,
-            "n_failed": summary.n_failed,
-            "train_wall_s": round(summary.wall_s, 1),
-            "tuning_h": _rounded(summary.wall_s / 3600.0),
-            **{f"best/{name}": _rounded(value) for name, value in best.items()},
-            "default/test/mae": _rounded(default),
-            "gain_percent": round(gain_percent(best.get("test/mae", float("nan")), default), 1),
-        }
         now = ms(time.time())
-        metrics = [Metric(k, float(v), now, summary.n_trials) for k, v in numbers.items() if v == v]
+        numbers = study_numbers(summary, default)
+        metrics = [Metric(name, value, now, summary.n_trials) for name, value in numbers.items()]
+        self.client.log_batch(run_id, metrics=metrics)
+        pictures = self._draw(spec, run_id) if status == "FINISHED" else []
         said: dict[str, Any] = {"best_trial": summary.best_index, "n_trials": summary.n_trials}
         said |= {f"best_{name}": summary.best_config.get(name) for name in _BEST_SETTINGS}
         if summary.best_index is not None:
-            said[NOTE] = study_note(
-                spec,
-                best_sentence(dict(best), summary.best_index, default, difference_unit(spec.output_unit)),
-            )
-        tags = [RunTag(k, str(v)) for k, v in said.items()]
-        self.client.log_batch(run_id, metrics=metrics, tags=tags)
-        if status == "FINISHED":
-            self._draw(spec, run_id)
+            places = [picture_address(run_id, name, version=told) for name in pictures]
+            said[NOTE] = study_note(spec, best_sentence(summary, default, spec.output_unit), places)
+        self.client.log_batch(run_id, tags=[RunTag(name, str(value)) for name, value in said.items()])
         self.client.set_tag(run_id, "told", told)
         self.runs.finish(run_id, status)
         update_overview(self.runs, spec.label)
@@ -209,6 +193,10 @@ class MlflowTracker:
         newest = max(same_size, key=lambda run: float(run.data.tags.get("opened_s", 0.0)))
         if newest.info.run_id != self._studies[spec.name]:
             self.client.set_tag(self._studies[spec.name], "opened_s", str(time.time()))
+        for run in same_size:
+            is_ours = "yes" if run.info.run_id == self._studies[spec.name] else "no"
+            if run.data.tags.get(ON_BOARD) != is_ours:
+                self.client.set_tag(run.info.run_id, ON_BOARD, is_ours)
 
     def _drop_twins(self, spec: StudySpec) -> None:
         """Learn which trials have a run, and remove the younger one of two, whoever made it."""
@@ -255,17 +243,20 @@ class MlflowTracker:
         told = [record for record, _ in self._told.get(spec.name, {}).values() if record.origin == "default"]
         return told[0].metrics.get("test/mae", float("nan")) if told else float("nan")
 
-    def _draw(self, spec: StudySpec, run_id: str) -> None:
+    def _draw(self, spec: StudySpec, run_id: str) -> list[str]:
+        """Draw what was told of a study; return the pictures' places among its run's artifacts."""
         from studies.tracking.search_pictures import draw_search
 
         told = self._told.get(spec.name, {})
         if not told or not self.runs.reaches_artifacts(spec.label):
-            return
+            return []
         records = [told[index][0] for index in sorted(told)]
         with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
             histories = {index: history for index, (_, history) in told.items()}
-            for file in draw_search(spec, records, histories, Path(scratch)):
+            files = draw_search(spec, records, histories, Path(scratch))
+            for file in files:
                 self.client.log_artifact(run_id, str(file), "figures")
+        return [f"figures/{file.name}" for file in files]
 
     def _show_progress(self, label: str) -> None:
         if self._clock.is_due:
@@ -291,10 +282,6 @@ def _study_tags(spec: StudySpec) -> dict[str, str]:
         "study_seed": str(spec.seed),
         **digests,
     }
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{N_DIGITS}g}")
 
 
 def _curves(history: History, start_ms: int, end_ms: int) -> list[Metric]:

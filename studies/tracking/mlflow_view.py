@@ -10,15 +10,19 @@ from collections.abc import Sequence
 from typing import Any
 from urllib.parse import quote, urlencode
 
-LEADERBOARD, TRIALS = "leaderboard", "trials"
+LEADERBOARD, TRIALS, STAGES = "leaderboard", "trials", "stages"
 SHARED_VIEW = "mlflow.sharedViewState."
+ON_BOARD = "leaderboard"
+"""Tag of the runs that the leaderboard lists."""
+
 _MADE_MS = 1_767_225_600_000  # a view is no news: the same one has the same bytes
 _Chart = dict[str, Any]
 
 
 def view_tags() -> dict[str, str]:
     """Return the tags of an experiment that hold its views."""
-    return {f"{SHARED_VIEW}{LEADERBOARD}": _leaderboard(), f"{SHARED_VIEW}{TRIALS}": _trials()}
+    views = {LEADERBOARD: _leaderboard(), TRIALS: _trials(), STAGES: _stages()}
+    return {f"{SHARED_VIEW}{key}": view for key, view in views.items()}
 
 
 def view_address(experiment_id: str, view: str, *, charts: bool = False) -> str:
@@ -35,29 +39,61 @@ def run_address(experiment_id: str, run_id: str, *, artifact: str = "") -> str:
     return f"#/experiments/{experiment_id}/runs/{run_id}{where}?workflowType=machine_learning"
 
 
+def picture_address(run_id: str, file: str, *, version: str) -> str:
+    """Return where a page of MLflow finds a run's picture; a new version is not taken from the cache."""
+    return f"get-artifact?{urlencode({'path': file, 'run_uuid': run_id, 'v': version})}"
+
+
 def _leaderboard() -> str:
-    """One row per size and stage, without the trials; charts of what each size is good for."""
+    """One row per training-set size, and one for all; charts of what each size is good for."""
     columns = {
-        _metric("n_train"): 80,
-        _metric("best/test/mae"): 125,
-        _metric("best/test/p90"): 125,
-        _metric("default/test/mae"): 140,
-        _metric("gain_percent"): 115,
-        _metric("n_trials"): 80,
-        _metric("tuning_h"): 90,
-        _metric("mse/polished"): 120,
-        _metric("calls/all"): 85,
-        "tags.`mlflow.note.content`": 320,
+        _metric("n_train"): 75,
+        _metric("best/test/mae"): 120,
+        _metric("best/test/p90"): 120,
+        _metric("default/test/mae"): 135,
+        _metric("gain_percent"): 112,
+        _metric("n_trials"): 78,
+        _metric("n_pruned"): 88,
+        _metric("tuning_h"): 88,
+        _metric("calibrated/mse"): 120,
+        _metric("calibrated/calls"): 125,
     }
     charts = [
-        _scatter("Mean absolute error over n (Fig. 6: one point per study)", "n_train", "best/test/mae"),
+        _scatter("Mean absolute error over n", "n_train", "best/test/mae"),
         _scatter("90th percentile over n", "n_train", "best/test/p90"),
         _scatter("What tuning gained over the default configuration [%]", "n_train", "gain_percent"),
-        _scatter("Was it worth it: hours of training", "n_train", "tuning_h"),
-        _scatter("MSE of the calibrated model over n", "n_train", "mse/polished"),
-        _scatter("Model calls in all over n", "n_train", "calls/all"),
+        _scatter("Hours of training", "n_train", "tuning_h"),
+        _scatter("MSE of the calibrated model over n", "n_train", "calibrated/mse"),
+        _scatter("Model calls in all over n", "n_train", "calibrated/calls"),
     ]
-    return _view("Leaderboard: the best model per n", "tags.role != 'trial'", columns, charts)
+    return _view("Leaderboard: the best model per n", f"tags.{ON_BOARD} = 'yes'", columns, charts)
+
+
+def _stages() -> str:
+    """What is neither study nor trial: calibrations, sensitivities, reports."""
+    columns = {
+        "tags.`role`": 110,
+        _metric("n_train"): 80,
+        _metric("mse/polished"): 125,
+        _metric("mse/calibrated"): 125,
+        _metric("mse/screened"): 125,
+        _metric("mse/validation"): 125,
+        _metric("calls/all"): 85,
+        _metric("calls/paper"): 95,
+    }
+    charts = [
+        {
+            **_chart("LINE", "Least MSE over model calls"),
+            "metricKey": "mse/over_calls",
+            "selectedMetricKeys": ["mse/over_calls"],
+            "scaleType": "log",
+            "xAxisKey": "step",
+            "lineSmoothness": 0,
+        },
+        _scatter("MSE over n", "n_train", "mse/polished"),
+    ]
+    rows = "tags.role != 'trial' and tags.role != 'study' and tags.role != 'overview'"
+    return _view("Calibrations, sensitivities, reports", rows, columns, charts)
 
 
 def _trials() -> str:

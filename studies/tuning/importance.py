@@ -12,7 +12,7 @@ from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
 
 N_LEAST_TRIALS = 6
-"""With fewer complete trials the shares would be noise."""
+"""With fewer trials the shares would be noise."""
 
 
 def importances(spec: StudySpec, records: Sequence[TrialRecord]) -> dict[str, float]:
@@ -20,24 +20,24 @@ def importances(spec: StudySpec, records: Sequence[TrialRecord]) -> dict[str, fl
 
     Args:
         spec: the study.
-        records: its trials; only completed ones count.
+        records: its trials; a pruned one counts with its last error, which says that it was no good one.
 
     Returns:
         Shares by name in search coordinates; empty where too few trials tell.
     """
-    complete = [record for record in records if record.state == "complete" and record.value is not None]
+    judged = [record for record in records if record.state != "failed" and record.value is not None]
     space = {
         name: kind
         for name, kind in distributions(spec.search).items()
-        if all(name in record.params for record in complete)
+        if all(name in record.params for record in judged)
     }
-    if len(complete) < N_LEAST_TRIALS or len({record.value for record in complete}) < 2 or len(space) < 2:
+    if len(judged) < N_LEAST_TRIALS or len({record.value for record in judged}) < 2 or len(space) < 2:
         return {}
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-        for record in complete:
+        for record in judged:
             params = {name: record.params[name] for name in space}
             try:
                 study.add_trial(create_trial(params=params, distributions=space, value=record.value))
