@@ -53,6 +53,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--trials", type=values.whole(1), metavar="N", help="trials per size instead")
     command.add_argument("--seed", type=values.whole(0, 2**32 - 1), metavar="N", help="seed of every draw")
+    command.add_argument(
+        "--seeds", type=values.whole(1, 1000), metavar="N", help="how many seeds the robust statistics get"
+    )
     command.add_argument("--jobs", type=values.whole(1), metavar="N", help="processes; default: one per core")
     command.add_argument(
         "--again", action="store_true", help="make the items again from their finished stages"
@@ -142,9 +145,15 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     from studies.paper.plan import Plan, budget_for
     from studies.profile import load_profile
 
-    own_profile = chosen.profile is not None
     profile = chosen.profile or PROFILE
-    budget = budget_for(chosen.budget, load_profile(profile), own_profile=own_profile, trials=chosen.trials)
+    own_profile = profile != PROFILE
+    budget = budget_for(
+        chosen.budget,
+        load_profile(profile),
+        own_profile=own_profile,
+        trials=chosen.trials,
+        n_seeds=chosen.seeds,
+    )
     seed = chosen.seed
 
     def opener(
@@ -167,5 +176,6 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     words += ["--profile", profile] if own_profile else []
     words += ["--budget", chosen.budget] if chosen.budget != "small" else []
     words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
+    words += ["--seeds", str(chosen.seeds)] if chosen.seeds is not None else []
     words += ["--seed", str(seed)] if seed is not None else []
     return Plan(opener=opener, budget=budget, words=" ".join(words))

@@ -109,12 +109,12 @@ def run(plan: Plan) -> ItemResult:
             ("centroids", str(len(found["paper"]["clusters"]))),
         ),
         metrics={f"mse_mean/{kind}": numbers["mse_mean"] for kind, numbers in found.items()},
-        uses=tuple(numbers["command"] for numbers in found.values()),
+        uses=tuple(f"LS-TRF, {KINDS[kind]}: {row.name}" for kind, row in rows.items()),
     )  # fmt: skip
 
 
 def _kept(numbers: Found) -> Found:
-    return {key: part for key, part in numbers.items() if key != "digest"}
+    return {key: part for key, part in numbers.items() if key not in ("digest", "command")}
 
 
 def _panels(arrays: dict[str, NDArray[Any]], found: Found) -> list[BundlePanel]:

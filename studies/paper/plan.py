@@ -20,9 +20,6 @@ HYPERPARAMETER_WINDOW_D = (8.0, 16.0)
 TRAINING_S = {32: 8.0, 128: 16.0, 256: 22.0, 1024: 60.0, 4096: 260.0}
 SIMULATIONS_PER_S = 1_500.0
 DIRECT_CALLS_PER_S = 2_000.0
-DIRECT_CALLS_PER_POLISH_CALL = 250
-"""A profile that polishes with 400 calls may have Table 3's rows of 100,000."""
-
 PREDICTIONS_PER_S = 8_000.0
 
 
@@ -103,7 +100,9 @@ BUDGETS: dict[str, PaperBudget] = {
 }
 
 
-def budget_for(name: str, profile: Profile, *, own_profile: bool, trials: int | None) -> PaperBudget:
+def budget_for(
+    name: str, profile: Profile, *, own_profile: bool, trials: int | None, n_seeds: int | None = None
+) -> PaperBudget:
     """Return a budget.
 
     Args:
@@ -111,6 +110,7 @@ def budget_for(name: str, profile: Profile, *, own_profile: bool, trials: int | 
         profile: the profile the studies have.
         own_profile: whether the user named it: then sizes, trials and Saltelli blocks are the profile's.
         trials: trials per size where the user named them.
+        n_seeds: seeds of the robust statistics where the user named them.
     """
     if name not in BUDGETS:
         raise InputError(f"--budget {name}: there is no such budget; give {' or '.join(BUDGETS)}")
@@ -129,16 +129,14 @@ def budget_for(name: str, profile: Profile, *, own_profile: bool, trials: int | 
             seed_sizes=tuple(n for n in budget.seed_sizes if n in sizes) or sizes[:1],
             seed_trials=min(budget.seed_trials, profile.tuning.n_trials),
             n_spread=profile.data.n_test,
-            max_row_calls=min(budget.max_row_calls, DIRECT_CALLS_PER_POLISH_CALL * profile.polish.max_calls),
-            max_seeded_calls=min(
-                budget.max_seeded_calls, DIRECT_CALLS_PER_POLISH_CALL * profile.polish.max_calls
-            ),
-            max_starts=min(budget.max_starts, profile.polish.max_calls),
+            max_row_calls=min(budget.max_row_calls, 100 * profile.polish.max_calls),
+            max_seeded_calls=min(budget.max_seeded_calls, 100 * profile.polish.max_calls),
+            max_starts=min(budget.max_starts, max(2, profile.polish.max_calls // 5)),
         )
     if trials is not None:
         every = {max(budget.n_train): trials}
         budget = replace(budget, trials=every, window_trials=every)
-    return budget
+    return budget if n_seeds is None else replace(budget, n_seeds=n_seeds)
 
 
 def trials_for(trials: dict[int, int], n_train: int) -> int:

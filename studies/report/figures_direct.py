@@ -87,8 +87,8 @@ def direct_figure(
         end_labels(axes, [EndLabel(r.mse, r.label, MUTED) for r in references])
         for number, (method, color) in enumerate(colors.items()):
             axes.annotate(
-                method, (0.985, 0.985), (0, -12.5 * number), xycoords="axes fraction",
-                textcoords="offset points", ha="right", va="top", fontsize=8.5, color=color,
+                method, (0.02, 0.985), (0, -12.5 * number), xycoords="axes fraction",
+                textcoords="offset points", va="top", fontsize=8.5, color=color,
             )  # fmt: skip
     return path
 

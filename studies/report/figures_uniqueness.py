@@ -11,8 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from studies.report.drawing import (
-    INK,
-    MUTED,
     POLISHED,
     SCREENED,
     SERIES,
@@ -113,27 +111,27 @@ def identifiability_figure(
     """
     p = len(names)
     labels = [shortened(name, 12) for name in names]
-    with drawing(path, title=title, height_in=4.6, footnote=footnote) as figure:
-        left, right = figure.subplots(1, 2, width_ratios=[1.35, 1.0])
+    with drawing(path, title=title, height_in=5.0, footnote=footnote) as figure:
+        grid = figure.add_gridspec(2, 2, width_ratios=[1.35, 1.0])
+        left = figure.add_subplot(grid[:, 0])
         image = left.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
         left.set_xticks(range(p), labels, rotation=90, fontsize=8)
         left.set_yticks(range(p), labels, fontsize=8)
         left.grid(visible=False)
         left.set_title("Correlation of the estimates")
-        figure.colorbar(image, ax=left, shrink=0.8)
-        decimal_log(right, *log_limits(np.concatenate([spread, singular_values / singular_values.max()])))
-        places = np.arange(p)
-        right.plot(places, np.sort(spread), linestyle="none", marker="o", color=POLISHED)
-        right.plot(
-            places, singular_values / singular_values.max(), linestyle="none", marker="s", color=SCREENED
-        )
-        for place, i in enumerate(np.argsort(spread)):
-            right.annotate(
-                labels[i], (place, spread[i]), (0, 6), textcoords="offset points", rotation=90, ha="center",
-                va="bottom", fontsize=7.5, color=INK,
-            )  # fmt: skip
-        right.axhline(1.0, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)))
-        right.set_xticks([])
-        right.set_title("● standard deviation / range\n■ singular value / largest")
-        right.set_xlabel("in order of size")
+        figure.colorbar(image, ax=left, shrink=0.7, location="bottom")
+        order = np.argsort(spread)
+        top = figure.add_subplot(grid[0, 1])
+        top.barh(np.arange(p), spread[order], height=0.7, color=POLISHED, linewidth=0)
+        top.set_yticks(range(p), [labels[i] for i in order], fontsize=7.5)
+        top.set_ylim(p - 0.4, -0.6)
+        top.tick_params(axis="y", length=0)
+        top.grid(visible=False, axis="y")
+        top.set_title("Standard deviation / range")
+        bottom = figure.add_subplot(grid[1, 1])
+        shares = singular_values / singular_values.max()
+        decimal_log(bottom, *log_limits(shares))
+        bottom.plot(np.arange(1, p + 1), shares, linestyle="none", marker="s", color=SCREENED)
+        bottom.set_title("Singular values / largest")
+        bottom.set_xlabel("direction")
     return path

@@ -1,0 +1,165 @@
+"""`studies reproduce-paper` from end to end with a toy profile: files, page, ledger, resuming, honesty."""
+
+import csv
+import html
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from simulation.case import load_case
+from studies.paper.catalog import ITEMS
+from studies.paper.fig7 import SPREADS
+
+Reproduce = Callable[..., tuple[int, dict[str, Any]]]
+MADE = ("fig5", "fig6", "fig7", "table3", "fig8", "table4", "seeds")
+RESULTS = Path("mlruns") / "results" / "office-toy" / "paper"
+PAGE = Path("mlruns") / "reports" / "office-toy" / "paper" / "index.html"
+
+
+def result_of(project: Path, item: str) -> dict[str, Any]:
+    content = json.loads((project / RESULTS / item / "result.json").read_text())
+    assert isinstance(content, dict)
+    return content
+
+
+@pytest.fixture(scope="module")
+def empty_page(project: Path, reproduce: Reproduce) -> str:
+    """The page before anything was made."""
+    code, document = reproduce("--dry-run")
+    assert code == 0
+    assert set(document["estimated_s"]) == {item.name for item in ITEMS}
+    assert not (project / RESULTS).exists()
+    return (project / PAGE).read_text()
+
+
+@pytest.fixture(scope="module")
+def made(empty_page: str, reproduce: Reproduce) -> dict[str, Any]:
+    """What the command said that made some of the items."""
+    code, document = reproduce(
+        "--only",
+        "fig6",
+        "fig7",
+        "table2",
+        "fig8",
+        "fig9",
+        "seeds",
+        "--seeds",
+        "1",
+        "--export",
+        "out/paper.json",
+    )
+    assert code == 0
+    return document
+
+
+def test_before_anything_is_made_the_page_says_what_makes_it(empty_page: str) -> None:
+    for item in ITEMS:
+        assert f"studies reproduce-paper office --profile toy.toml --only {item.name}<" in empty_page
+
+
+def test_items_are_made_with_what_they_need(made: dict[str, Any]) -> None:
+    assert [stage["stage"] for stage in made["stages"]] == [f"paper/{name}" for name in MADE]
+    assert not any(stage["finished_before"] for stage in made["stages"])
+
+
+@pytest.mark.usefixtures("made")
+def test_every_item_is_on_the_page_with_pictures_tables_and_verdict(project: Path) -> None:
+    page = (project / PAGE).read_text()
+    for item in ITEMS:
+        assert ("Not there yet" in section_of(page, item.name)) == (item.name not in MADE)
+    for name in MADE:
+        result, section = result_of(project, name), section_of(page, name)
+        assert result["verdict"]
+        assert html.escape(result["verdict"]) in section
+        assert result["command"].startswith("studies reproduce-paper office --profile toy.toml --seeds 1")
+        assert result["command"].endswith(f" --only {name}")
+        assert result["n_calls"]["total"] == sum(n for w, n in result["n_calls"].items() if w != "total") > 0
+        assert section.count("<img ") == len(result["pictures"]) > 0
+        for picture in result["pictures"]:
+            assert (project / RESULTS / name / picture["file"]).read_bytes().startswith(b"\x89PNG")
+        for table in result["tables"]:
+            with (project / RESULTS / name / f"{table['name']}.csv").open(newline="") as file:
+                assert len(list(csv.reader(file))) == 1 + len(table["rows"])
+
+
+@pytest.mark.usefixtures("made")
+def test_finished_items_are_not_made_again(reproduce: Reproduce) -> None:
+    code, document = reproduce("--only", *MADE, "--seeds", "1")
+    assert code == 0
+    assert all(stage["finished_before"] for stage in document["stages"])
+    assert not any(document["estimated_s"].values())
+
+
+@pytest.mark.usefixtures("made")
+def test_the_export_holds_the_items_that_are_there_and_is_small(project: Path) -> None:
+    exported = json.loads((project / "out" / "paper.json").read_text())
+    assert list(exported["items"]) == list(MADE)
+    assert (project / "out" / "paper.json").stat().st_size < 100_000
+
+
+def section_of(page: str, item: str) -> str:
+    return page.split(f'<section id="{item}">', 1)[1].split("</section>", 1)[0]
+
+
+@pytest.mark.usefixtures("made")
+def test_a_spread_of_one_is_the_test_set_and_one_of_zero_a_single_point(project: Path) -> None:
+    result = result_of(project, "fig7")
+    numbers, n_rows = result["numbers"], 12
+    for n in ("16",):
+        important, everything = numbers["mae"]["important"][n], numbers["mae"]["all"][n]
+        assert len(everything) == len(SPREADS) == 11
+        # At spread 1 nothing is restricted: both kinds are the test set that trials are judged by.
+        assert important[-1] == everything[-1]
+        judged = json.loads(
+            (project / "mlruns/champions/office-toy" / f"n{int(n):04d}" / "champion.json").read_text()
+        )
+        assert everything[-1] == pytest.approx(judged["metrics"]["test/mae"], rel=1e-6)
+        # At spread 0 all rows are one, so the 90th percentile is the mean.
+        assert numbers["p90"]["all"][n][0] == pytest.approx(everything[0], rel=1e-6)
+    # Ten spreads of each kind below 1, one point for spread 0 of all, and the test set once.
+    assert result["n_calls"]["narrower test sets"] == 10 * n_rows + 9 * n_rows + 1 + n_rows
+
+
+@pytest.mark.usefixtures("made")
+def test_the_ledger_of_table_4_adds_up(project: Path) -> None:
+    result = result_of(project, "table4")
+    rows = result["numbers"]["by_size"]
+    assert list(rows) == ["16"]
+    for n, row in rows.items():
+        checks = row["total_paper"] - int(n) - row["n_polish"]
+        assert 1 <= checks <= 5
+        assert row["total_honest"] == row["total_paper"] + 8 + 12
+        assert row["n_polish"] <= 20
+        assert row["polish_mse"][-1] == pytest.approx(row["mse_polished"])
+        assert row["mse_polished"] <= row["mse_screened"]
+        assert row["gap"] == pytest.approx(row["mse_screened"] - row["mse_surrogate"])
+    calls = result["n_calls"]
+    assert calls["polish"] == sum(row["n_polish"] for row in rows.values())
+    assert (calls["train set"], calls["validation set"], calls["test set"]) == (16, 8, 12)
+
+
+@pytest.mark.usefixtures("made")
+def test_nothing_of_the_measurement_is_exported(project: Path) -> None:
+    case = load_case(project / "fmus" / "office" / "case.toml")
+    measured = {round(float(value), 4) for value in case.measurement.y.ravel()}
+    assert len(measured) > 100
+
+    def numbers_in(value: Any) -> set[float]:
+        if isinstance(value, dict):
+            return set().union(*map(numbers_in, value.values())) if value else set()
+        if isinstance(value, list):
+            return set().union(*map(numbers_in, value)) if value else set()
+        return {round(value, 4)} if isinstance(value, float) else set()
+
+    exported = numbers_in(json.loads((project / "out" / "paper.json").read_text()))
+    assert len(exported & measured) <= 2  # an index or an error may coincide with a temperature
+
+
+def test_unknown_words_are_one_line(reproduce: Reproduce) -> None:
+    code, document = reproduce("--only", "fig1")
+    assert (code, "no such item" in document["error"]) == (2, True)
+    code, document = reproduce("--row", "powell")
+    assert (code, document["error"].startswith("--row powell: there is no such row")) == (2, True)
