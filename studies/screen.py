@@ -30,11 +30,12 @@ def rich_console(stream: Any) -> RichConsole:
 
 
 def print_blocks(blocks: Sequence[Block]) -> None:
-    """Write blocks to stdout; lines of text are left for the terminal to wrap, so that they can be copied."""
+    """Write blocks to stdout; a line of text is broken for a terminal and whole for a file or a pipe."""
     screen = rich_console(sys.stdout)
     with screen.capture() as drawn:
         for block in blocks:
-            screen.print(_drawn(block, screen.width), soft_wrap=isinstance(block, Said))
+            is_whole = isinstance(block, Said) and not sys.stdout.isatty()
+            screen.print(_drawn(block, screen.width), soft_wrap=is_whole)
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in drawn.get().splitlines()))
     sys.stdout.flush()
 

@@ -1,6 +1,7 @@
 """What a project holds at this moment, read from its records: studies with their trials, and stages."""
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import Any
 from studies.paths import ProjectPaths
 from studies.report.wording import difference_unit
 from studies.stages.pipeline import read_json
+from studies.tuning.claim import is_dead
 from studies.tuning.trial_record import TrialRecord, best_record
 from studies.tuning.trial_store import RunningTrial, StudyEntry, TrialStore, list_studies, open_trials
 
@@ -23,12 +25,14 @@ class StudyLook:
         store: its records.
         records: its finished trials, ordered by index.
         running: the trials that somebody works on.
+        lost: the trials whose owner has died; the next `studies tune` takes them up.
     """
 
     entry: StudyEntry
     store: TrialStore
     records: tuple[TrialRecord, ...]
     running: tuple[RunningTrial, ...]
+    lost: tuple[RunningTrial, ...]
 
     @property
     def name(self) -> str:
@@ -176,8 +180,10 @@ def look_at(paths: ProjectPaths) -> Project:
         # First what runs: a trial that ends between the two looks is counted once, as finished.
         running, records = store.running(), store.records()
         finished = {record.index for record in records}
-        left = tuple(trial for trial in running if trial.index not in finished)
-        studies.append(StudyLook(entry, store, tuple(records), left))
+        begun = [trial for trial in running if trial.index not in finished]
+        lost = tuple(trial for trial in begun if is_dead(trial.owner, time.time() - trial.heard_s))
+        alive = tuple(trial for trial in begun if trial not in lost)
+        studies.append(StudyLook(entry, store, tuple(records), alive, lost))
     return Project(paths, tuple(studies), _stages(paths))
 
 

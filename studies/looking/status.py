@@ -37,7 +37,7 @@ def status_blocks(project: Project, which: str | None) -> list[Block]:
     blocks: list[Block] = []
     if lines:
         blocks += [studies_table(lines), Said(_total(lines))]
-    running = [line for line in lines if line.study.running]
+    running = [line for line in lines if line.study.running or line.study.lost]
     if running:
         blocks.append(_running(running))
     if calibrations:
@@ -55,7 +55,9 @@ def status_document(project: Project, which: str | None) -> dict[str, Any]:
         "command": "status",
         "studies": [_study_values(line) for line in lines],
         "running": [
-            {"study": line.study.name, **asdict(trial)} for line in lines for trial in line.study.running
+            {"study": line.study.name, "is_lost": trial in line.study.lost, **asdict(trial)}
+            for line in lines
+            for trial in (*line.study.running, *line.study.lost)
         ],
         "calibrations": [
             {
@@ -110,12 +112,12 @@ def studies_table(lines: Sequence[StudyLine]) -> Table:
         Column("study"),
         Column("trials", True),
         Column("pruned", True),
-        Column("failed", True),
-        Column("running", True, 3),
+        Column("failed", True, 0 if any(line.study.count("failed") for line in lines) else 9),
+        Column("running", True, 4),
         Column("MAE val", True),
         Column("P90 val", True, 5),
         Column("MAE test", True),
-        Column("P90 test", True, 4),
+        Column("P90 test", True, 3),
         Column("trials/h", True, 6),
         Column("to go", True),
         Column("host", spare=8),
@@ -180,7 +182,20 @@ def _total(lines: Sequence[StudyLine]) -> str:
     parts += [f"{count(n_running)} running"] if n_running else []
     spent_s = sum(record.wall_s for study in studies for record in study.records)
     parts.append(f"{format_seconds(spent_s)} of training")
+    to_go_s = _to_go_s(lines)
+    parts += [] if to_go_s is None else [f"about {format_seconds(to_go_s)} to go"]
     return f"{count(len(studies), 'study', 'studies')}: {', '.join(parts)}"
+
+
+def _to_go_s(lines: Sequence[StudyLine]) -> float | None:
+    """Return when all that is begun will be finished, at the pace of what runs. [s]."""
+    rate = sum(line.pace.trials_per_h or 0.0 for line in lines if line.pace.mood == "running") / 3600.0
+    active = [line.study for line in lines if line.pace.mood in ("running", "waiting")]
+    left = sum(study.n_planned - len(study.records) for study in active)
+    begun = sum(t.epoch / t.max_epochs for study in active for t in study.running if t.max_epochs)
+    if not rate:
+        return None
+    return max(max(left - begun, 0.0) / rate, *(line.pace.to_go_s or 0.0 for line in lines))
 
 
 def _running(lines: Sequence[StudyLine]) -> Table:
@@ -194,7 +209,7 @@ def _running(lines: Sequence[StudyLine]) -> Table:
     ]
     rows = []
     for line in lines:
-        for trial in line.study.running:
+        for trial in (*line.study.running, *line.study.lost):
             part = trial.epoch / trial.max_epochs if trial.max_epochs else 0.0
             full = round(N_BAR * min(part, 1.0))
             rows.append(
@@ -204,7 +219,7 @@ def _running(lines: Sequence[StudyLine]) -> Table:
                     Said("━" * full + "─" * (N_BAR - full), "good"),
                     error(trial.value),
                     f"{trial.owner.get('host', '?')}:{trial.owner.get('pid', '?')}",
-                    ago(trial.heard_s),
+                    Said("lost", "warn") if trial in line.study.lost else ago(trial.heard_s),
                 ]
             )
     return Table("", columns, rows, is_dense=True)

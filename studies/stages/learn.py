@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     """Tune one surrogate per training-set size."""
     budget, sizes = study.profile.tuning, study.profile.data.n_train
+    n_trials = budget.n_different_trials
     unit = difference_unit(study.case.outputs[0].unit)
     inputs = {
         "simulate": simulated.digest,
@@ -43,12 +44,17 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         _require_device(study)
         specs = study_specs(study, simulated.summary)
         tracker = tracker_of(study.paths)
+        if n_trials < budget.n_trials:
+            study.console.say(
+                f"tune: the search space holds {n_trials} configurations and none is trained twice; "
+                "widen [tuning.search] for more trials"
+            )
         with study.console.bars() as bars, _stage_error(TuningError):
-            show = TuningProgress(bars, sizes, budget.n_trials, unit)
+            show = TuningProgress(bars, sizes, n_trials, unit)
             summaries = tune(
                 specs,
                 paths=study.paths,
-                n_trials=budget.n_trials,
+                n_trials=n_trials,
                 n_jobs=study.n_jobs,
                 max_s=None if study.max_hours is None else 3600.0 * study.max_hours,
                 tracker=tracker,
@@ -67,11 +73,11 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     return run_stage(
         study,
         "tune",
-        what=f"{budget.n_trials} trials for each n_train of {', '.join(map(str, sizes))}",
+        what=f"{n_trials} trials for each n_train of {', '.join(map(str, sizes))}",
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
-        keep=lambda summary: all(s["n_trials"] >= budget.n_trials for s in summary["studies"]),
+        keep=lambda summary: all(s["n_trials"] >= n_trials for s in summary["studies"]),
     )
 
 

@@ -7,6 +7,7 @@ in new processes and prints wall times. Type:
 """
 
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -31,19 +32,22 @@ def main() -> None:
         n = N_LABELS * len(SIZES) * N_TRIALS
         print(f"{n} trials in {N_LABELS * len(SIZES)} studies")
         for words in (["status"], ["status", "office-made-seed3"], ["status", "--json"], ["best"]):
-            walls = sorted(_wall_s(root, words) for _ in range(N_RUNS))
+            timed = [_timed(root, words) for _ in range(N_RUNS)]
+            walls, busy = sorted(wall for wall, _ in timed), statistics.median(cpu for _, cpu in timed)
             print(
-                f"studies {' '.join(words):26} median {statistics.median(walls):.2f} s, "
-                f"slowest of {N_RUNS}: {walls[-1]:.2f} s (limit {LIMIT_S:g} s)"
+                f"studies {' '.join(words):26} median {statistics.median(walls):.2f} s "
+                f"({busy:.2f} s of them busy), slowest of {N_RUNS}: {walls[-1]:.2f} s (limit {LIMIT_S:g} s)"
             )
 
 
-def _wall_s(root: Path, words: list[str]) -> float:
+def _timed(root: Path, words: list[str]) -> tuple[float, float]:
+    """Return wall time and processor time of a command. [s]."""
     program = [sys.executable, "-m", "studies", *words]
     environment = os.environ | {"STUDIES_ROOT": str(root), "PYTHONPATH": str(REPOSITORY)}
-    started = time.perf_counter()
+    started, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(program, env=environment, check=True, capture_output=True, cwd=root)
-    return time.perf_counter() - started
+    wall_s, after = time.perf_counter() - started, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall_s, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 if __name__ == "__main__":
