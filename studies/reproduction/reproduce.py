@@ -76,6 +76,8 @@ def reproduce(paths: ProjectPaths, run: str, console: Console, *, n_jobs: int, i
     # Torch and the FMU's machinery are loaded only now: names that are wrong are answered at once.
     from studies.reproduction.rebuild import rebuilt
     from studies.reproduction.rerun import expected, make_again
+    from studies.stages.calibrate import write_arrays
+    from studies.stages.pipeline import write_json
 
     keep = (
         paths.mlruns / "reproduced" / recorded.name.replace("/", "-").replace(" ", "-") if is_kept else None
@@ -85,6 +87,9 @@ def reproduce(paths: ProjectPaths, run: str, console: Console, *, n_jobs: int, i
         rebuilt(recorded, paths, console, n_jobs=n_jobs, keep=keep) as again,
     ):
         numbers, arrays = make_again(again)
+        if keep is not None:
+            write_json(keep / "numbers.json", numbers)
+            write_arrays(keep / "arrays.npz", arrays)
     rows = compare(expected(recorded), numbers) + compare(recorded.arrays, aligned(arrays, recorded.arrays))
     return Reproduction(recorded, found, expected_note, rows, again.notes, keep)
 
@@ -125,13 +130,15 @@ def show_reproduction(console: Console, done: Reproduction) -> None:
         n_other = len(done.rows) - n_equal(done.rows)
         console.result(f"differs: {n_other} of {len(done.rows)} rows; {done.expectation}")
     if done.kept is not None:
-        console.result(f"kept: {done.kept}")
+        console.result(f"kept: {done.kept}; it is laid out like a project")
 
 
 def _require_repeatable(recorded: Recorded) -> None:
     trial = recorded.trial
-    if trial is not None and trial.state == "failed" and not trial.config:
-        raise InputError(f"{recorded.name} failed before it was configured; there is nothing to make again")
+    if trial is not None and trial.state == "failed" and not trial.environment:
+        raise InputError(
+            f"{recorded.name} cannot be made again: {trial.reason}; it has no numbers of its own"
+        )
 
 
 def _device_here(device: str) -> str:

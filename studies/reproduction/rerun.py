@@ -16,11 +16,19 @@ from studies.reproduction.recorded import Arrays, Recorded, as_arrays, weights_d
 from studies.tuning.pruning import Pruner
 from studies.tuning.study_data import load_data
 from studies.tuning.study_spec import StudySpec
+from studies.tuning.trial_attempt import failure_reason
 from studies.tuning.trial_record import TrialRecord
 from studies.tuning.trial_training import TrialOutcome, train_trial
 
 Made = tuple[dict[str, Any], Arrays]
+TIME_LIMIT = "reached its limit of"
+"""How the reason begins of a trial that was ended by a limit of time."""
+
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+class _LastEpochError(Exception):
+    """The training has gone as far as the recorded one."""
 
 
 def make_again(rebuilt: Rebuilt) -> Made:
@@ -55,9 +63,16 @@ def _training(rebuilt: Rebuilt) -> Made:
         rebuilt.notes.append(f"what is rebuilt is another study: {spec.name}")
     outcome = TrialOutcome()
     folder = rebuilt.study.paths.root / "surrogate"
+    # A clock ended it; where, is on record, and another machine's clock would end it elsewhere.
+    is_late = trial.state == "pruned" and trial.reason.startswith(TIME_LIMIT)
+    last_epoch = trial.n_epochs if is_late else None
+    judge = _judge(rebuilt, spec, trial)
     fitted = _train(
-        rebuilt, spec, trial.config, trial.seed, outcome=outcome, is_hopeless=_judge(rebuilt, spec, trial)
+        rebuilt, spec, trial.config, trial.seed, outcome=outcome, is_hopeless=judge, last_epoch=last_epoch
     )
+    if is_late and outcome.n_epochs == last_epoch:
+        outcome.state, outcome.reason = trial.state, trial.reason
+        outcome.metrics = {"val/mae": min(outcome.history["validation_mae"])}
     numbers: dict[str, Any] = {
         "state": outcome.state,
         **outcome.metrics,
@@ -81,12 +96,15 @@ def _train(
     *,
     outcome: TrialOutcome,
     is_hopeless: Callable[[int, float], bool],
+    last_epoch: int | None = None,
 ) -> FitResult | None:
     config = SurrogateConfig(**settings)
     with rebuilt.study.console.progress("epochs", config.max_epochs) as advance:
 
         def hear(report: EpochReport) -> None:
             advance(report.epoch, report.max_epochs)
+            if last_epoch is not None and report.epoch > last_epoch:
+                raise _LastEpochError
 
         try:
             train_trial(
@@ -94,8 +112,10 @@ def _train(
             )
         except OSError:
             raise
+        except _LastEpochError:
+            pass
         except Exception as error:  # as in the study: whatever a configuration provokes is its result
-            outcome.state, outcome.reason = "failed", f"{type(error).__name__}: {error}"
+            outcome.state, outcome.reason, outcome.metrics = "failed", failure_reason(error), {}
     return outcome.fitted
 
 

@@ -11,7 +11,6 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.recipe import Recipe, file_digest
 
-_DEPTH = 8  # a case file's relative places may climb so many folders
 _GIT_LIMIT_S = 30.0
 
 
@@ -30,8 +29,8 @@ def lay_out(recipe: Recipe, paths: ProjectPaths, folder: Path, *, commit: str) -
     Raises:
         InputError: a file of that content is nowhere.
     """
-    case = folder.joinpath(*("_" * _DEPTH), recipe["case"]["name"], "case.toml")
-    case.parent.mkdir(parents=True)
+    case = folder / _case_place(recipe)
+    case.parent.mkdir(parents=True, exist_ok=True)
     case.write_text(recipe["case"]["text"], encoding="utf-8")
     notes = []
     for one in recipe["files"]:
@@ -43,6 +42,14 @@ def lay_out(recipe: Recipe, paths: ProjectPaths, folder: Path, *, commit: str) -
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_bytes(content)
     return case, notes
+
+
+def _case_place(recipe: Recipe) -> Path:
+    """Return where the case file goes: its place in the project, deep enough for what it declares."""
+    told = Path(recipe["case"]["place"])
+    place = Path("case", told.name) if told.is_absolute() else told
+    climbs = max(Path(one["declared"]).parts.count("..") for one in recipe["files"])
+    return Path(*("_" * (climbs - len(place.parts) + 1)), place)
 
 
 def state_of(one: Mapping[str, Any], paths: ProjectPaths) -> str:

@@ -129,7 +129,7 @@ def attempt(
             outcome.metrics = {"val/mae": min(outcome.history["validation_mae"])}
         except Exception as error:
             # Whatever a configuration provokes (divergence, memory) is its result; the study goes on.
-            outcome.state, outcome.reason, outcome.metrics = "failed", _reason(error), {}
+            outcome.state, outcome.reason, outcome.metrics = "failed", failure_reason(error), {}
         wall_s = time.perf_counter() - tick
         return _keep(spec, store, claim, outcome, wall_s=wall_s, n_rows=len(data.train[0]), keep=keep)
 
@@ -192,7 +192,8 @@ def _environment(device: Literal["auto", "cpu", "cuda"]) -> Mapping[str, str]:
     return environment(resolve_device(device).type)
 
 
-def _reason(error: Exception) -> str:
+def failure_reason(error: Exception) -> str:
+    """Say in a line why a training failed."""
     said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
     if isinstance(error, MemoryError) or any(sign in said.lower() for sign in _NO_MEMORY):
         return f"out of memory ({said or type(error).__name__})"
