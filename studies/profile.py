@@ -82,6 +82,22 @@ class SearchRanges:
             if span is not None and span[0] > span[1]:
                 raise ValueError(f"{name} must be [low, high], got {list(span)}")
 
+    @property
+    def n_configurations(self) -> int | None:
+        """Number of configurations within the ranges, None where they are without number."""
+        n = 1
+        for name, span in asdict(self).items():
+            if span is None:
+                continue
+            low, high = span
+            if name in POWERS_OF_TWO:
+                n *= max(0, math.floor(math.log2(high)) - math.ceil(math.log2(low)) + 1)
+            elif name in WHOLE:
+                n *= high - low + 1
+            elif low < high:
+                return None
+        return n
+
     def fault(self, name: str, value: float) -> str:
         """Say why a setting cannot be tried, nothing where it can."""
         searched = {key: span for key, span in asdict(self).items() if span is not None}
@@ -131,6 +147,11 @@ class TuningBudget:
     enqueue: tuple[dict[str, int | float], ...] = ()
     warm_start: bool = False
     search: SearchRanges = Field(default_factory=SearchRanges)
+
+    @property
+    def n_different_trials(self) -> int:
+        """Number of trials that are worth training: no configuration is trained twice."""
+        return min(self.n_trials, self.search.n_configurations or self.n_trials)
 
     def __post_init__(self) -> None:
         if "val/mae" not in self.objectives or len(set(self.objectives)) < len(self.objectives):

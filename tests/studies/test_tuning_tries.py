@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from test_tuning_search import finished
 
 from simulation.errors import InputError
-from studies.profile import SearchRanges, load_profile
+from studies.profile import SearchRanges, TuningBudget, load_profile
 from studies.tuning.coordinates import Params, all_points, identity, to_settings
 from studies.tuning.known_good import Neighbour
 from studies.tuning.search_space import SearchExhaustedError, propose
@@ -63,6 +64,7 @@ def test_neighbours_are_not_asked_without_need(make_spec: MakeSpec) -> None:
 
 def test_no_configuration_is_trained_twice_until_none_is_left(make_spec: MakeSpec) -> None:
     spec = make_spec(search=SIX)
+    assert SIX.n_configurations == 6
     records = run(spec, 6)
     tried = {identity(record.params) for record in records}
     assert tried == {identity(point) for point in all_points(SIX) or ()}
@@ -91,6 +93,24 @@ def test_two_errors_are_searched_together(make_spec: MakeSpec) -> None:
     # A failed trial has no errors, and is told to the search as a bad one.
     lost = [*records[:6], replace(records[6], state="failed", metrics={})]
     assert propose(spec, 7, lost).origin == "tpe"
+
+
+@pytest.mark.parametrize(
+    ("changes", "n"),
+    [
+        ({}, 6),
+        ({"n_latent": (5, 17)}, 4),
+        ({"n_layers": (2, 4)}, 18),
+        ({"learning_rate": (1e-3, 1e-3)}, 6),
+        ({"learning_rate": (1e-3, 1e-2)}, None),
+        ({"beta": (1.0, 10.0)}, None),
+    ],
+)
+def test_configurations_are_counted_as_they_are_listed(changes: dict[str, Any], n: int | None) -> None:
+    ranges = replace(SIX, **changes)
+    points = all_points(ranges)
+    assert ranges.n_configurations == n == (None if points is None else len(points))
+    assert TuningBudget(n_trials=8, search=ranges).n_different_trials == min(8, n or 8)
 
 
 @pytest.mark.parametrize(
