@@ -24,7 +24,7 @@ def test_two_builds_are_identical_bytes(compiler, tmp_path):
     assert compiler.build_fmu(copy, tmp_path / "second.fmu").read_bytes() == first.read_bytes()
 
 
-@pytest.mark.parametrize("folder", ["office", "office-whitebox"])
+@pytest.mark.parametrize("folder", ["office", "office-whitebox", "office-whitebox-metered"])
 def test_the_shipped_fmu_belongs_to_its_sources(compiler, tmp_path, folder):
     model = REPOSITORY / "fmus" / folder
     (shipped,) = model.glob("*.fmu")

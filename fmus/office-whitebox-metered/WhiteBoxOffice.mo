@@ -1,0 +1,1 @@
+../office-whitebox/WhiteBoxOffice.mo
