@@ -29,6 +29,8 @@ COMMANDS = (
     "reproduce",
     "status",
     "doctor",
+    "export",
+    "import",
     "best",
     "compare",
     "show",
@@ -141,7 +143,8 @@ def build_parser() -> argparse.ArgumentParser:
 
 def command_module(name: str) -> ModuleType:
     """Return the module behind a command: its HELP, MORE, `add_options` and `run`."""
-    return importlib.import_module(f"studies.commands.{name.replace('-', '_')}")
+    module = "import_studies" if name == "import" else name.replace("-", "_")  # a word of Python itself
+    return importlib.import_module(f"studies.commands.{module}")
 
 
 class _Version(argparse.Action):
