@@ -114,9 +114,7 @@ def _place(file: Path, folder: Path, member: tarfile.TarInfo) -> Path:
     is_inside = not name.is_absolute() and ".." not in name.parts and "\\" not in member.name
     is_ours = member.name == MANIFEST or name.parts[0] in _TOPS
     if not (member.isfile() and is_inside and is_ours):
-        raise InputError(
-            f"{file} holds {member.name!r}, which no archive of studies does; nothing was imported"
-        )
+        raise InputError(f"{file} holds {member.name!r}, which is none of ours; nothing was imported")
     return folder / name
 
 
@@ -140,7 +138,7 @@ def _manifest(file: Path, place: Path) -> dict[str, Any]:
         raise InputError(f"{file} is no archive of studies: it has no readable {MANIFEST}") from None
     if number != FORMAT or not isinstance(files, dict):
         raise InputError(
-            f"{file} is of format {number}, this version reads {FORMAT}; import it with the version that wrote it"
+            f"{file} is of format {number}, this version reads {FORMAT}; import it with the one that wrote it"
         )
     assert isinstance(manifest, dict)
     return manifest

@@ -184,13 +184,11 @@ def _take_champions(
             else:
                 if (ours.study, ours.index) == (theirs.study, theirs.index):
                     continue
-                best = (
-                    best_record(open_trials(paths, theirs.study).records()) if theirs.study in names else None
-                )
-                if ours.study != theirs.study or best is None or best.index != theirs.index:
-                    done.notes.append(
-                        f"{where}: the champion here (trial {ours.index} of {ours.study}) stays"
-                    )
+                same = ours.study == theirs.study and theirs.study in names
+                best = best_record(open_trials(paths, theirs.study).records()) if same else None
+                if best is None or best.index != theirs.index:
+                    present = f"trial {ours.index} of {ours.study}"
+                    done.notes.append(f"{where}: the champion here ({present}) stays")
                     continue
         scratch = place.with_name(f".{place.name}-new")
         shutil.rmtree(scratch, ignore_errors=True)
