@@ -11,7 +11,7 @@ from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
 
 N_SPARED_TRIALS = 4  # completed trials before the median may stop the first
-CAUTION = 2.0  # how much more than any completed trial one may improve, divided by the number of those
+CAUTION = 1.5  # how much more than any completed trial one may improve, divided by the number of those
 
 PRUNED = {
     "catch-up": "could not catch up with the best trial any more",
@@ -26,7 +26,7 @@ class Pruner:
     """Compares one running trial with the finished ones.
 
     "catch-up" stops a trial that would miss the best completed one even if its error fell from here on by a
-    larger part than that of any completed trial: the largest part seen, times 1 + 2/n of n completed trials.
+    larger part than that of any completed trial: the largest part seen, times 1 + 1.5/n of n completed trials.
     So the rule learns from the trials themselves how much a schedule still brings at an epoch; with one-cycle
     that is most of the error early and nothing late. "median" is Optuna's pruner.
 

@@ -34,10 +34,10 @@ def stopped_at(spec: StudySpec, records: Sequence[TrialRecord], curve: dict[int,
 def test_trial_that_cannot_catch_up_is_stopped(make_spec: MakeSpec) -> None:
     spec = make_spec()
     # From epoch 20 on ten trials halved their error. With the caution of ten trials it may fall by a part of
-    # 0.5 * (1 + 2 / 10) = 0.6, so 2.5 is the most that can still become 1.0.
+    # 0.5 * (1 + 1.5 / 10) = 0.575, so 2.35 is the most that can still become 1.0.
     records = past(spec, *[GOOD] * 10)
-    assert stopped_at(spec, records, {10: 4.0, 20: 2.4}) is None
-    assert stopped_at(spec, records, {10: 4.0, 20: 2.6}) == 20
+    assert stopped_at(spec, records, {10: 4.0, 20: 2.3}) is None
+    assert stopped_at(spec, records, {10: 4.0, 20: 2.4}) == 20
 
 
 def test_caution_falls_with_the_number_of_completed_trials(make_spec: MakeSpec) -> None:
@@ -49,7 +49,7 @@ def test_caution_falls_with_the_number_of_completed_trials(make_spec: MakeSpec) 
 
 def test_one_late_bloomer_spares_the_others(make_spec: MakeSpec) -> None:
     spec = make_spec()
-    curve = {10: 8.0, 20: 4.0}
+    curve = {10: 7.0, 20: 4.0}
     assert stopped_at(spec, past(spec, *[GOOD] * 10), curve) == 20
     assert stopped_at(spec, past(spec, *[GOOD] * 9, LATE), curve) is None
 
