@@ -9,12 +9,15 @@ import pytest
 from test_tuning_search import finished
 
 from simulation.errors import InputError
+from studies.paths import ProjectPaths
 from studies.profile import SearchRanges, TuningBudget, load_profile
 from studies.tuning.coordinates import Params, all_points, identity, to_settings
 from studies.tuning.known_good import Neighbour
 from studies.tuning.search_space import SearchExhaustedError, propose
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
+from studies.tuning.trial_store import StudyEntry, open_trials
+from studies.tuning.trial_worker import finished_neighbours
 
 MakeSpec = Callable[..., StudySpec]
 SIX = SearchRanges(n_latent=(4, 16), n_hidden=(32, 64), beta=(10.0, 10.0))
@@ -53,6 +56,26 @@ def test_neighbours_best_are_tried_after_the_default(make_spec: MakeSpec) -> Non
     assert warm[3].reason == "random"
     cold = run(spec, 4)
     assert [record.reason for record in cold] == ["default", "random", "random", "random"]
+
+
+def test_only_finished_studies_of_the_same_label_and_case_are_neighbours(
+    make_spec: MakeSpec, project: ProjectPaths
+) -> None:
+    changes: list[tuple[int, dict[str, Any]]] = [
+        (2, {"n_train": 8}),
+        (2, {"n_train": 32, "label": "other"}),
+        (2, {"n_train": 32, "case_digest": "e" * 64}),
+        (3, {"n_train": 32}),  # two of three trials are finished
+        (2, {"n_train": 16, "seed": 9}),
+    ]
+    for n_planned, change in changes:
+        other = make_spec(search=WIDE, **change)
+        store = open_trials(project, other)
+        store.describe(StudyEntry.of(other, n_planned=n_planned, created_s=1.0))
+        for record in run(other, 2):
+            store.write(record, {})
+    (neighbour,) = finished_neighbours(project, make_spec(n_train=16))
+    assert (neighbour.n_train, len(neighbour.records)) == (8, 2)
 
 
 def test_neighbours_are_not_asked_without_need(make_spec: MakeSpec) -> None:
