@@ -27,8 +27,8 @@ class Pruner:
 
     "catch-up" stops a trial that would miss the best completed one even if its error fell from here on by a
     larger part than that of any completed trial: the largest part seen, times 1 + 1.5/n with n completed
-    trials. So the rule learns from the trials themselves how much a schedule still brings at an epoch; with one-cycle
-    that is most of the error early and nothing late. "median" is Optuna's pruner.
+    trials. So the rule learns from the trials themselves how much a schedule still brings at an epoch; with
+    one-cycle that is most of the error early and nothing late. "median" is Optuna's pruner.
 
     Args:
         spec: the study; with several objectives nothing is stopped.
