@@ -39,7 +39,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     paths = find_project(chosen.storage)
     if chosen.which is not None:
         chosen_labels(look_at(paths), chosen.which)
-    if chosen.live:
+    if chosen.live and not console.as_json:
         console.watch(lambda: status_blocks(look_at(paths), chosen.which))
         return 0
     project = look_at(paths)

@@ -171,12 +171,13 @@ def _simulation_s(project: Project, study: Study) -> tuple[float | None, str]:
 def _trials(project: Project, study: Study) -> list[Step]:
     budget, profile = study.profile.tuning, study.profile
     finished = {n_train: _n_finished(project, study, n_train) for n_train in profile.data.n_train}
-    left = {n_train: max(budget.n_trials - n_done, 0) for n_train, n_done in finished.items()}
+    planned = budget.n_different_trials
+    left = {n_train: max(planned - n_done, 0) for n_train, n_done in finished.items()}
     if not any(left.values()):
         costs = {n_train: TrialCost(0.0, "") for n_train in left}
     else:
         costs = trial_costs(project, study, say=study.console.say)
-    return [_trial_step(n_train, left[n_train], budget.n_trials, costs[n_train]) for n_train in sorted(left)]
+    return [_trial_step(n_train, left[n_train], planned, costs[n_train]) for n_train in sorted(left)]
 
 
 def _trial_step(n_train: int, left: int, planned: int, cost: TrialCost) -> Step:

@@ -100,7 +100,7 @@ def _without_place(project: Project, text: str) -> str:
 def _in_full(text: str) -> str:
     """Pad the numbers of sizes and trials: n64/t3 is n0064/t003."""
     padded = re.sub(r"(?<![^/])n(\d{1,3})(?=/|$)", lambda found: f"n{int(found[1]):04d}", text)
-    return re.sub(r"(?<=/)t(\d{1,2})$", lambda found: f"t{int(found[1]):03d}", padded)
+    return re.sub(r"(?<![^/])t(\d{1,2})$", lambda found: f"t{int(found[1]):03d}", padded)
 
 
 def _by_digest(project: Project, things: dict[str, Thing], text: str) -> Thing | None:

@@ -60,6 +60,12 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 tracker=tracker,
                 on_event=show.hear,
             )
+        n_done = sum(summary.n_trials for summary in summaries)
+        if n_done < n_trials * len(sizes) and study.max_hours is not None:
+            planned = n_trials * len(sizes)
+            study.console.say(
+                f"tune: --max-hours ended it after {n_done} of {planned} trials; type it again to go on"
+            )
         without = [summary.n_train for summary in summaries if summary.champion is None]
         if without:
             raise InputError(

@@ -42,7 +42,7 @@ def write_study(
             seed=seed,
             variant="refined",
             output_unit="degC",
-            digests=_digests(n_train),
+            digests=changes.get("digests", _digests(n_train)),
             created_s=STARTED_S,
         )
     )
