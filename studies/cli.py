@@ -29,6 +29,7 @@ COMMANDS = (
     "reproduce",
     "status",
     "doctor",
+    "gc",
     "export",
     "import",
     "best",

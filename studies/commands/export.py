@@ -35,12 +35,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from pathlib import Path
 
     from studies.keeping.export import export
-    from studies.keeping.finding import count
     from studies.keeping.wording import readable
+    from studies.report.wording import count
 
     file = Path(chosen.to).expanduser()
     made = export(find_project(), chosen.which, file, console, with_simulations=chosen.with_simulations)
-    parts = [count(len(made.studies), "study"), count(made.n_trials, "trial")]
+    parts = [count(len(made.studies), "study", "studies"), count(made.n_trials, "trial")]
     parts += [count(len(made.stages), "stage")] if made.stages else []
     parts += [count(made.n_rows, "simulation")] if made.n_rows else []
     console.result(f"{made.file}: {', '.join(parts)}, {readable(made.size)}")

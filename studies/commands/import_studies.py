@@ -29,8 +29,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from pathlib import Path
 
-    from studies.keeping.finding import count
     from studies.keeping.importing import import_archive
+    from studies.report.wording import count
 
     done = import_archive(find_project(), Path(chosen.file).expanduser(), console)
     columns = [Column("study"), Column("new trials", True), Column("here before", True)]

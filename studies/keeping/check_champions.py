@@ -1,15 +1,18 @@
 """Are the champions there, whole, and the best of their studies."""
 
 import json
+import shutil
+import tempfile
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 from simulation.errors import InputError
 from studies.keeping.check_records import SET_ASIDE, free_name
-from studies.keeping.finding import StoreFinding, count, ok
+from studies.keeping.finding import StoreFinding, ok
 from studies.keeping.stores import KeptStudy, Stores
 from studies.paths import size_name
+from studies.report.wording import count
 from studies.tuning.champion import CHAMPION_FILE, SCHEMA, read_champion
 
 STORE = "champions"
@@ -72,7 +75,7 @@ def _champion(stores: Stores, folder: Path) -> Iterator[StoreFinding]:
             "bad",
             where,
             str(error).partition(";")[0],
-            "--repair keeps it aside and writes it again" if owner else "studies tune writes it again",
+            "--repair writes it again from the trial" if owner else "studies tune writes it again",
             partial(_replace, stores, folder, owner) if owner else None,
         )
         return
@@ -113,10 +116,29 @@ def _crown(stores: Stores, study: KeptStudy) -> str:
 
 
 def _replace(stores: Stores, folder: Path, owner: KeptStudy) -> str:
+    if _mend(folder, owner):
+        return f"{stores.paths.show(folder)}: its damaged files taken from the trial's"
     place = free_name(folder.parent / SET_ASIDE / folder.name)
     place.parent.mkdir(exist_ok=True)
     folder.rename(place)
     return f"{stores.paths.show(folder)}: kept in {stores.paths.show(place)}; {_crown(stores, owner)}"
+
+
+def _mend(folder: Path, owner: KeptStudy) -> bool:
+    """Take damaged files of a champion from its trial, where that still has them; return whether it is whole."""
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".mended-", suffix="-new") as scratch:
+        whole = Path(scratch)
+        try:
+            told = json.loads((folder / CHAMPION_FILE).read_text(encoding="utf-8"))
+            if told["study"] != owner.name or not owner.store.fetch_surrogate(int(told["index"]), whole):
+                return False
+            shutil.copy2(folder / CHAMPION_FILE, whole)
+            read_champion(whole)
+        except (OSError, ValueError, KeyError, TypeError, InputError):
+            return False
+        for file in whole.iterdir():
+            file.replace(folder / file.name)
+    return True
 
 
 def _put_back(stores: Stores, old: Path, folder: Path) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 from simulation.errors import InputError
-from studies.keeping.finding import StoreFinding, count, listed, ok
+from studies.keeping.finding import StoreFinding, listed, ok
 from studies.keeping.ghosts import is_worked_on
 from studies.keeping.mlflow_repairs import (
     end_runs,
@@ -27,6 +27,7 @@ from studies.keeping.mlflow_tables import (
     read_mlflow,
 )
 from studies.keeping.stores import KeptStudy, Stores
+from studies.report.wording import count
 from studies.stages.pipeline import read_json
 from studies.tuning.champion import CHAMPION_FILE, read_champion
 from studies.tuning.trial_record import TrialRecord, trial_name
@@ -143,6 +144,9 @@ class _Comparison:
         other = [record.index for record in study.records if self._differs(record)]
         if other:
             yield _named(other, "tells another end or error", "tell other ends or errors")
+        if lost := self._recordless(study):
+            names = listed(sorted({run.tags["trial_key"].rpartition("/")[2] for run in lost}))
+            yield f"{names} {'has' if len(lost) == 1 else 'have'} no record"
 
     def _differs(self, record: TrialRecord) -> bool:
         runs = self.by_trial.get(record.key, [])
@@ -154,6 +158,13 @@ class _Comparison:
             runs = self.by_trial.get(record.key, [])
             yield [run for run in runs if run.status != "RUNNING" and not _agrees(run, record)]
             yield [run for run in runs if _agrees(run, record)][1:]
+        yield self._recordless(study)
+
+    def _recordless(self, study: KeptStudy) -> list[RunRow]:
+        """Return the runs of trials that the study has no record of."""
+        known = {record.key for record in study.records}
+        ours = [run for run in self.content.of_role("trial") if run.tags.get("study_key") == study.name]
+        return [run for run in ours if run.tags.get("trial_key") not in known]
 
     def _orphans(self) -> Iterator[StoreFinding]:
         known = set(self.stores.by_name)

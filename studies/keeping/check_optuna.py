@@ -7,9 +7,10 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from studies.keeping.check_records import free_name
-from studies.keeping.finding import StoreFinding, count, listed, ok
+from studies.keeping.finding import StoreFinding, listed, ok
 from studies.keeping.optuna_view import OptunaTrial, forget_optuna, has_optuna, read_optuna, rebuild_optuna
 from studies.keeping.stores import KeptStudy, Stores
+from studies.report.wording import count
 from studies.tuning.study_store import JOURNAL
 from studies.tuning.trial_record import trial_name
 
@@ -53,7 +54,7 @@ def check_optuna(stores: Stores) -> Iterator[StoreFinding]:
     yield from found
     if not found:
         n_trials = sum(len(study.records) for study in stores.studies)
-        studies = count(len(stores.studies), "study")
+        studies = count(len(stores.studies), "study", "studies")
         yield ok(STORE, "all studies", f"{studies}, {count(n_trials, 'trial')}, as the records say")
 
 
@@ -109,7 +110,7 @@ def _rebuild(study: KeptStudy) -> str:
 def _rebuild_all(stores: Stores) -> str:
     for study in stores.studies:
         rebuild_optuna(study)
-    return f"{count(len(stores.studies), 'study')} written to Optuna"
+    return f"{count(len(stores.studies), 'study', 'studies')} written to Optuna"
 
 
 def _replace_journal(stores: Stores, journal: Path) -> str:

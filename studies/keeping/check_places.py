@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from studies.keeping.finding import StoreFinding, count, listed, ok
+from studies.keeping.finding import StoreFinding, listed, ok
 from studies.keeping.scratch import Scratch, leftovers
 from studies.keeping.wording import readable
 from studies.paths import ProjectPaths
+from studies.report.wording import count
 from studies.tuning.study_store import JOURNAL
 
 LEAST_FREE = 2**30

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from simulation.errors import InputError
-from studies.keeping.finding import StoreFinding, count, listed, ok
+from studies.keeping.finding import StoreFinding, listed, ok
 from studies.keeping.stores import DAMAGE, KeptStudy, Stores
 from studies.recipe import file_digest
+from studies.report.wording import count
 from studies.tuning.champion import CHAMPION_FILE, WEIGHTS_FILE, read_champion
 from studies.tuning.trial_record import HISTORY_FILE, TrialRecord, trial_name
 
@@ -30,7 +31,7 @@ def check_records(stores: Stores) -> Iterator[StoreFinding]:
         yield ok(
             STORE,
             "trials",
-            f"{count(len(stores.studies), 'study')}, {count(n_trials, 'trial')}, all readable",
+            f"{count(len(stores.studies), 'study', 'studies')}, {count(n_trials, 'trial')}, all readable",
         )
 
 

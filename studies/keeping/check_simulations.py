@@ -9,9 +9,10 @@ from simulation.store.folder import read_layout
 from simulation.store.parts import Part, PartDamagedError
 from simulation.store.row_set import RowSet
 from simulation.store.store import SimulationStore
-from studies.keeping.finding import StoreFinding, count, listed, ok
+from studies.keeping.finding import StoreFinding, listed, ok
 from studies.keeping.stores import OnProgress
 from studies.paths import ProjectPaths
+from studies.report.wording import count
 
 STORE = "simulations"
 

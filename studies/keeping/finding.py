@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from studies.console import Column, Console, Said, Table, Tone
+from studies.report.wording import count
 
 Level = Literal["ok", "note", "bad"]
 """Sound, nothing wrong but worth knowing, or a finding."""
@@ -55,11 +56,6 @@ def listed(names: Sequence[object]) -> str:
     """Return names in a row, the first few where there are many."""
     more = f" and {len(names) - N_NAMED} more" if len(names) > N_NAMED else ""
     return ", ".join(map(str, names[:N_NAMED])) + more
-
-
-def count(n: int, what: str) -> str:
-    """Return a number of things; the word gets an s where there are none or several."""
-    return f"{n} {what}" if n == 1 else f"{n} {what[:-1] + 'ies' if what.endswith('dy') else what + 's'}"
 
 
 def is_sound(findings: Sequence[StoreFinding]) -> bool:

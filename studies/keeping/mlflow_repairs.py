@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from studies.keeping.check_champions import newest
-from studies.keeping.finding import count
 from studies.keeping.mlflow_tables import rewrite_places
 from studies.keeping.stores import KeptStudy, Stores
 from studies.keeping.views import tracker_of, write_stages, write_to_mlflow
+from studies.report.wording import count
 from studies.tracking.mlflow_registry import model_name
 
 
@@ -43,7 +43,8 @@ def write_everything(stores: Stores) -> str:
             write_to_mlflow(study)
     for label in sorted(folder.name for folder in (stores.paths.mlruns / "results").glob("*")):
         lines += write_stages(stores.paths, label)
-    return "; ".join([f"MLflow: {count(len(stores.studies), 'study')} written from the records", *lines])
+    studies = count(len(stores.studies), "study", "studies")
+    return "; ".join([f"MLflow: {studies} written from the records", *lines])
 
 
 def write_calibrations(stores: Stores, label: str) -> str:

@@ -16,9 +16,10 @@ from simulation.errors import InputError
 from simulation.store.folder import MANIFEST
 from simulation.store.folder import SCHEMA as STORE_SCHEMA
 from studies.keeping.entries import undescribed
-from studies.keeping.finding import StoreFinding, count, listed, ok
+from studies.keeping.finding import StoreFinding, listed, ok
 from studies.keeping.mlflow_tables import connected
 from studies.paths import ProjectPaths
+from studies.report.wording import count
 from studies.storage_url import in_schema
 from studies.tuning.champion import CHAMPION_FILE
 from studies.tuning.champion import SCHEMA as CHAMPION_SCHEMA
@@ -83,7 +84,7 @@ def check_versions(paths: ProjectPaths, versions: Sequence[Version]) -> Iterator
     folders = undescribed(paths)
     if folders:
         n_bad += 1
-        said = f"{count(len(folders), 'study')} of an earlier version, without a description"
+        said = f"{count(len(folders), 'study', 'studies')} of an earlier version, without a description"
         names = listed([paths.show(folder) for folder in folders])
         yield StoreFinding(
             STORE, "bad", names, said, "studies doctor --upgrade describes them from their trials"
