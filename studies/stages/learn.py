@@ -165,6 +165,27 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
         cells += [f"{errors[f'test/{output_metric(one.name)}']:.3g}" for one in several]
         rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
     study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
+    if len(study.profile.tuning.objectives) > 1:
+        _show_front(study, outcome, behind)
+
+
+def _show_front(study: Study, outcome: Outcome, behind: str) -> None:
+    """Print the trials that no other one beats in all errors that were minimized."""
+    from studies.tuning.front import pareto_front
+    from studies.tuning.trial_store import open_trials
+
+    columns = [Column("n_train", True), Column("trial", True)]
+    columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "P90 val", "MAE test", "P90 test")]
+    columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
+    rows = []
+    for found in outcome.summary["studies"]:
+        records = open_trials(study.paths, found["study"]).records()
+        for record in pareto_front(records, study.profile.tuning.objectives):
+            cells = [f"{record.metrics[name]:.3f}" for name in ("val/mae", "val/p90", "test/mae", "test/p90")]
+            config = record.config
+            sizes = [config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"]
+            rows.append([found["n_train"], record.index, *cells, *sizes])
+    study.console.table(f"{study.label}: trials that no other one beats in both errors", columns, rows)
 
 
 def _require_device(study: Study) -> None:

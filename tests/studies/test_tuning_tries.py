@@ -12,10 +12,11 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.profile import SearchRanges, TuningBudget, load_profile
 from studies.tuning.coordinates import Params, all_points, identity, to_settings
+from studies.tuning.front import pareto_front
 from studies.tuning.known_good import Neighbour
 from studies.tuning.search_space import SearchExhaustedError, propose
 from studies.tuning.study_spec import StudySpec
-from studies.tuning.trial_record import TrialRecord
+from studies.tuning.trial_record import TrialRecord, best_record
 from studies.tuning.trial_store import StudyEntry, open_trials
 from studies.tuning.trial_worker import finished_neighbours
 
@@ -153,3 +154,19 @@ def test_impossible_wishes_are_one_line(tmp_path: Path, line: str, message: str)
     file.write_text(f'name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 2\n{line}\n')
     with pytest.raises(InputError, match=message):
         load_profile(str(file))
+
+
+def test_front_holds_what_no_other_trial_beats_in_both_errors(make_spec: MakeSpec) -> None:
+    spec = make_spec()
+    points = [(3.0, 1.0), (1.0, 3.0), (2.0, 2.0), (2.0, 2.0), (2.5, 2.0), (1.0, 4.0)]
+    records = [
+        replace(
+            finished(spec, propose(spec, 0, []), index, value=mae),
+            metrics={"val/mae": mae, "val/p90": p90},
+        )
+        for index, (mae, p90) in enumerate(points)
+    ]
+    records.append(finished(spec, propose(spec, 0, []), 6, value=0.1, state="pruned"))
+    front = pareto_front(records, ("val/mae", "val/p90"))
+    assert [record.index for record in front] == [1, 2, 0]
+    assert front[0] is best_record(records)
