@@ -16,6 +16,7 @@ from studies.tuning.trial_store import list_studies, open_trials
 State = Literal["unchanged", "changed", "missing"]
 WEIGHTS = "weights.npz"
 LEAST_DIGITS = 6
+SETS = ("train", "validation", "test")
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class Ancestry:
 
     def _study(self, name: str, n_train: int, recipe: Mapping[str, Any]) -> None:
         case = self._case(recipe)
-        sets = [self._rows(role, how, case) for role, how in recipe["datasets"].items()]
+        sets = [self._rows(role, recipe["datasets"][role], case) for role in SETS]
         place = open_trials(self._paths, name).place
         folder = Path(place)
         shown = self._paths.show(folder) if folder.is_absolute() else place

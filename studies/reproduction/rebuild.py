@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.design import uniform_design
 from simulation.errors import InputError
@@ -49,7 +50,12 @@ class Rebuilt:
     def spec(self) -> StudySpec:
         """Return the study of the recipe's training-set size, its data sets read or simulated again."""
         recipe = self.recorded.recipe
-        files = {name: self._data_set(name, how) for name, how in recipe["datasets"].items()}
+        sets = recipe["datasets"]
+        places = {name: self.study.paths.root / "sets" / f"{name}.npz" for name in sets}
+        lost = {name: how for name, how in sets.items() if not self._is_stored(how, places[name])}
+        if lost:
+            self._simulate(lost, places)
+        files = {name: self.study.paths.relative(file) for name, file in places.items()}
         data = replace(self.study.profile.data, n_train=(recipe["n_train"],))
         study = replace(self.study, profile=replace(self.study.profile, data=data))
         (spec,) = study_specs(study, {"files": files})
@@ -86,28 +92,35 @@ class Rebuilt:
             return bool(file_digest(folder / WEIGHTS_FILE) == digest)
         return False
 
-    def _data_set(self, name: str, how: Mapping[str, Any]) -> str:
-        """Point to the stored rows of a data set where they are what was recorded, else simulate them."""
-        study = self.study
-        theta = uniform_design(study.case.parameter_space, how["n"], how["seed"])
-        file = study.paths.root / "sets" / f"{name}.npz"
-        stored = RowSet(theta, store_folder(self.paths, study.case), file)
-        found = _digest_of(stored)
-        if found == how["digest"]:
-            stored.save()
-            return study.paths.relative(file)
-        what = "are not stored here" if found is None else "are stored with other results than recorded"
-        said = f"{how['n']} {name} simulations {what}; they are simulated again"
-        study.console.say(f"reproduce: {said}")
-        with open_physical_model(study) as model, study.console.progress(f"{name} set", how["n"]) as advance:
-            model.complete(theta, on_progress=lambda n_done: advance(n_done, how["n"]))
-            again = RowSet(theta, model.store.folder, file)
-        again.save()
-        if _digest_of(again) == how["digest"]:
-            self.notes.append(f"{said}: the recorded ones")
-        else:
-            self.notes.append(f"{said}: NOT the recorded ones (digest {how['digest'][:12]})")
-        return study.paths.relative(file)
+    def _is_stored(self, how: Mapping[str, Any], file: Path) -> bool:
+        """Point to the project's stored rows of a data set where they are what was recorded."""
+        stored = RowSet(self._design(how), store_folder(self.paths, self.study.case), file)
+        if _digest_of(stored) != how["digest"]:
+            return False
+        stored.save()
+        return True
+
+    def _simulate(self, lost: Mapping[str, Mapping[str, Any]], places: Mapping[str, Path]) -> None:
+        """Simulate data sets again and say whether they are what was recorded."""
+        total = sum(how["n"] for how in lost.values())
+        with (
+            open_physical_model(self.study) as model,
+            self.study.console.progress("simulations again", total) as advance,
+        ):
+            for name, how in lost.items():
+                rows = RowSet(self._design(how), model.store.folder, places[name])
+                model.complete(rows.theta, on_progress=lambda n_done: advance(n_done, total))
+                rows.save()
+        for name, how in lost.items():
+            is_same = _digest_of(RowSet.load(places[name])) == how["digest"]
+            came = "the recorded ones" if is_same else f"NOT the recorded ones ({how['digest'][:12]})"
+            self.notes.append(
+                f"{how['n']} {name} simulations are not stored here as they were recorded; "
+                f"simulated again they are {came}"
+            )
+
+    def _design(self, how: Mapping[str, Any]) -> FloatArray:
+        return uniform_design(self.study.case.parameter_space, how["n"], how["seed"])
 
 
 @contextmanager
