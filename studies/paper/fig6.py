@@ -98,11 +98,7 @@ def run(plan: Plan) -> ItemResult:
                 "Error over the latent dimension",
                 _latent_caption(latent),
                 lambda path: latent_figure(
-                    {
-                        n: LatentTrials(_of(records, "n_latent"), _mae(records))
-                        for n, records in complete.items()
-                        if records
-                    },
+                    {n: _latent_trials(records) for n, records in complete.items()},
                     path,
                     title="Latent dimension and test error of every complete trial",
                     unit=unit,
@@ -132,6 +128,12 @@ def _mae(records: list[TrialRecord]) -> FloatArray:
 
 def _of(records: list[TrialRecord], setting: str) -> FloatArray:
     return np.array([record.config[setting] for record in records], dtype=np.float64)
+
+
+def _latent_trials(complete: list[TrialRecord]) -> LatentTrials:
+    best = best_record(complete)
+    assert best is not None, "the stage refuses a size without a complete trial"
+    return LatentTrials(_of(complete, "n_latent"), _mae(complete), complete.index(best))
 
 
 def _numbers(records: list[TrialRecord]) -> dict[str, Any]:

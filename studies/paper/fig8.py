@@ -27,7 +27,7 @@ from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, listed, percent, quantity, squared
 from studies.stages.results import read_arrays
 
-CALLS_PER_START = 400
+CALLS_PER_START = 750
 CLOSE = 1.1
 """Within this factor the best 5 % count as good as the paper's."""
 

@@ -33,10 +33,17 @@ def size_colors(sizes: Sequence[int]) -> dict[int, str]:
 
 @dataclass(frozen=True)
 class LatentTrials:
-    """The complete trials of one size: latent dimensions and test errors, each of shape (m,)."""
+    """The complete trials of one size.
+
+    Attributes:
+        n_latent: Latent dimensions. Shape (m,).
+        test_mae: Test errors. Shape (m,).
+        best: Position of the trial chosen by validation error.
+    """
 
     n_latent: Floats
     test_mae: Floats
+    best: int
 
 
 def latent_figure(
@@ -63,7 +70,7 @@ def latent_figure(
         decimal_log(axes, *log_limits(np.concatenate([group.test_mae for group in trials.values()])))
         labels = []
         for size, group in trials.items():
-            best = int(np.argmin(group.test_mae))
+            best = group.best
             axes.plot(
                 group.n_latent, group.test_mae, linestyle="none", marker="o", markersize=4.5,
                 color=colors[size], alpha=0.7, markeredgewidth=0,
@@ -73,7 +80,7 @@ def latent_figure(
                 color=colors[size], markeredgecolor="white", markeredgewidth=0.8, zorder=4,
             )  # fmt: skip
             labels.append(EndLabel(float(group.test_mae[best]), f"n = {count(size)}", colors[size]))
-        axes.set_xlabel("latent dimension (★ best of its size by test error)")
+        axes.set_xlabel("latent dimension (★ chosen by validation error)")
         axes.set_ylabel(axis_label("test MAE", unit))
         end_labels(axes, labels)
     return path

@@ -102,7 +102,7 @@ def _draw_gaps(axes: Axes, paths: Sequence[PolishPath], colors: Mapping[int, str
         axes.plot(
             place, one.mse_surrogate, marker="o", markersize=7, color="white", markeredgecolor=color, zorder=3
         )
-    axes.set_title("○ by the surrogate   ◆ by the model")
+    axes.set_title("○ surrogate   ◆ model")
     axes.set_xlabel("training simulations")
 
 
@@ -163,9 +163,10 @@ def _draw_seeds(axes: Axes, panel: SeedPanel) -> None:
         sideways = place + 0.16 * np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.full(1, place)
         axes.plot(sideways[: len(good)], good, linestyle="none", marker="o", markersize=4, color=POLISHED,
                   alpha=0.55, markeredgewidth=0)  # fmt: skip
-        if len(good):
-            low, middle, high = np.quantile(good, [0.25, 0.5, 0.75])
-            axes.plot([place + 0.3] * 2, [low, high], color=INK, linewidth=1.2)
+        low, middle, high = np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf")
+        if np.isfinite(middle):
+            top = high if np.isfinite(high) else axes.get_ylim()[1]
+            axes.plot([place + 0.3] * 2, [low, top], color=INK, linewidth=1.2)
             axes.plot(place + 0.3, middle, marker="_", markersize=9, markeredgewidth=2.0, color=INK)
         if size in panel.paper:
             axes.plot(place - 0.3, panel.paper[size], marker="D", markersize=6, color=SCREENED)

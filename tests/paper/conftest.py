@@ -37,7 +37,7 @@ beta = [10.0, 10.0]
 popsize = 1
 maxiter = 2
 [polish]
-max_calls = 20
+max_calls = 16
 ftol = 1e-3
 """
 
