@@ -1,18 +1,23 @@
 """Where a result stands in MLflow, asked of its database directly: importing MLflow would take seconds."""
 
 import sqlite3
-from contextlib import closing, suppress
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from typing import Any
 
+from simulation.errors import InputError
 from studies.paths import ProjectPaths
 
 KEYS = ("trial_key", "study_key", "stage_key")
 """Tags by which this project knows its runs; a trial's run has the first two."""
 
-_BY_TAG = "SELECT run_uuid FROM tags WHERE key = ? AND value = ?"
-_BY_ID = "SELECT run_uuid FROM runs WHERE run_uuid LIKE ? || '%' AND lifecycle_stage = 'active'"
-_RUN = "SELECT experiment_id, name, status FROM runs WHERE run_uuid = ? AND lifecycle_stage = 'active'"
-_TAGS = "SELECT key, value FROM tags WHERE run_uuid = ?"
+_BY_TAG = "SELECT run_uuid FROM {schema}tags WHERE key = ? AND value = ?"
+_BY_ID = "SELECT run_uuid FROM {schema}runs WHERE substr(run_uuid, 1, ?) = ?"
+_RUN = (
+    "SELECT experiment_id, name, status FROM {schema}runs WHERE run_uuid = ? AND lifecycle_stage = 'active'"
+)
+_TAGS = "SELECT key, value FROM {schema}tags WHERE run_uuid = ?"
 
 
 @dataclass(frozen=True)
@@ -52,19 +57,29 @@ def find_runs(
         tag: name and value of a tag, looked for where no id is given.
         role: only runs of this role; all where it is empty.
     """
-    if paths.storage is not None or not paths.tracking_database.is_file():
+    try:
+        found = _ask(paths, _BY_ID, (len(run_id), run_id)) if run_id else _ask(paths, _BY_TAG, tag)
+        runs = [address for (one,) in found for address in _address(paths, one)]
+    except (sqlite3.Error, InputError):
+        return []
+    return [run for run in runs if role in ("", run.role)]
+
+
+def _address(paths: ProjectPaths, run_id: str) -> list[RunAddress]:
+    tags = {str(name): str(value) for name, value in _ask(paths, _TAGS, (run_id,))}
+    keys = tuple(tags[name] for name in KEYS if name in tags)
+    found, role = _ask(paths, _RUN, (run_id,)), tags.get("role", "")
+    return [RunAddress(run_id, str(where), name, status, role, keys) for where, name, status in found]
+
+
+def _ask(paths: ProjectPaths, statement: str, values: Sequence[Any]) -> Sequence[Sequence[Any]]:
+    """Run a statement on MLflow's database; one that is not there yet has no rows."""
+    if paths.storage is not None:
+        from studies.tuning.postgres import database
+
+        return database(paths.storage).rows(statement.format(schema="mlflow.").replace("?", "%s"), values)
+    if not paths.tracking_database.is_file():
         return []
     place = f"{paths.tracking_database.resolve().as_uri()}?mode=ro"
-    with suppress(sqlite3.Error), closing(sqlite3.connect(place, uri=True, timeout=2.0)) as database:
-        found = database.execute(_BY_ID, (run_id,)) if run_id else database.execute(_BY_TAG, tag)
-        runs = [address for (one,) in found.fetchall() for address in _address(database, one)]
-        return [run for run in runs if role in ("", run.role)]
-    return []
-
-
-def _address(database: sqlite3.Connection, run_id: str) -> list[RunAddress]:
-    tags = dict(database.execute(_TAGS, (run_id,)).fetchall())
-    keys = tuple(tags[name] for name in KEYS if name in tags)
-    found = database.execute(_RUN, (run_id,)).fetchall()
-    role = tags.get("role", "")
-    return [RunAddress(run_id, str(where), name, status, role, keys) for where, name, status in found]
+    with closing(sqlite3.connect(place, uri=True, timeout=2.0)) as connection:
+        return connection.execute(statement.format(schema=""), values).fetchall()
