@@ -81,6 +81,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     study = plan.study
     if chosen.row is not None:
         return _one_row(plan, chosen.row, console)
+    items = tuple(item for item in items if item.is_about(study.case.name))
     finished = {item.name: is_finished(plan, item) for item in items}
     costs = {item.name: 0.0 if finished[item.name] else item_module(item).estimate_s(plan) for item in items}
     console.table(
@@ -158,12 +159,14 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
 
     def opener(
         *,
+        case: str | None = None,
         window: tuple[float, float] | None = None,
         seed: int | None = seed,
         n_train: tuple[int, ...],
         trials: int,
     ) -> "Study":
         words = vars(chosen) | {
+            "case": case or chosen.case,
             "profile": profile,
             "window": None if window is None else values.Window(*window),
             "seed": seed,

@@ -21,6 +21,7 @@ class Item:
         what: what is done, for the terminal.
         needs: items that must be finished before.
         aliases: other words that mean it.
+        cases: cases that it is about; none for all.
     """
 
     name: str
@@ -28,6 +29,11 @@ class Item:
     what: str
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
+    cases: tuple[str, ...] = ()
+
+    def is_about(self, case_name: str) -> bool:
+        """Say whether the item makes sense for a case."""
+        return not self.cases or case_name in self.cases
 
 
 ITEMS = (
@@ -58,6 +64,12 @@ ITEMS = (
         aliases=("fig9",),
     ),
     Item("seeds", "Table 4 over seeds", "the whole method again with other seeds: medians and quartiles"),
+    Item(
+        "whitebox",
+        "Sec. 4: the white-box office",
+        "a second model of the office, calibrated against the same data",
+        cases=("office", "office-recorded"),
+    ),
 )
 
 

@@ -42,7 +42,11 @@ def build_page(plan: Plan) -> Path:
     """
     study = plan.study
     found = {item.name: stored_item(study, item.name) for item in ITEMS}
-    sections = [_section(plan, item.name, item.title, found[item.name]) for item in ITEMS]
+    sections = [
+        _section(plan, item.name, item.title, found[item.name])
+        for item in ITEMS
+        if item.is_about(study.case.name)
+    ]
     there = [stored for stored in found.values() if stored is not None]
     budgets = sorted({stored["budget"] for stored in there})
     note = " ".join([study.case.note, *(_budget_note(plan, name) for name in budgets)]).strip()

@@ -149,9 +149,15 @@ class StudyOpener(Protocol):
     """Puts a study together as the command line would from the same words."""
 
     def __call__(
-        self, *, window: Window = None, seed: int | None = None, n_train: tuple[int, ...], trials: int
+        self,
+        *,
+        case: str | None = None,
+        window: Window = None,
+        seed: int | None = None,
+        n_train: tuple[int, ...],
+        trials: int,
     ) -> Study:
-        """Return the study of a window (None: the case's own), seed, sizes and trials per size."""
+        """Return the study of a case (None: the one asked for), window (None: its own), seed and sizes."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +192,10 @@ class Plan:
                 f"fig6: days 8 to 16 cannot be had ({error}); the case's own window is used"
             )
             return self.window_study(n_train, trials)
+
+    def other_study(self, case: str) -> Study:
+        """Return the study of another case, with the sizes and trials of the robust statistics."""
+        return self.opener(case=case, n_train=self.budget.seed_sizes, trials=self.budget.seed_trials)
 
     def seed_study(self, seed: int) -> Study:
         """Return the study of another seed."""

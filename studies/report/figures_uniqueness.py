@@ -119,7 +119,7 @@ def identifiability_figure(
         left.set_yticks(range(p), labels, fontsize=8)
         left.grid(visible=False)
         left.set_title("Correlation of the estimates")
-        figure.colorbar(image, ax=left, shrink=0.7, location="bottom")
+        figure.colorbar(image, ax=left, shrink=0.6)
         order = np.argsort(spread)
         top = figure.add_subplot(grid[0, 1])
         top.barh(np.arange(p), spread[order], height=0.7, color=POLISHED, linewidth=0)
@@ -133,5 +133,6 @@ def identifiability_figure(
         decimal_log(bottom, *log_limits(shares))
         bottom.plot(np.arange(1, p + 1), shares, linestyle="none", marker="s", color=SCREENED)
         bottom.set_title("Singular values / largest")
+        bottom.set_xticks(range(1, p + 1, 3))
         bottom.set_xlabel("direction")
     return path
