@@ -1,7 +1,7 @@
 """What MLflow's pages say in words: the answer first, then the table behind it. Markdown."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from studies.report.wording import MISSING, count, difference_unit, quantity, significant, squared
@@ -118,24 +118,17 @@ def size_table(sizes: Sequence[SizeResult], unit: str, experiment: str) -> str:
     return "\n".join(lines)
 
 
-def overview_note(sizes: Sequence[SizeResult], *, unit: str, experiment: str, picture: str) -> str:
-    """Return the answer, the table behind it and the picture of all trials.
-
-    Args:
-        sizes: what is known of each size.
-        unit: unit of the errors.
-        experiment: id of the experiment.
-        picture: where the page finds the picture, empty without one.
-    """
-    parts = [answer(sizes, unit), size_table(sizes, unit, experiment)]
-    return "\n\n".join([*parts, f"![Error of all trials over n]({picture})"] if picture else parts)
+def overview_note(sizes: Sequence[SizeResult], *, unit: str, experiment: str) -> str:
+    """Return the answer and the table behind it."""
+    return f"{answer(sizes, unit)}\n\n{size_table(sizes, unit, experiment)}"
 
 
-def experiment_note(overview: str, *, unit: str, case: str, note: str, experiment: str) -> str:
-    """Return an experiment's description.
+def experiment_note(overview: str, *, picture: str, unit: str, case: str, note: str, experiment: str) -> str:
+    """Return an experiment's description. Only this page has room for a picture.
 
     Args:
         overview: the overview run's note.
+        picture: where the page finds the picture of all trials, empty without one.
         unit: unit of the errors.
         case: name of the case.
         note: the case's note.
@@ -154,24 +147,25 @@ def experiment_note(overview: str, *, unit: str, case: str, note: str, experimen
         "default configuration's, `calibrated/…` the newest calibration with that surrogate. FINISHED means "
         "complete, KILLED pruned or interrupted, FAILED has its `reason` as a tag."
     )
-    parts = [overview, "More: " + " · ".join(links), words]
-    return "\n\n".join([*parts, note] if note else parts)
+    shown = f"![Error of all trials over n]({picture})" if picture else ""
+    parts = [overview, "More: " + " · ".join(links), shown, words, note]
+    return "\n\n".join(part for part in parts if part)
 
 
-def study_note(spec: StudySpec, best: str = "", pictures: Sequence[str] = ()) -> str:
+def study_note(spec: StudySpec, best: str = "", pictures: Mapping[str, str] | None = None) -> str:
     """Return a study's description.
 
     Args:
         spec: the study.
         best: what is said of its best trial.
-        pictures: where the page finds its pictures.
+        pictures: links to its pictures by their names.
     """
     text = (
         f"Surrogates trained on the first {spec.n_train} simulations of the design, searched from the "
         f"variant `{spec.variant}`. Optuna study `{spec.name}`. Its trials are the runs below it."
     )
-    shown = [f"![]({picture})" for picture in pictures]
-    return "\n\n".join([best, text, *shown] if best else [text, *shown])
+    links = " · ".join(f"[{name}]({place})" for name, place in (pictures or {}).items())
+    return "\n\n".join(part for part in (best, f"Pictures: {links}" if links else "", text) if part)
 
 
 def best_sentence(summary: StudySummary, default: float, output_unit: str) -> str:

@@ -53,14 +53,16 @@ def update_overview(store: RunStore, label: str) -> str:
             store.client.set_tag(run_id, "drawn", drawn)
             before = {**before, "drawn": drawn}
         picture = picture_address(run_id, PICTURE, version=drawn) if "drawn" in before else ""
-        text = overview_note(sizes, unit=unit, experiment=experiment, picture=picture)
+        text = overview_note(sizes, unit=unit, experiment=experiment)
         if before.get(NOTE) != text:
             store.client.set_tag(run_id, NOTE, text)
             _log_totals(store, run_id, sizes)
             _log_calibrations(store, sizes)
         if not found or found[0].info.status != "FINISHED":
             store.finish(run_id, "FINISHED")
-    describing = experiment_note(text, unit=unit, case=case, note=note, experiment=experiment)
+    describing = experiment_note(
+        text, picture=picture, unit=unit, case=case, note=note, experiment=experiment
+    )
     store.describe(label, {NOTE: describing, "mlflow.experimentKind": "custom_model_development"})
     return str(run_id)
 

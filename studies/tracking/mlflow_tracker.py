@@ -20,7 +20,7 @@ from studies.tracking.mlflow_notes import best_sentence, study_note, study_numbe
 from studies.tracking.mlflow_overview import NOTE, OverviewClock, update_overview
 from studies.tracking.mlflow_registry import fetch_champion, register_champion
 from studies.tracking.mlflow_runs import TERMINAL, RunStore, ms, params, thinned
-from studies.tracking.mlflow_view import ON_BOARD, picture_address, view_tags
+from studies.tracking.mlflow_view import ON_BOARD, run_address, view_tags
 from studies.tracking.quiet_mlflow import Metric, RunTag
 from studies.tracking.tracker import History, RunStatus, StageRun
 from studies.tuning.study_spec import StudySpec, StudySummary
@@ -98,7 +98,11 @@ class MlflowTracker:
         said: dict[str, Any] = {"best_trial": summary.best_index, "n_trials": summary.n_trials}
         said |= {f"best_{name}": summary.best_config.get(name) for name in _BEST_SETTINGS}
         if summary.best_index is not None:
-            places = [picture_address(run_id, name, version=told) for name in pictures]
+            page, words = self.runs.experiment(spec.label), str.maketrans("_", " ")
+            places = {
+                Path(file).stem.translate(words): run_address(page, run_id, artifact=file)
+                for file in pictures
+            }
             said[NOTE] = study_note(spec, best_sentence(summary, default, spec.output_unit), places)
         self.client.log_batch(run_id, tags=[RunTag(name, str(value)) for name, value in said.items()])
         self.client.set_tag(run_id, "told", told)
