@@ -31,6 +31,9 @@ POPULATION = 15
 LEAST_SQUARES_TOLERANCE = 1e-8
 """SciPy's default ftol and xtol of least squares."""
 
+EVOLUTION_TOLERANCE = 0.01
+"""SciPy's default: the population's errors scatter by less than this share of their mean."""
+
 N_KEPT = 80
 """Entries that are kept of a history."""
 
@@ -219,6 +222,7 @@ def _evolve(asked: _Asked, row: DirectRow, x0: FloatArray) -> str:
         asked.bounds,
         popsize=POPULATION,
         maxiter=max(1, generations),
+        tol=EVOLUTION_TOLERANCE if row.tolerance is None else row.tolerance,
         polish=False,
         rng=np.random.default_rng(row.seed),
     )

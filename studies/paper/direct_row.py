@@ -59,8 +59,8 @@ class DirectRow:
             to the unit cube, "log" the unit cube in the case's own scales.
         seed: Of the drawn starts, or of differential evolution.
         max_calls: Most model calls of one start; None for no limit but the optimizer's own.
-        tolerance: Of the local optimizers: `tol` of `minimize`, `ftol` and `xtol` of `least_squares`; None
-            for SciPy's default.
+        tolerance: `tol` of `minimize` and of `differential_evolution`, `ftol` and `xtol` of `least_squares`;
+            None for SciPy's default.
         draw: How starts are drawn around the guess, see `start_points`.
     """
 
