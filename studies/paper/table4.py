@@ -83,7 +83,7 @@ def run(plan: Plan) -> ItemResult:
     tuned = tune_sizes(plan.study, trials)
     study = tuned.study
     outcomes = {n: calibrate_stage(study, n) for n in plan.budget.n_train}
-    rows = {n: _row(study, n, outcome.summary) for n, outcome in outcomes.items()}
+    rows = {n: row_of(study, n, outcome.summary) for n, outcome in outcomes.items()}
     paths = [_path(study, n, rows[n]) for n in rows]
     polishes = paper_polishes(study, {n: _screened(study, n) for n in rows})
     for n, polish in polishes.items():
@@ -188,10 +188,6 @@ def row_of(study: Study, n_train: int, numbers: dict[str, Any]) -> dict[str, Any
         n_train: training-set size.
         numbers: the calibration's numbers.
     """
-    return _row(study, n_train, numbers)
-
-
-def _row(study: Study, n_train: int, numbers: dict[str, Any]) -> dict[str, Any]:
     ledger, history = numbers["ledger"], _history(study, n_train)
     return {
         "test_mae": numbers["surrogate_errors"]["test/mae"],
