@@ -125,7 +125,7 @@ def _replace(stores: Stores, folder: Path, owner: KeptStudy) -> str:
 
 
 def _mend(folder: Path, owner: KeptStudy) -> bool:
-    """Take damaged files of a champion from its trial, where that still has them; return whether it is whole."""
+    """Take a champion's damaged files from its trial where that has them; return whether it is whole now."""
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".mended-", suffix="-new") as scratch:
         whole = Path(scratch)
         try:

@@ -181,7 +181,7 @@ def check_results(stores: Stores) -> Iterator[StoreFinding]:
     for file in sorted((paths.mlruns / "results").glob("*/*.npz")):
         n_read += 1
         try:
-            with np.load(file, allow_pickle=False) as content:
+            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
                 for name in content.files:
                     content[name]
         except (*DAMAGE, OSError) as error:

@@ -126,12 +126,15 @@ def read_mlflow(paths: ProjectPaths) -> MlflowContent:
 def moved_places(paths: ProjectPaths, content: MlflowContent) -> dict[str, str]:
     """Return folders that MLflow remembers and that lie elsewhere now: old place to new place.
 
-    A place counts as moved where nothing is there and this project has the experiment's folder.
+    A place counts as moved where this project has the experiment's folder. On a server that machines share
+    it may be another machine's, and must not be there at all.
     """
     found = {}
     for label, place in content.places.items():
         folder, here = local_folder(place), paths.artifacts.resolve() / label
-        if folder is not None and folder != here and not folder.is_dir() and here.is_dir():
+        if folder is None or folder.resolve() == here or not here.is_dir():
+            continue
+        if paths.storage is None or not folder.is_dir():
             found[place] = here.as_uri()
     return found
 

@@ -28,7 +28,8 @@ def write_to_mlflow(study: KeptStudy) -> None:
     Raises:
         InputError: the champion cannot be read.
     """
-    tracker, spec, store = tracker_of(study.paths), study.spec, study.store
+    tracker = MlflowTracker(study.paths)  # a new one: it remembers runs that may have been removed since
+    spec, store = study.spec, study.store
     tracker.start_study(spec, n_trials=len(study.records))
     for record in study.records:
         tracker.log_trial(spec, record, _history(study, record))

@@ -166,7 +166,8 @@ def read_records(study_folder: Path) -> list[TrialRecord]:
 
 def read_history(study_folder: Path, index: int) -> dict[str, NDArray[Any]]:
     """Read a trial's learning curves, each of shape (epochs validated,)."""
-    with np.load(study_folder / trial_name(index) / HISTORY_FILE, allow_pickle=False) as file:
+    place = study_folder / trial_name(index) / HISTORY_FILE
+    with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 
 

@@ -12,6 +12,29 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 OFFICE = REPOSITORY / "fmus" / "office"
 
 
+TINY_PROFILE = """\
+schema = 1
+name = "tiny"
+[data]
+n_train = [16]
+n_validation = 32
+n_test = 32
+[tuning]
+n_trials = 3
+max_epochs = 10
+patience = 10
+[tuning.search]
+n_latent = [4, 8]
+n_hidden = [16, 32]
+beta = [10.0, 100.0]
+[screening]
+popsize = 4
+maxiter = 10
+[polish]
+max_calls = 20
+"""
+
+
 class Answer:
     """What a command answered.
 
