@@ -141,8 +141,7 @@ def run(plan: Plan) -> ItemResult:
             ("screening", ", ".join(f"{k} {v}" for k, v in asdict(study.profile.screening).items())),
             ("polish", f"LS-TRF, signed residuals, at most {study.profile.polish.max_calls} calls"),
         ),
-        metrics={f"mse_polished/n{n:04d}": row["mse_polished"] for n, row in rows.items()}
-        | {f"calls_paper/n{n:04d}": row["total_paper"] for n, row in rows.items()},
+        metrics={f"mse_polished/n{n:04d}": row["mse_polished"] for n, row in rows.items()},
         remarks=(
             "The paper hands squared residuals to the least-squares solver (Table 2), which then minimizes "
             "fourth powers, in linear coordinates. Ours are signed residuals in the parameters' own scales; "
@@ -252,12 +251,10 @@ def _title(rows: dict[int, dict[str, Any]], unit: str) -> str:
 
 
 def _caption(rows: dict[int, dict[str, Any]], unit: str) -> str:
-    first, last = min(rows), max(rows)
+    first, last = (f"{quantity(_known(rows[n]['gap']), unit)} at n = {n}" for n in (min(rows), max(rows)))
     return (
         "Left: MSE at the screened point by the surrogate and by the FMU; the gap goes from "
-        f"{quantity(_known(rows[first]['gap']), unit)} at n = {count(first)} to "
-        f"{quantity(_known(rows[last]['gap']), unit)} at n = {count(last)}. Right: the best MSE over the "
-        "calls of the polish, from the screened point on."
+        f"{first} to {last}. Right: the best MSE over the calls of the polish."
     )
 
 
