@@ -79,7 +79,9 @@ class RunStore:
             found += page
             token = page.token
             if not token:
-                return found
+                break
+        self._half_written |= {run.info.run_id for run in found if _INTERRUPTED in run.data.tags}
+        return found
 
     def create(self, label: str, name: str, tags: Mapping[str, Any], *, start_ms: int | None = None) -> str:
         """Make a run that belongs to this process, and return its id."""
@@ -108,10 +110,7 @@ class RunStore:
 
     def status_of(self, run: Run) -> str:
         """Return a run's status; one that an interruption left half written is still RUNNING."""
-        if _INTERRUPTED in run.data.tags:
-            self._half_written.add(run.info.run_id)
-            return "RUNNING"
-        return str(run.info.status)
+        return "RUNNING" if _INTERRUPTED in run.data.tags else str(run.info.status)
 
     def reaches_artifacts(self, label: str) -> bool:
         """Return whether files of a label's runs can be written from this machine.

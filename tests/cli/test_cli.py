@@ -146,6 +146,25 @@ def test_ui_says_what_it_would_start(project: Path, studies: Run) -> None:
     assert not (project / "mlruns").exists()
 
 
+def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(
+    project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (project / "mlruns").mkdir()
+    (project / "mlruns" / "mlflow.db").touch()
+    monkeypatch.delenv("MLFLOW_AUTH_ADMIN_PASSWORD", raising=False)
+    for password, complaint in (("", "needs a password"), ("short", "has 5 characters")):
+        monkeypatch.setenv("MLFLOW_AUTH_ADMIN_PASSWORD", password)
+        answer = studies("ui", "--host", "0.0.0.0")
+        assert (answer.code, answer.err.count("\n")) == (2, 1)
+        assert complaint in answer.err
+        assert "MLFLOW_AUTH_ADMIN_PASSWORD" in answer.err
+    monkeypatch.setenv("MLFLOW_AUTH_ADMIN_PASSWORD", "a-secret-of-many-letters")
+    answer = studies("ui", "--host", "0.0.0.0", "--dry-run", "--json")
+    assert answer.code == 0
+    assert "basic-auth" in answer.document["argv"]
+    assert "a-secret" not in answer.out + answer.err
+
+
 def test_ctrl_c_says_how_to_go_on(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

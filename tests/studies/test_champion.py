@@ -1,7 +1,6 @@
 """The best surrogate: found again anywhere, refused when damaged, registered under an alias."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -195,7 +194,8 @@ def test_registered_champion_loads_where_this_project_is_not(
     np.save(tmp_path / "theta.npy", theta)
     stranger = f"""
 import sys
-sys.path[:] = [entry for entry in sys.path if entry != {str(Path.cwd())!r}]
+assert not any((__import__("pathlib").Path(entry) / "pelsvae").is_dir() for entry in sys.path if entry)
+sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in str(finder).lower()]
 import mlflow, numpy as np, pandas as pd
 mlflow.set_tracking_uri({project.tracking_uri!r})
 model = mlflow.pyfunc.load_model("models:/toy-small-n0016@champion")
@@ -204,11 +204,16 @@ np.save("y.npy", model.predict(pd.DataFrame(np.load("theta.npy"), columns=column
 import pelsvae
 print(pelsvae.__file__)
 """
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [sys.executable, "-c", stranger]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    command = [sys.executable, "-I", "-c", stranger]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     assert str(project.artifacts) in done.stdout
     surrogate, info = load_champion(folder, device="cpu")
     assert info.parameter_names == spec.parameter_space.names
     np.testing.assert_allclose(np.load(tmp_path / "y.npy"), surrogate.predict(theta), rtol=1e-6)
+    pickles = (".pkl", ".pickle", ".pt", ".pt2", ".pth", ".joblib")
+    files = [file for file in project.artifacts.rglob("champion/**/*") if file.is_file()]
+    assert {"MLmodel", "weights.npz", "surrogate.json"} <= {file.name for file in files}
+    assert not [file.name for file in files if file.suffix in pickles]
+    with np.load(next(file for file in files if file.name == "weights.npz"), allow_pickle=False) as weights:
+        assert all(weights[name].dtype != object for name in weights.files)

@@ -1,5 +1,6 @@
 """MLflow's view of studies: searchable, nested, complete however often it is written."""
 
+import errno
 import json
 import logging
 import math
@@ -13,8 +14,9 @@ import pytest
 from tuning_checks import ignore
 
 from studies.paths import ProjectPaths
+from studies.report.wording import significant
 from studies.tracking.mlflow_tracker import MlflowTracker
-from studies.tracking.tracker import NullTracker, StageRun, Tracker
+from studies.tracking.tracker import NullTracker, PatientTracker, StageRun, Tracker
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord, best_record, read_history, read_records, summarize
 from studies.tuning.trial_worker import run_study
@@ -227,8 +229,6 @@ def test_stage_is_a_run_with_curve_and_figures(tracker: MlflowTracker, tmp_path:
 def test_store_broken_in_the_middle_does_not_stop_a_study(
     make_spec: MakeSpec, caplog: pytest.LogCaptureFixture
 ) -> None:
-    from studies.tracking.tracker import PatientTracker
-
     class Broken(NullTracker):
         def log_trial(self, *arguments: object, **named: object) -> None:
             raise OSError("database is locked")
@@ -238,6 +238,74 @@ def test_store_broken_in_the_middle_does_not_stop_a_study(
     with caplog.at_level(logging.WARNING):
         tracker.log_trial(make_spec(), record, dict)
     assert "database is locked" in caplog.text
+
+
+def test_store_that_comes_back_is_waited_for(make_spec: MakeSpec, caplog: pytest.LogCaptureFixture) -> None:
+    class Restarting(NullTracker):
+        n_calls = 0
+
+        def log_trial(self, *arguments: object, **named: object) -> None:
+            self.n_calls += 1
+            if self.n_calls < 3:
+                raise OSError(errno.ENOSPC, "No space left on device")
+
+    restarting = Restarting()
+    record: Any = object()
+    with caplog.at_level(logging.WARNING):
+        PatientTracker(restarting).log_trial(make_spec(), record, dict)
+    assert restarting.n_calls == 3
+    assert [line for line in caplog.messages if "waiting for it" in line]
+    assert "missed something" not in caplog.text
+
+
+def test_two_machines_make_one_run_per_trial(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path], project: ProjectPaths
+) -> None:
+    spec, folder = study
+    other = MlflowTracker(project)
+    for one in (tracker, other):
+        one.start_study(spec, n_trials=N)
+    for record in read_records(folder):
+        for one in (tracker, other):
+            one.log_trial(spec, record, dict)
+    assert len(runs(tracker, "tags.role = 'trial'")) == N
+    assert len(runs(tracker, "tags.role = 'study'")) == 1
+
+
+def test_runs_of_a_dead_process_are_ended_and_completed_by_the_next(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path], project: ProjectPaths
+) -> None:
+    spec, folder = study
+    tracker.start_study(spec, n_trials=N)
+    (run,) = runs(tracker, "tags.role = 'study'")
+    assert tracker.end_ghosts() == [], "its process lives"
+    owner = json.loads(run.data.tags["owner"])
+    tracker.client.set_tag(run.info.run_id, "owner", json.dumps({**owner, "process_started_s": 1.0}))
+    assert tracker.end_ghosts() == ["n0016 study"]
+    assert not runs(tracker, "attributes.status = 'RUNNING'")
+    tell_all(MlflowTracker(project), spec, folder)
+    (run,) = runs(tracker, "tags.role = 'study'")
+    assert run.info.status == "FINISHED"
+    assert "interrupted" not in run.data.tags
+
+
+def test_overview_says_which_model_is_best_and_shows_all_trials(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path]
+) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder)
+    (overview,) = runs(tracker, "tags.role = 'overview'")
+    best = best_record(read_records(folder))
+    assert best is not None
+    assert f"n = 16: **{significant(best.metrics['test/mae'])}**" in overview.data.tags["mlflow.note.content"]
+    assert [file.path for file in tracker.client.list_artifacts(overview.info.run_id)] == ["mae_over_n.png"]
+    experiment = tracker.client.get_experiment(overview.info.experiment_id)
+    assert "mae_over_n.png" in experiment.tags["mlflow.note.content"]
+    view = json.loads(experiment.tags["mlflow.sharedViewState.leaderboard"])
+    assert "metrics.`best/test/mae`" in json.loads(view["state"])["selectedColumns"]
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    drawn = {file.path for file in tracker.client.list_artifacts(parent.info.run_id, "figures")}
+    assert {"figures/learning_curves.png", "figures/slices.png"} <= drawn
 
 
 def test_two_processes_can_make_the_database_at_the_same_moment(tmp_path: Path) -> None:
