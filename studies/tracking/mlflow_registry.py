@@ -72,7 +72,7 @@ def _create_version(
     place = f"champion/t{info.index:03d}"
     with tempfile.TemporaryDirectory() as scratch:
         model = Path(scratch) / "model"
-        _save_model(info, folder, model, Path(scratch) / "code")
+        _save_model(info, folder, model, Path(scratch) / "code", run_id=run_id, place=place)
         client.log_artifacts(run_id, str(model), place)
     return client.create_model_version(
         name,
@@ -134,7 +134,9 @@ def _version_by_alias(client: "MlflowClient", name: str) -> "ModelVersion | None
         return None
 
 
-def _save_model(info: ChampionInfo, folder: Path, model: Path, code: Path) -> None:
+def _save_model(
+    info: ChampionInfo, folder: Path, model: Path, code: Path, *, run_id: str, place: str
+) -> None:
     """Write an MLflow model: the champion's files, the code that reads them, and what they are called."""
     import numpy as np
     import pandas as pd
@@ -142,7 +144,7 @@ def _save_model(info: ChampionInfo, folder: Path, model: Path, code: Path) -> No
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         import mlflow.pyfunc
-        from mlflow.models import ModelSignature
+        from mlflow.models import Model, ModelSignature
         from mlflow.types import ColSpec, Schema, TensorSpec
 
     shutil.copytree(_ROOT / "pelsvae", code / "pelsvae", ignore=shutil.ignore_patterns("__pycache__"))
@@ -158,6 +160,7 @@ def _save_model(info: ChampionInfo, folder: Path, model: Path, code: Path) -> No
             model,
             loader_module="studies.pyfunc_loader",
             data_path=str(folder),
+            mlflow_model=Model(artifact_path=place, run_id=run_id),
             code_paths=[str(code / "pelsvae"), str(code / "studies")],
             pip_requirements=[
                 f"{package}=={_public_version(package)}" for package in ("numpy", "pandas", "torch")

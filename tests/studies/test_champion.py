@@ -200,6 +200,7 @@ import mlflow, numpy as np, pandas as pd
 mlflow.set_tracking_uri({project.tracking_uri!r})
 model = mlflow.pyfunc.load_model("models:/toy-small-n0016@champion")
 columns = [column.name for column in model.metadata.signature.inputs]
+assert list(model.input_example.columns) == columns
 np.save("y.npy", model.predict(pd.DataFrame(np.load("theta.npy"), columns=columns)))
 import pelsvae
 print(pelsvae.__file__)
