@@ -135,7 +135,9 @@ def _manifest(file: Path, place: Path) -> dict[str, Any]:
         manifest = json.loads(place.read_text(encoding="utf-8"))
         number, files = manifest["format"], manifest["files"]
     except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{file} is no archive of studies: it has no readable {MANIFEST}") from None
+        raise InputError(
+            f"{file} is damaged or no archive of studies (no readable {MANIFEST}); copy it again"
+        ) from None
     if number != FORMAT or not isinstance(files, dict):
         raise InputError(
             f"{file} is of format {number}, this version reads {FORMAT}; import it with the one that wrote it"

@@ -76,6 +76,7 @@ class VersionRow:
         run_id: the run it came from.
         aliases: what points at it.
         identity: which surrogate it is, as the registry's tag says.
+        created_s: when it was registered. [s since 1970, UTC]
     """
 
     model: str
@@ -84,6 +85,7 @@ class VersionRow:
     run_id: str
     aliases: tuple[str, ...]
     identity: str
+    created_s: float
 
 
 @dataclass(frozen=True)
@@ -239,7 +241,7 @@ def _versions(connection: Connection) -> tuple[VersionRow, ...]:
     }
     found = _rows(
         connection,
-        "SELECT name, version, source, run_id FROM model_versions "
+        "SELECT name, version, source, run_id, creation_time FROM model_versions "
         "WHERE current_stage <> 'Deleted_Internal' ORDER BY name, version",
     )
     return tuple(
@@ -250,8 +252,9 @@ def _versions(connection: Connection) -> tuple[VersionRow, ...]:
             run_id or "",
             tuple(sorted(aliases.get((model, int(version)), []))),
             identities.get((model, int(version)), ""),
+            (created_ms or 0) / 1000.0,
         )
-        for model, version, source, run_id in found
+        for model, version, source, run_id, created_ms in found
     )
 
 

@@ -1,9 +1,11 @@
 """Optuna's view of the studies: what it says of each trial, and writing it again from the records."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import optuna
-from optuna.storages import RDBStorage
+from optuna.storages import BaseStorage, RDBStorage
 from optuna.trial import TrialState as OptunaState
 
 from studies.keeping.stores import KeptStudy
@@ -50,11 +52,12 @@ def read_optuna(paths: ProjectPaths) -> dict[str, list[OptunaTrial]]:
     """
     if not has_optuna(paths):
         return {}
-    storage = open_optuna(paths)
     found = {}
-    for study in storage.get_all_studies():
-        trials = storage.get_all_trials(study._study_id, deepcopy=False)
-        found[study.study_name] = [
+    with _opened(paths) as storage:
+        studies = storage.get_all_studies()
+        content = {one.study_name: storage.get_all_trials(one._study_id, deepcopy=False) for one in studies}
+    for name, trials in content.items():
+        found[name] = [
             OptunaTrial(
                 number=trial.number,
                 index=int(trial.user_attrs.get("index", -1)),
@@ -76,11 +79,23 @@ def forget_optuna(paths: ProjectPaths, name: str) -> bool:
     """Remove one study; return whether there was one."""
     if not has_optuna(paths):
         return False
-    storage = open_optuna(paths)
-    if name not in {study.study_name for study in storage.get_all_studies()}:
-        return False
-    optuna.delete_study(study_name=name, storage=storage)
+    with _opened(paths) as storage:
+        if name not in {study.study_name for study in storage.get_all_studies()}:
+            return False
+        optuna.delete_study(study_name=name, storage=storage)
     return True
+
+
+@contextmanager
+def _opened(paths: ProjectPaths) -> Iterator[BaseStorage]:
+    """Open Optuna's store, and hang up on a server at the end."""
+    storage = open_optuna(paths)
+    try:
+        yield storage
+    finally:
+        storage.remove_session()
+        if isinstance(storage, RDBStorage):
+            storage.engine.dispose()
 
 
 def upgrade_optuna(paths: ProjectPaths) -> None:

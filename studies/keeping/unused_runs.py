@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from studies.keeping.ghosts import is_worked_on
-from studies.keeping.leftover import Leftover, newest_change, of_place
+from studies.keeping.leftover import Leftover, of_place
 from studies.keeping.mlflow_tables import MlflowContent, RunRow, VersionRow, local_folder, read_mlflow
 from studies.keeping.scratch import size_of
 from studies.keeping.stores import Stores
@@ -78,7 +78,7 @@ def _versions(stores: Stores, content: MlflowContent) -> Iterator[Leftover]:
             f"{version.model} version {version.version}",
             "neither champion nor previous",
             size_of(folder) if folder is not None and is_here else 0,
-            newest_change(folder) if folder is not None and is_here else 0.0,
+            version.created_s,
             partial(_remove_version, stores, version, others),
         )
 
