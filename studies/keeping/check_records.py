@@ -91,7 +91,7 @@ def _weights(study: KeptStudy, best: TrialRecord) -> Iterator[StoreFinding]:
         f"the weights of the best trial {what}",
         "--repair takes the champion's copy"
         if has_copy
-        else f"studies reproduce {best.key} trains the same weights again",
+        else f"studies reproduce --keep {best.key} trains them again, in mlruns/reproduced",
         partial(_restore_weights, study, best, champion) if has_copy else None,
     )
 

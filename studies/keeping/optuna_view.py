@@ -1,5 +1,6 @@
 """Optuna's view of the studies: what it says of each trial, and writing it again from the records."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -102,4 +103,10 @@ def upgrade_optuna(paths: ProjectPaths) -> None:
     """Bring the tables of Optuna's database up to date."""
     assert paths.storage is not None
     url = in_schema(paths.storage, "optuna")
-    RDBStorage(url, skip_compatibility_check=True, skip_table_creation=True).upgrade()
+    # Without any handler Optuna's migrations set up logging of their own, which tells of every step.
+    silence = logging.NullHandler()
+    logging.getLogger().addHandler(silence)
+    try:
+        RDBStorage(url, skip_compatibility_check=True, skip_table_creation=True).upgrade()
+    finally:
+        logging.getLogger().removeHandler(silence)

@@ -52,10 +52,7 @@ class Version:
 
 def versions_of(paths: ProjectPaths) -> list[Version]:
     """Return the versions of everything that has one; changes nothing."""
-    found = []
-    if paths.storage is not None or paths.tracking_database.is_file():
-        where = "the database's schema mlflow" if paths.storage else paths.show(paths.tracking_database)
-        found.append(_database("MLflow", where, paths.tracking_uri))
+    found = _mlflow(paths)
     if paths.storage is not None:
         found.append(_database("Optuna", "the database's schema optuna", in_schema(paths.storage, "optuna")))
     for file in sorted((paths.mlruns / "champions").glob(f"*/*/{CHAMPION_FILE}")):
@@ -97,6 +94,33 @@ def check_versions(paths: ProjectPaths, versions: Sequence[Version]) -> Iterator
 def is_readable(version: Version) -> bool:
     """Return whether this installation can read the store."""
     return version.standing in ("same", "empty")
+
+
+def require_mlflow_version(paths: ProjectPaths) -> None:
+    """Refuse a database of MLflow's that another version wrote.
+
+    MLflow itself would bring one of an earlier version up to date on the way, without a copy and for good.
+
+    Raises:
+        InputError: it is of an earlier or a later version.
+    """
+    for one in _mlflow(paths):
+        if one.standing == "behind":
+            raise InputError(
+                f"{one.where} is of version {one.found}, MLflow {_library(one)}speaks {one.spoken}; "
+                "type: studies doctor --upgrade (it keeps a copy)"
+            )
+        if one.standing == "ahead":
+            raise InputError(
+                f"{one.where} was written by a newer MLflow (version {one.found}); install a newer mlflow"
+            )
+
+
+def _mlflow(paths: ProjectPaths) -> list[Version]:
+    if paths.storage is None and not paths.tracking_database.is_file():
+        return []
+    where = "the database's schema mlflow" if paths.storage else paths.show(paths.tracking_database)
+    return [_database("MLflow", where, paths.tracking_uri)]
 
 
 def migrations_of(store: str) -> Config:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from studies.keeping.stores import KeptStudy
+from studies.keeping.versions import require_mlflow_version
 from studies.paths import ProjectPaths
 from studies.tracking.mlflow_tracker import MlflowTracker
 from studies.tracking.tracker import History
@@ -18,7 +19,12 @@ from studies.tuning.trial_record import SURROGATE_FOLDER, TrialRecord, summarize
 
 @cache
 def tracker_of(paths: ProjectPaths) -> MlflowTracker:
-    """Return the way to the project's MLflow, opened once: it costs seconds."""
+    """Return the way to the project's MLflow, opened once: it costs seconds.
+
+    Raises:
+        InputError: another version of MLflow wrote its database.
+    """
+    require_mlflow_version(paths)
     return MlflowTracker(paths)
 
 
@@ -28,6 +34,7 @@ def write_to_mlflow(study: KeptStudy) -> None:
     Raises:
         InputError: the champion cannot be read.
     """
+    require_mlflow_version(study.paths)
     tracker = MlflowTracker(study.paths)  # a new one: it remembers runs that may have been removed since
     spec, store = study.spec, study.store
     tracker.start_study(spec, n_trials=len(study.records))

@@ -225,8 +225,10 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
     Raises:
         InputError: the store cannot be opened.
     """
+    from studies.keeping.versions import require_mlflow_version
     from studies.tracking.mlflow_tracker import MlflowTracker
 
+    require_mlflow_version(paths)
     try:
         tracker = PatientTracker(MlflowTracker(paths))
     except OSError:

@@ -48,6 +48,11 @@ def test_an_earlier_database_of_mlflow_is_told_copied_and_upgraded(paths: Projec
     (finding,) = bad_findings(studies)
     assert finding[0] == "versions"
     assert finding[1].startswith(f"is of version {EARLIER}, MLflow 3.")
+    refused = studies("tune", "--profile", "tiny.toml", "--trials", "4", "--quiet")
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
+    assert f"mlruns/mlflow.db is of version {EARLIER}, MLflow 3." in refused.err
+    assert refused.err.endswith("; type: studies doctor --upgrade (it keeps a copy)\n")
+    assert revision(paths.tracking_database) == EARLIER
     answer = studies("doctor", "--upgrade", "--repair", "--json")
     assert answer.code == 0
     assert answer.document["done"][0].startswith(f"mlruns/mlflow.db from {EARLIER} to ")
