@@ -15,6 +15,7 @@ import pytest
 from project_for_tests import REPOSITORY, Answer, Run, make_project
 
 from studies.cli import main
+from studies.paths import ProjectPaths
 
 BEST_KNOWN = 0.01052
 RECORDED = REPOSITORY / "data" / "office"
@@ -33,7 +34,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = make_project(tmp_path_factory.mktemp("template") / "project")
     for file in RECORDED.glob("*.csv"):
         shutil.copy(file, root / "data" / "office" / file.name)
-    MlflowTracker(root / "mlruns" / "mlflow.db", root / "mlruns" / "artifacts")
+    MlflowTracker(ProjectPaths(root))
     return root
 
 

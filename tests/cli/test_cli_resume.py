@@ -15,6 +15,8 @@ import pyarrow.parquet
 import pytest
 from project_for_tests import REPOSITORY, make_project
 
+from studies.paths import ProjectPaths
+
 LABEL = "office-smoke"
 LIMIT_S = 300.0
 RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
@@ -137,7 +139,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from studies.tracking.mlflow_tracker import MlflowTracker
 
     root = make_project(tmp_path_factory.mktemp("template") / "project")
-    MlflowTracker(root / "mlruns" / "mlflow.db", root / "mlruns" / "artifacts")
+    MlflowTracker(ProjectPaths(root))
     return root
 
 

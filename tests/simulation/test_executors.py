@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -87,9 +87,10 @@ def test_a_process_that_is_killed_gives_its_rows_back():
         def kill() -> None:
             time.sleep(0.5)
             for process in psutil.Process().children():
-                if "spawn_main" in " ".join(process.cmdline()):
-                    os.kill(process.pid, signal.SIGKILL)
-                    return
+                with suppress(psutil.ZombieProcess):
+                    if "spawn_main" in " ".join(process.cmdline()):
+                        os.kill(process.pid, signal.SIGKILL)
+                        return
 
         killer = threading.Thread(target=kill)
         killer.start()
