@@ -1,7 +1,13 @@
 """What holds for all tests."""
 
+import atexit
+import gc
+import os
+import shutil
 import signal
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -12,6 +18,13 @@ if TYPE_CHECKING:
 # A shell starts background jobs with Ctrl-C ignored, which they pass on; tests interrupt processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Tests look for what is left in the temporary folder, so processes that test side by side have one each.
+if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+    own = Path(tempfile.mkdtemp(prefix=f"tests-{worker}-"))
+    own.chmod(0o755)  # PostgreSQL's server runs as another user
+    os.environ["TMPDIR"], tempfile.tempdir = str(own), None
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
 
 
 @pytest.fixture(scope="session")
@@ -27,6 +40,11 @@ def postgres_server() -> Iterator["PostgresServer"]:
 
 
 @pytest.fixture
-def storage(postgres_server: "PostgresServer") -> str:
-    """URL of an empty database."""
-    return postgres_server.new_database()
+def storage(postgres_server: "PostgresServer") -> Iterator[str]:
+    """URL of an empty database; connections to it are closed afterwards, whoever forgot them."""
+    yield postgres_server.new_database()
+    import sqlalchemy
+
+    for engine in [found for found in gc.get_objects() if isinstance(found, sqlalchemy.Engine)]:
+        if engine.url.port == postgres_server.port:
+            engine.dispose()
