@@ -73,6 +73,10 @@ def remove_study(study: KeptStudy) -> str:
         champion = paths.champion(entry.label, entry.n_train)
         if (read_json(champion / CHAMPION_FILE) or {}).get("study") == study.name:
             remove_folder(champion)
+        tuning = paths.results(entry.label) / "tune.json"
+        told = (read_json(tuning) or {}).get("summary", {}).get("studies", [])
+        if any(one.get("study") == study.name for one in told):
+            tuning.unlink()  # a finished stage has its champions
         _remove_records(study)
     return ""
 

@@ -108,6 +108,7 @@ def test_a_study_goes_from_everywhere_with_its_case(paths: ProjectPaths, studies
     assert [run.role for run in content.active if run.role in ("study", "trial")] == []
     assert found(studies)["deleted runs"] != []
     assert (paths.results(LABEL) / "calibration-n0016.json").is_file()
+    assert bad_findings(studies) == []
 
 
 def test_what_somebody_works_on_stays(paths: ProjectPaths, studies: Run) -> None:
