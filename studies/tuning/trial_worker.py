@@ -1,6 +1,5 @@
 """A worker: takes one trial after the other from several studies, whichever has one to give."""
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -178,12 +177,11 @@ class Worker:
     def _tell_waiting(self, studies: Sequence["_Course"]) -> bool:
         for study in studies:
             for trial in study.store.running():
+                ours = self._owner.get("command", self._owner["pid"])
+                if trial.owner.get("command", trial.owner.get("pid")) == ours:
+                    continue  # a colleague under the same command, whose bars tell of it
                 place = f"process {trial.owner.get('pid')} on {trial.owner.get('host')}"
-                if trial.owner.get("pid") == os.getpid():
-                    continue
-                line = (
-                    f"study {study.spec.name} has no trial to begin while {place} trains trial {trial.index}"
-                )
+                line = f"study {study.spec.name} waits for trial {trial.index}, which {place} trains"
                 study.tell("joined", message=line)
                 return True
         return False
