@@ -45,6 +45,6 @@ def storage(postgres_server: "PostgresServer") -> Iterator[str]:
     yield postgres_server.new_database()
     import sqlalchemy
 
-    for engine in [found for found in gc.get_objects() if isinstance(found, sqlalchemy.Engine)]:
+    for engine in [found for found in gc.get_objects() if type(found) is sqlalchemy.Engine]:
         if engine.url.port == postgres_server.port:
             engine.dispose()

@@ -21,7 +21,6 @@ host all all 127.0.0.1/32 trust
 _SETTINGS = """\
 listen_addresses = '127.0.0.1'
 fsync = off
-synchronous_commit = off
 full_page_writes = off
 shared_buffers = 32MB
 max_connections = 100
@@ -62,7 +61,7 @@ class PostgresServer:
         self.start()
 
     def start(self) -> None:
-        """Start the server and wait until it answers."""
+        """Start the server, which dies with the thread that calls this, and wait until it answers."""
         log = (self.folder / "log").open("ab")
         command = [*_as_postgres(), str(self._programs / "postgres"), "-D", str(self.folder / "data")]
         self._server = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)

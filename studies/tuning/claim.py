@@ -87,6 +87,7 @@ def this_owner(command_pid: int | None = None) -> dict[str, Any]:
         command_pid: process of the command that looks after this one.
     """
     owner = {"host": socket.gethostname(), "machine": this_machine(), **_process(psutil.Process())}
+    owner["worker"] = uuid.uuid4().hex[:8]  # one process may have several
     if command_pid is not None:
         owner["command"] = _process(psutil.Process(command_pid))
     return owner

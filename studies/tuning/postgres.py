@@ -3,12 +3,13 @@
 The only module that speaks psycopg.
 """
 
+import atexit
 import hashlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -92,6 +93,13 @@ class Database:
         self._connection: Connection | None = None
         self._spare: deque[Connection] = deque()
         self._is_ready = False
+        atexit.register(self.close)
+
+    def close(self) -> None:
+        """Hang up; the next question connects again."""
+        for connection in (*self._spare, *([self._connection] if self._connection else [])):
+            connection.close()
+        self._spare.clear()
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[Row]:
         """Run a statement that may be run twice with the effect of once, and return its rows.
@@ -148,10 +156,14 @@ class Database:
                 keepalives_interval=10,
                 keepalives_count=3,
             )
-            connection.execute(_SESSION)
-            if not self._is_ready:
-                self._prepare(connection)
-                self._is_ready = True
+            try:
+                connection.execute(_SESSION)
+                if not self._is_ready:
+                    self._prepare(connection)
+                    self._is_ready = True
+            except BaseException:
+                connection.close()
+                raise
         except (OperationalError, Error) as error:
             raise self._explained(error) from None
         return connection
@@ -248,7 +260,7 @@ def database(storage: str) -> Database:
     return _database(storage, os.getpid())  # a forked process must not speak on its parent's connection
 
 
-@lru_cache(maxsize=8)
+@cache
 def _database(storage: str, pid: int) -> Database:
     return Database(storage)
 

@@ -7,7 +7,7 @@ function of the study and of trials before it, whoever trains them, in whatever 
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from studies.tuning.claim import Claim, is_dead, this_machine
@@ -52,14 +52,15 @@ def take_slot(
         spec: the study.
         store: its records.
         n_trials: finished trials the study shall have in total.
-        owner: who claims it.
+        owner: who claims it, and trains no other trial now.
         neighbours: finds the finished studies of other sizes.
     """
-    answer = _look(spec, store.finished(), store.claims(), n_trials)
+    claimed = [(_without(claim, owner), silence_s) for claim, silence_s in store.claims()]
+    answer = _look(spec, store.finished(), claimed, n_trials)
     if not isinstance(answer, int):
         return answer
     with store.lock():
-        claims = reap(spec, store)
+        claims = {index: _without(claim, owner) for index, claim in reap(spec, store).items()}
         finished = store.records()
         known = {record.index for record in finished}
         answer = _look(spec, sorted(known), [(claim, 0.0) for claim in claims.values()], n_trials)
@@ -150,6 +151,11 @@ def _look(
         return "done"
     free = next((index for index in missing if index not in alive), None)
     return "busy" if free is None or missing[0] <= free - spec.n_parallel else free
+
+
+def _without(claim: Claim, owner: Mapping[str, Any]) -> Claim:
+    """Free a claim of somebody who asks for a trial: the answer to an earlier question has not reached it."""
+    return replace(claim, owner={}, token="") if claim.owner == owner else claim
 
 
 def _failure(spec: StudySpec, claim: Claim, reason: str) -> TrialRecord:

@@ -69,6 +69,11 @@ class StudyStore:
                 if key not in set(known):
                     self._study.add_trial(self._trial(record))
 
+    def close(self) -> None:
+        """Hang up where there is a server; the next question connects again."""
+        if isinstance(self._storage, RDBStorage):
+            self._storage.engine.dispose()
+
     def _open(self) -> optuna.Study:
         return optuna.create_study(
             storage=self._storage,
@@ -151,8 +156,10 @@ def _plain_errors(paths: ProjectPaths) -> Iterator[None]:
     except RuntimeError as error:
         if "compatible" not in str(error):
             raise
-        said = " ".join(str(error).split())
-        raise InputError(f"Optuna's store is of another version ({hide_passwords(said)})") from None
+        said = " ".join(str(error).split()).partition("). ")[0]
+        raise InputError(
+            f"Optuna's store is of another version ({hide_passwords(said)})); type: studies doctor --upgrade"
+        ) from None
 
 
 class _JournalLock(JournalFileOpenLock):

@@ -86,7 +86,10 @@ def tune(
             with suppress(InputError, OSError):  # stores that are away are told by the next command
                 desk.abandon(spec)
         raise
-    return [desk.close(spec) for spec in studies]
+    else:
+        return [desk.close(spec) for spec in studies]
+    finally:
+        desk.leave()
 
 
 class _Desk:
@@ -122,7 +125,9 @@ class _Desk:
 
     def hear(self, spec: StudySpec, event: TuneEvent) -> None:
         if event.kind == "waiting":
-            self.tell(event.message)
+            if self._paths.storage is None:
+                self.tell(event.message)
+            self._reach()
             return
         if event.kind == "joined":
             logger.warning("%s", event.message)
@@ -165,6 +170,11 @@ class _Desk:
         self._optuna[spec.name].tell(self._trials[spec.name])
         records = self._trials[spec.name].records()
         self._tracker.finish_study(spec, summarize(spec, records, None), "KILLED")
+
+    def leave(self) -> None:
+        """Hang up."""
+        for study in self._optuna.values():
+            study.close()
 
     def tell(self, line: str) -> None:
         """Say in one line what is waited for, and in another that it is there again."""

@@ -47,7 +47,7 @@ def test_study_leaves_records_and_journal_that_agree(uninterrupted: tuple[Projec
     assert [t.params for t in trials] == [r.params for r in records]
     for record, trial in zip(records, trials, strict=True):
         assert trial.state == (TrialState.COMPLETE if record.state == "complete" else TrialState.PRUNED)
-        assert {"host", "pid", "process_started_s", "machine"} == set(trial.user_attrs["owner"])
+        assert {"host", "pid", "process_started_s", "machine", "worker"} == set(trial.user_attrs["owner"])
         assert set(read_history(spec.folder(paths.mlruns), record.index)) >= {
             "epoch",
             "loss",

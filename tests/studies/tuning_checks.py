@@ -3,6 +3,7 @@
 from typing import Any
 
 import optuna
+from optuna.storages import RDBStorage
 
 from studies.paths import ProjectPaths
 from studies.tuning.study_spec import StudySpec, TuneEvent
@@ -23,13 +24,19 @@ def essence(records: list[TrialRecord]) -> list[tuple[object, ...]]:
 
 def in_optuna(spec: StudySpec, paths: ProjectPaths) -> list[optuna.trial.FrozenTrial]:
     """Read a study's trials from Optuna's store."""
-    return optuna.load_study(study_name=spec.name, storage=open_optuna(paths)).get_trials()
+    storage = open_optuna(paths)
+    trials = optuna.load_study(study_name=spec.name, storage=storage).get_trials()
+    if isinstance(storage, RDBStorage):
+        storage.engine.dispose()
+    return trials
 
 
 def run_and_tell(spec: StudySpec, paths: ProjectPaths, n_trials: int, **more: Any) -> None:
     """Run a study in this process, and tell Optuna as a command does."""
     run_study(spec, paths=paths, n_trials=n_trials, emit=more.pop("emit", ignore), **more)
-    StudyStore(spec, paths).tell(open_trials(paths, spec))
+    store = StudyStore(spec, paths)
+    store.tell(open_trials(paths, spec))
+    store.close()
 
 
 def records_of(spec: StudySpec, paths: ProjectPaths) -> list[TrialRecord]:
