@@ -83,7 +83,11 @@ def _champion(stores: Stores, folder: Path) -> Iterator[StoreFinding]:
     if study is None:
         yield StoreFinding(STORE, "note", where, f"its study {told.study} has no records here")
     elif study.best is not None and study.best.index != told.index and study is owner:
-        yield _missing(stores, study, where, f"is trial {told.index}, trial {study.best.index} is better")
+        if told.index in {record.index for record in study.records}:
+            yield _missing(stores, study, where, f"is trial {told.index}, trial {study.best.index} is better")
+        else:
+            lost = f"is trial {told.index}, whose record is lost"
+            yield StoreFinding(STORE, "note", where, lost, "studies tune trains it again")
 
 
 def _missing(stores: Stores, study: KeptStudy, where: str, found: str) -> StoreFinding:

@@ -193,6 +193,7 @@ class _Comparison:
         lost: dict[str, list[RunRow]] = {}
         for run in self.content.active:
             is_told = run.role in ("study", "overview") and "told" in run.tags
+            is_told = is_told and run.tags.get("n_trials") != "0"  # there was nothing to draw yet
             if (is_told or run.tags.get("whole") == "yes") and run.folder is not None and not _has_files(run):
                 lost.setdefault(run.label, []).append(run)
         for label, runs in lost.items():

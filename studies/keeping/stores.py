@@ -116,7 +116,8 @@ def read_study(paths: ProjectPaths, entry: StudyEntry) -> KeptStudy:
             try:
                 record = store.record(index)
             except DAMAGE as error:
-                damaged.append((index, f"{type(error).__name__}: {error}"))
+                why = error.__cause__ or error
+                damaged.append((index, f"{type(why).__name__}: {why}"))
                 continue
             if record is None:
                 damaged.append((index, "no trial.json"))

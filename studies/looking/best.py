@@ -34,7 +34,7 @@ class BestModel:
     @property
     def name(self) -> str:
         """What the trial is called on a command line."""
-        return f"{self.study.short_name}/{trial_name(self.trial.index)}"
+        return f"{self.study.called}/{trial_name(self.trial.index)}"
 
     @property
     def default_mae(self) -> float | None:
@@ -113,7 +113,8 @@ def best_blocks(project: Project, labels: Sequence[str], sizes: Sequence[int] | 
     """Return what a person sees."""
     blocks: list[Block] = []
     found = benches(project, labels, sizes)
-    for bench in found:
+    for place, bench in enumerate(found):
+        blocks += [Said("")] if place else []
         blocks.append(_models(bench))
         blocks.append(Said(_worth(bench)))
     if len(found) > 1:

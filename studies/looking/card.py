@@ -259,7 +259,7 @@ def _trials(study: StudyLook) -> Table:
         Column("state"),
         Column(f"MAE val{unit}", True),
         Column(f"MAE test{unit}", True),
-        Column("P90 test", True, 3),
+        Column(f"P90 test{unit}", True, 3),
         Column("epochs", True, 4),
         Column("took", True, 2),
         Column("chosen by", spare=5),

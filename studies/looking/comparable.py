@@ -89,7 +89,7 @@ def _of_study(study: StudyLook, counts: Sequence[int]) -> Comparable:
     best, course = study.best, best_so_far(study.records)
     entry = study.entry
     return Comparable(
-        name=study.short_name,
+        name=study.called,
         unit=study.unit,
         judged_by=_judges(entry.digests),
         settings={

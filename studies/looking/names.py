@@ -17,6 +17,8 @@ from studies.looking.things import (
     row_sets,
 )
 from studies.looking.wording import hint
+from studies.stages.pipeline import read_json
+from studies.tuning.trial_record import trial_name
 
 N_NAMED = 6
 """Names that a message lists at most."""
@@ -64,6 +66,10 @@ def find_thing(project: Project, text: str) -> Thing:
         return found
     if not things:
         raise InputError(f"nothing is called {text!r}: this project has no results yet; type: studies run")
+    study = things.get(said.rpartition("/")[0])
+    if isinstance(study, StudyLook) and study.records and said.rpartition("/")[2].startswith("t"):
+        first, last = trial_name(study.records[0].index), trial_name(study.records[-1].index)
+        raise InputError(f"nothing is called {text!r}; {study.called} has the trials {first} to {last}")
     known = "studies status shows what there is"
     raise InputError(f"nothing is called {text!r}; {hint(said, things)}{known}")
 
@@ -85,9 +91,9 @@ def _without_place(project: Project, text: str) -> str:
     """Return the name that a file or folder of the project stands for."""
     parts = Path(text.removeprefix(f"{project.paths.root}/")).parts
     if len(parts) == 4 and parts[:2] == ("mlruns", "champions"):
-        for study in project.studies:
-            if study.short_name == f"{parts[2]}/{parts[3]}" and study.best:
-                return study.best.key
+        champion = read_json(project.paths.root / Path(*parts) / "champion.json") or {}
+        if "study" in champion and "index" in champion:
+            return f"{champion['study']}/{trial_name(champion['index'])}"
     if len(parts) >= 4 and parts[0] == "mlruns" and parts[1] in ("trials", "results"):
         rest = [part for part in parts[2:] if part not in ("trial.json", "history.npz", "surrogate")]
         rest[1] = Path(rest[1]).stem.replace("calibration-", "calibrate-")

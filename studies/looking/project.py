@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +27,7 @@ class StudyLook:
         records: its finished trials, ordered by index.
         running: the trials that somebody works on.
         lost: the trials whose owner has died; the next `studies tune` takes them up.
+        has_twin: whether the project holds another study of the same label and size.
     """
 
     entry: StudyEntry
@@ -33,6 +35,7 @@ class StudyLook:
     records: tuple[TrialRecord, ...]
     running: tuple[RunningTrial, ...]
     lost: tuple[RunningTrial, ...]
+    has_twin: bool = False
 
     @property
     def name(self) -> str:
@@ -61,8 +64,13 @@ class StudyLook:
 
     @property
     def short_name(self) -> str:
-        """What it is called on a command line, for example `office-quick/n0064`."""
+        """Its label and size, for example `office-quick/n0064`; of twins it means the latest."""
         return self.name.rsplit("/", 1)[0]
+
+    @property
+    def called(self) -> str:
+        """What it is called on a command line: its label and size, its whole name where it has a twin."""
+        return self.name if self.has_twin else self.short_name
 
     @property
     def digest(self) -> str:
@@ -175,7 +183,9 @@ def look_at(paths: ProjectPaths) -> Project:
         InputError: the storage cannot be reached.
     """
     studies = []
-    for entry in list_studies(paths):
+    entries = list_studies(paths)
+    n_alike = Counter((entry.label, entry.n_train) for entry in entries)
+    for entry in entries:
         store = open_trials(paths, entry.name)
         # First what runs: a trial that ends between the two looks is counted once, as finished.
         running, records = store.running(), store.records()
@@ -183,7 +193,11 @@ def look_at(paths: ProjectPaths) -> Project:
         begun = [trial for trial in running if trial.index not in finished]
         lost = tuple(trial for trial in begun if is_dead(trial.owner, time.time() - trial.heard_s))
         alive = tuple(trial for trial in begun if trial not in lost)
-        studies.append(StudyLook(entry, store, tuple(records), alive, lost))
+        studies.append(
+            StudyLook(
+                entry, store, tuple(records), alive, lost, has_twin=n_alike[entry.label, entry.n_train] > 1
+            )
+        )
     return Project(paths, tuple(studies), _stages(paths))
 
 

@@ -86,7 +86,7 @@ def next_line(thing: Thing) -> str:
     if isinstance(thing, TrialThing):
         return f"next: studies reproduce {thing.name}"
     if isinstance(thing, StudyLook):
-        best = f"studies show {thing.short_name}/{trial_name(thing.best.index)}" if thing.best else ""
+        best = f"studies show {thing.called}/{trial_name(thing.best.index)}" if thing.best else ""
         return f"next: {best or 'studies status --live'}"
     if isinstance(thing, StageLook):
         may_repeat = thing.is_calibration or thing.stage == "sensitivity"

@@ -123,7 +123,6 @@ def studies_table(lines: Sequence[StudyLine]) -> Table:
         Column("host", spare=8),
         Column("last sign", True, 7),
     ]
-    several = _ambiguous([line.study for line in lines])
     rows = []
     for line in lines:
         study, pace, best = line.study, line.pace, line.study.best
@@ -131,7 +130,7 @@ def studies_table(lines: Sequence[StudyLine]) -> Table:
         n_failed, n_running = study.count("failed"), len(study.running)
         rows.append(
             [
-                Said(study.name if study.short_name in several else study.short_name, _TONES[pace.mood]),
+                Said(study.called, _TONES[pace.mood]),
                 f"{len(study.records)}/{study.n_planned}",
                 _quiet_zero(study.count("pruned")),
                 Said(str(n_failed), "bad") if n_failed else _quiet_zero(0),
@@ -144,12 +143,6 @@ def studies_table(lines: Sequence[StudyLine]) -> Table:
             ]
         )
     return Table(title, columns, rows, is_dense=True)
-
-
-def _ambiguous(studies: Sequence[StudyLook]) -> set[str]:
-    """Return the names that several studies share: one label and size, with other settings or other data."""
-    names = [study.short_name for study in studies]
-    return {name for name in names if names.count(name) > 1}
 
 
 def _quiet_zero(number: int) -> Said:
@@ -214,7 +207,7 @@ def _running(lines: Sequence[StudyLine]) -> Table:
             full = round(N_BAR * min(part, 1.0))
             rows.append(
                 [
-                    f"{line.study.short_name}/{trial_name(trial.index)}",
+                    f"{line.study.called}/{trial_name(trial.index)}",
                     f"{trial.epoch}/{trial.max_epochs}" if trial.max_epochs else MISSING,
                     Said("━" * full + "─" * (N_BAR - full), "good"),
                     error(trial.value),

@@ -37,7 +37,7 @@ class TrialThing:
     @property
     def name(self) -> str:
         """What it is called on a command line."""
-        return f"{self.study.short_name}/{trial_name(self.record.index)}"
+        return f"{self.study.called}/{trial_name(self.record.index)}"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,8 @@ def all_things(project: Project) -> dict[str, Thing]:
         things |= dict.fromkeys((study.short_name, study.name), study)
         for record in study.records:
             thing = TrialThing(study, record)
-            things |= dict.fromkeys((thing.name, record.key), thing)
+            short = f"{study.short_name}/{trial_name(record.index)}"
+            things |= dict.fromkeys((short, record.key), thing)
     for stage in project.stages:
         things[stage.name] = stage
         if stage.is_calibration:
@@ -130,7 +131,7 @@ def all_digests(project: Project, sets: list[RowSetThing]) -> dict[str, list[tup
     for study in project.studies:
         note(study.digest, "study", study.name)
         for role, digest in study.entry.digests.items():
-            note(digest, role if role in ("case", "fmu") else f"{role} set", study.short_name)
+            note(digest, role if role in ("case", "fmu") else f"{role} set", study.called)
     for stage in project.stages:
         note(stage.manifest.get("digest"), "stage", stage.name)
         note(stage.summary.get("case_sha256"), "case", stage.name)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.report.wording import count
+
 
 @dataclass(frozen=True)
 class Compared:
@@ -77,9 +79,9 @@ def _compared(name: str, recorded: Any, now: Any) -> Compared:
 
 
 def _compared_rows(name: str, recorded: NDArray[Any], now: NDArray[Any] | None) -> Compared:
-    said = f"{recorded.size} values"
+    said = count(recorded.size, "value")
     if now is None or recorded.shape != now.shape:
-        shape = "–" if now is None else f"{now.size} values"
+        shape = "–" if now is None else count(now.size, "value")
         return Compared(name, said, shape, False)
     if not all(np.issubdtype(one.dtype, np.number) for one in (recorded, now)):
         is_equal = bool(np.array_equal(recorded, now))

@@ -69,9 +69,7 @@ def find_recorded(paths: ProjectPaths, run: str) -> Recorded:
         return recorded_trial(paths, thing.study, thing.record)
     if isinstance(thing, StudyLook):
         if thing.best is None:
-            raise InputError(
-                f"{thing.name} has no completed trial; name one, such as {thing.short_name}/t000"
-            )
+            raise InputError(f"{thing.name} has no completed trial; name one, such as {thing.called}/t000")
         return recorded_trial(paths, thing, thing.best)
     if isinstance(thing, StageLook) and (thing.is_calibration or thing.stage == "sensitivity"):
         return recorded_stage(paths, thing.label, thing.stage.removeprefix("calibrate-"))

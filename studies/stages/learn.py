@@ -61,12 +61,13 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 on_event=show.hear,
             )
         n_done = sum(summary.n_trials for summary in summaries)
-        if n_done < n_trials * len(sizes) and study.max_hours is not None:
-            planned = n_trials * len(sizes)
-            study.console.say(
-                f"tune: --max-hours ended it after {n_done} of {planned} trials; type it again to go on"
-            )
         without = [summary.n_train for summary in summaries if summary.champion is None]
+        if n_done < n_trials * len(sizes) and study.max_hours is not None:
+            ended = f"tune: --max-hours ended it after {n_done} of {n_trials * len(sizes)} trials"
+            if without:
+                none = f"none of n_train = {', '.join(map(str, without))} is complete"
+                raise StageError(f"{ended}, {none}; type it again to go on")
+            study.console.say(f"{ended}; type it again to go on")
         if without:
             raise InputError(
                 f"no trial of n_train = {without[0]} was completed; see mlruns/trials/{study.label}, "
@@ -83,8 +84,18 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
-        keep=lambda summary: all(s["n_trials"] >= n_trials for s in summary["studies"]),
+        keep=lambda summary: all(
+            s["n_trials"] >= n_trials and _has_its_trials(study, s) for s in summary["studies"]
+        ),
     )
+
+
+def _has_its_trials(study: Study, found: Summary) -> bool:
+    """Tell whether no trial of a finished study was lost; one whose records stayed elsewhere lost none."""
+    from studies.tuning.trial_store import open_trials
+
+    left = open_trials(study.paths, found["study"]).finished()
+    return not left or len(left) >= found["n_trials"]
 
 
 def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":

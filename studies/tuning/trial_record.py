@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.errors import InputError
 from simulation.whole_file import whole_file
 from studies.tuning.study_spec import StudySpec, StudySummary, TrialState
 
@@ -123,12 +124,20 @@ def write_record(
 
 
 def read_record(study_folder: Path, index: int) -> TrialRecord | None:
-    """Read a trial, None where there is none."""
+    """Read a trial, None where there is none.
+
+    Raises:
+        InputError: its record is damaged.
+    """
+    file = study_folder / trial_name(index) / RECORD_FILE
     try:
-        text = (study_folder / trial_name(index) / RECORD_FILE).read_text(encoding="utf-8")
+        return record_from_json(file.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return None
-    return record_from_json(text)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{file}: cannot be read ({type(error).__name__}); studies doctor --repair keeps it aside"
+        ) from error
 
 
 def record_from_json(text: str) -> TrialRecord:

@@ -75,6 +75,32 @@ def test_running_trials_are_shown_with_the_time_to_go_and_dead_ones_as_lost(
     assert "lost" in out
 
 
+def test_the_names_of_twins_mean_themselves(project: Path, studies: Run) -> None:
+    write_study(project, "office-quick", 64, n_trials=4, seed=1)
+    write_study(project, "office-quick", 64, n_trials=4, seed=2)
+    for line in studies("status", "--json").document["studies"]:
+        shown = studies("show", line["study"], "--json").document
+        best = shown["trials"][shown["best_trial"]]
+        assert (shown["name"], best["metrics"]) == (line["study"], line["best_metrics"])
+    (bench,) = studies("best", "--json").document["benches"]
+    (model,) = bench["models"]
+    assert model["trial"] == f"{model['study']}/t{model['index']:03d}"
+    assert model["trial"] in studies("best").out
+    assert studies("show", model["trial"], "--json").document["metrics"] == model["metrics"]
+
+
+@pytest.mark.parametrize("text", ["", '{"study": "office-quick/n00', "[]", "{}"])
+def test_a_damaged_record_is_named_in_one_line(project: Path, studies: Run, text: str) -> None:
+    store = write_study(project, "office-quick", 64, n_trials=3)
+    Path(store.place, "t001", "trial.json").write_text(text, encoding="utf-8")
+    for command in (("status",), ("best",), ("show", "office-quick/n0064/t000")):
+        answer = studies(*command)
+        assert answer.code == 2
+        assert "t001/trial.json: cannot be read" in answer.err
+        assert "studies doctor --repair" in answer.err
+        assert answer.err.count("\n") == 1
+
+
 def test_a_pause_does_not_count_for_the_pace(project: Path) -> None:
     store = write_study(project, "office-quick", 64, n_trials=4)
     assert trials_per_s(store.records()) == pytest.approx(4 / (3 * 60.0 + 55.0))

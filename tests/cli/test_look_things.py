@@ -95,7 +95,7 @@ def test_a_trial_is_shown_with_its_curve_its_run_and_its_lineage(studies: Run) -
 @pytest.mark.parametrize(
     ("wrong", "line"),
     [
-        ("office-smoke/n0016/t077", "did you mean office-smoke/n0016/t00"),
+        ("office-smoke/n0016/t077", "office-smoke/n0016 has the trials t000 to t002"),
         ("office-smok", "did you mean office-smoke?"),
         ("t0", "may be"),
         ("abcdef012345", "nothing is called 'abcdef012345'"),
