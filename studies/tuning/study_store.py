@@ -5,7 +5,7 @@ could outlive its owner, and it can be written again from the records at any tim
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -28,6 +28,7 @@ from studies.tuning.trial_record import TrialRecord
 from studies.tuning.trial_store import TrialStore, named_lock
 
 JOURNAL = "optuna.journal"
+N_SHOWN_REPORTS = 8  # per trial in Optuna's store; the record has all
 
 _STATES = {"complete": OptunaState.COMPLETE, "pruned": OptunaState.PRUNED, "failed": OptunaState.FAIL}
 
@@ -88,7 +89,16 @@ class StudyStore:
             values = [record.metrics[name] for name in self._spec.objectives]
         elif record.state == "pruned" and len(self._spec.objectives) == 1 and record.value is not None:
             values = [record.value]
-        result = {"reason": record.reason, "n_epochs": record.n_epochs, "wall_s": record.wall_s}
+        # In a database every attribute and every reported value costs milliseconds.
+        result = {
+            "reason": record.reason,
+            "n_epochs": record.n_epochs,
+            "wall_s": record.wall_s,
+            "seed": record.seed,
+            "origin": record.origin,
+            "attempts": record.attempts,
+            "owner": record.owner,
+        }
         return FrozenTrial(
             number=-1,  # Optuna numbers it
             trial_id=-1,
@@ -101,17 +111,19 @@ class StudyStore:
             distributions=distributions(self._spec.search),
             user_attrs={
                 "index": record.index,
-                "seed": record.seed,
-                "origin": record.origin,
-                "attempts": record.attempts,
-                "config": record.config,
-                "owner": record.owner,
                 "started_s": record.started_s,
+                "config": record.config,
                 "result": {**result, **record.metrics},
             },
             system_attrs={},
-            intermediate_values={int(step): value for step, value in record.reports.items()},
+            intermediate_values=_thinned(record.reports),
         )
+
+
+def _thinned(reports: Mapping[str, float]) -> dict[int, float]:
+    """Return some of the reported values, evenly, the last among them."""
+    found = sorted((int(step), value) for step, value in reports.items())
+    return dict(found[:: -max(1, -(-len(found) // N_SHOWN_REPORTS))])
 
 
 def open_optuna(paths: ProjectPaths) -> BaseStorage:

@@ -1,8 +1,11 @@
 """A study in this process: repeatable, resumable, extensible; failures and ghosts are dealt with."""
 
+import subprocess
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import optuna
 import pytest
@@ -47,7 +50,9 @@ def test_study_leaves_records_and_journal_that_agree(uninterrupted: tuple[Projec
     assert [t.params for t in trials] == [r.params for r in records]
     for record, trial in zip(records, trials, strict=True):
         assert trial.state == (TrialState.COMPLETE if record.state == "complete" else TrialState.PRUNED)
-        assert {"host", "pid", "process_started_s", "machine", "worker"} == set(trial.user_attrs["owner"])
+        assert {"host", "pid", "process_started_s", "machine", "worker"} == set(
+            trial.user_attrs["result"]["owner"]
+        )
         assert set(read_history(spec.folder(paths.mlruns), record.index)) >= {
             "epoch",
             "loss",
@@ -280,3 +285,33 @@ def test_trials_are_compared_at_few_epochs_up_to_the_last() -> None:
         assert len(epochs) <= 16
         assert epochs[-1] == max_epochs
         assert epochs == sorted(set(epochs))
+
+
+def test_a_full_disk_is_waited_for(uninterrupted: tuple[ProjectPaths, StudySpec], tmp_path: Path) -> None:
+    """The disk is a real one of a few hundred kilobytes, where this process may mount one."""
+    paths, spec = uninterrupted
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no disk of its own can be mounted here")
+    heard: list[str] = []
+    ballast = disk / "ballast"
+
+    def emit(event: TuneEvent) -> None:
+        if event.kind == "trial-started" and event.index == 1:
+            with suppress(OSError), ballast.open("wb", buffering=0) as file:
+                while file.write(b"x" * 4096):
+                    pass
+        elif event.kind == "waiting":
+            heard.append(event.message)
+            ballast.unlink(missing_ok=True)
+
+    try:
+        run_study(spec, paths=ProjectPaths(disk), n_trials=3, emit=emit)
+        assert essence(records_of(spec, ProjectPaths(disk))) == essence(records_of(spec, paths)[:3])
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+    assert [bool(line) for line in heard] == [True, False]
+    assert "No space left on device" in heard[0]
+    assert heard[0].endswith("free some space")
