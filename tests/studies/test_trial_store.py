@@ -42,7 +42,7 @@ def a_record(index: int, mae: float = 0.5, **changes: object) -> TrialRecord:
         started_s=1.7e9 + index,
         wall_s=1.0,
         digests={"case": "c"},
-        owner=this_owner(),
+        owner=OWNER,
         metrics={"val/mae": mae},
         reports={"3": float("nan"), "9": float("inf"), "20": mae},
     )
@@ -63,6 +63,7 @@ def some_weights(folder: Path) -> Path:
     return folder
 
 
+OWNER = this_owner()
 CURVES = {"epoch": np.arange(3), "loss": np.array([0.3, np.nan, 1e-300])}
 
 
