@@ -208,7 +208,8 @@ def _recipe(study: Study, champion: ChampionInfo) -> Recipe:
 
 def _restore(study: Study, n_train: int) -> None:
     folder = study.paths.champion(study.label, n_train)
-    if (folder / CHAMPION_FILE).is_file() or not study.paths.tracking_database.is_file():
+    has_tracking = study.paths.storage is not None or study.paths.tracking_database.is_file()
+    if (folder / CHAMPION_FILE).is_file() or not has_tracking:
         return
     restore_champion(
         folder, lambda scratch: tracker_of(study.paths).fetch_champion(study.label, n_train, scratch)
