@@ -38,11 +38,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     project = look_at(find_project(chosen.storage))
     labels = chosen_labels(project, chosen.which)
+    sizes = sorted({study.n_train for study in project.studies if study.label in labels and study.best})
+    for n_train in chosen.n_train or ():
+        if n_train not in sizes:
+            known = f"there are {', '.join(map(str, sizes))}" if sizes else "there is none yet"
+            raise InputError(f"no model of n_train = {n_train}, {known}; studies status shows them")
     blocks = best_blocks(project, labels, chosen.n_train)
-    if not blocks and chosen.n_train:
-        sizes = sorted({study.n_train for study in project.studies if study.label in labels})
-        known = f"there are {', '.join(map(str, sizes))}" if sizes else "there is none yet"
-        raise InputError(f"no model of n_train = {chosen.n_train[0]}, {known}; studies status shows them")
     if not blocks:
         console.result(f"No completed trial and no calibration yet; {FIRST_WORDS}")
     console.show(blocks)

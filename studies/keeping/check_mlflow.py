@@ -34,6 +34,8 @@ from studies.tuning.trial_record import TrialRecord, trial_name
 
 STORE = "MLflow"
 _STATUS = {"complete": "FINISHED", "pruned": "KILLED", "failed": "FAILED"}
+NOTHING = "[0, null]"
+"""What the tag `told` says of a study without a trial."""
 _REMEDY = "--repair writes what is missing from the records"
 
 
@@ -192,8 +194,8 @@ class _Comparison:
     def _files(self) -> Iterator[StoreFinding]:
         lost: dict[str, list[RunRow]] = {}
         for run in self.content.active:
-            is_told = run.role in ("study", "overview") and "told" in run.tags
-            is_told = is_told and run.tags.get("n_trials") != "0"  # there was nothing to draw yet
+            # Told of no trial, a study has nothing to draw yet.
+            is_told = run.role in ("study", "overview") and run.tags.get("told", NOTHING) != NOTHING
             if (is_told or run.tags.get("whole") == "yes") and run.folder is not None and not _has_files(run):
                 lost.setdefault(run.label, []).append(run)
         for label, runs in lost.items():

@@ -14,6 +14,8 @@ from studies.tuning.trial_record import best_record
 
 JUDGED_BY = ("case", "validation", "test")
 """Digests without which errors of models cannot be compared."""
+SCREENED = {"mse_surrogate": "MSE surrogate", "mse_screened": "MSE screened", "screening_gap": "gap"}
+"""What screening came to, as the tables of `studies calibrate` call it."""
 CODE = ("git_commit", "git_dirty", "python", "numpy", "scipy", "torch", "fmpy", "cpu", "device")
 """What of an environment a person would name first."""
 
@@ -135,8 +137,7 @@ def _of_label(thing: LabelThing, n_equal: Mapping[int, int]) -> Comparable:
 
 def _of_calibration(project: Project, stage: StageLook) -> Comparable:
     found, ledger = stage.summary, stage.summary["ledger"]
-    names = ("mse_surrogate", "mse_screened", "screening_gap")
-    results = {name: found[name] for name in names if found.get(name) is not None}
+    results = {said: found[name] for name, said in SCREENED.items() if found.get(name) is not None}
     if math.isfinite(stage.mse):
         results["final MSE"] = stage.mse
     inputs = {name: value for name, value in stage.manifest["inputs"].items() if name != "is_log"}

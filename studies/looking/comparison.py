@@ -9,9 +9,12 @@ from studies.console import Block, Column, Facts, Said, Table
 from studies.looking.comparable import Comparable, comparables
 from studies.looking.names import find_thing, kind_of
 from studies.looking.project import Project
+from studies.looking.verdict import verdict
 from studies.report.wording import MISSING, count
 
 COMPARABLE = ("trial", "study", "label", "calibration")
+SHORT = {"validation": "val", "test": "test"}
+"""Sets that judge, as the errors on them are called."""
 N_DIGITS = 10
 """Digits of a digest or commit that are shown."""
 
@@ -43,8 +46,9 @@ def doubts(sides: Sequence[Comparable]) -> list[str]:
         digests = [side.judged_by.get(name, "") for side in sides]
         if len(set(digests)) > 1:
             said = ", ".join(f"{digest[:8] or MISSING}" for digest in digests)
+            errors = f"{SHORT[name]}/ errors" if name in SHORT else "errors"
             what = name if name in ("case", "measurement") else f"{name} set"
-            found.append(f"Not comparable: another {what} ({said}); ratios of errors mean nothing")
+            found.append(f"Not comparable: another {what} ({said}); ratios of {errors} mean nothing")
     return found
 
 
@@ -60,6 +64,7 @@ def comparison_blocks(kind: str, sides: Sequence[Comparable]) -> list[Block]:
     blocks += [Said(line, "warn") for line in doubts(sides)]
     blocks.append(_differences(letters, sides))
     blocks.append(_results(letters, sides, may_judge=not doubts(sides)))
+    blocks.append(Said(verdict(kind, sides, _differing(sides)), "strong"))
     return blocks
 
 
@@ -72,6 +77,7 @@ def comparison_document(kind: str, sides: Sequence[Comparable]) -> dict[str, Any
         "units": [side.unit for side in sides],
         "is_comparable": not doubts(sides),
         "doubts": doubts(sides),
+        "verdict": verdict(kind, sides, _differing(sides)),
         "differs": {name: _values(name, sides) for name in _differing(sides)},
         "n_equal": len(_all_settings(sides)) - len(_differing(sides)),
         "results": {
@@ -107,7 +113,7 @@ def _results(letters: Sequence[str], sides: Sequence[Comparable], *, may_judge: 
         if len(sides) == 2:
             both = first is not None and last is not None
             row.append(_number(last - first) if both and first is not None and last is not None else MISSING)
-        is_error = may_judge and ("/" in name or "MSE" in name or name.startswith("mse"))
+        is_error = may_judge and ("/" in name or "MSE" in name or name == "gap")
         row += [_told_ratio(_ratio(first, value), is_error=is_error) for value in values[1:]]
         rows.append(row)
     behind = f" (errors in {unit})" if unit else ""

@@ -12,8 +12,10 @@ import pytest
 from project_for_tests import Run, make_project
 
 from studies.cli import main
+from studies.looking.comparable import Comparable
 from studies.looking.curve import plot, sparkline
 from studies.looking.mlflow_runs import find_runs
+from studies.looking.verdict import verdict
 from studies.paths import ProjectPaths
 
 LABEL = "office-smoke"
@@ -118,7 +120,63 @@ def test_compare_says_what_differs_and_by_how_much(studies: Run) -> None:
     assert "n_train" not in document["differs"]
     expected = second["metrics"]["val/mae"] / first["metrics"]["val/mae"]
     assert document["results"]["val/mae"]["ratios"] == [1.0, pytest.approx(expected)]
-    assert "what differs" in studies("compare", "n16/t0", "n16/t1").out
+    told = studies("compare", "n16/t0", "n16/t1").out
+    assert "what differs" in told
+    assert told.rstrip().endswith(document["verdict"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "results", "judged", "differing", "said"),
+    [
+        (
+            "trial",
+            ({"val/mae": 1.0, "test/mae": 2.0}, {"val/mae": 0.9, "test/mae": 2.5}),
+            ({}, {}),
+            ["n_train"],
+            "A is better in test error (20.0 % lower); B in validation error (10.0 % lower). "
+            "One seed each: the same with other seeds (--seed) tells how much of it is chance.",
+        ),
+        (
+            "study",
+            ({"val/mae": 1.0, "test/mae": 2.0}, {"val/mae": 0.9, "test/mae": 2.0}),
+            ({"validation": "1", "test": "3"}, {"validation": "2", "test": "3"}),
+            ["seed"],
+            "Equal in test error.",
+        ),
+        ("trial", ({"val/mae": 1.0}, {}), ({}, {}), [], "No verdict: nothing was judged on the same data"),
+        (
+            "calibration",
+            ({"final MSE": 4.0, "calls (paper)": 50}, {"final MSE": 1.0, "calls (paper)": 50}),
+            ({"case": "1"}, {"case": "1"}),
+            ["seed", "best: beta"],
+            "B is better in MSE (75.0 % lower); equal: model calls. Only the seed differs: so much is",
+        ),
+        (
+            "label",
+            ({"n0016: val/mae": 1.0, "n0032: val/mae": 0.5}, {"n0016: val/mae": 2.0, "n0032: val/mae": 0.6}),
+            ({}, {}),
+            ["sizes"],
+            "A is better in validation error (2 of 2 sizes). One seed each",
+        ),
+    ],
+)
+def test_the_verdict_says_who_is_better_at_what(
+    kind: str,
+    results: tuple[dict[str, float], ...],
+    judged: tuple[dict[str, str], ...],
+    differing: list[str],
+    said: str,
+) -> None:
+    sides = [
+        Comparable("", "K", digests, {}, values) for digests, values in zip(judged, results, strict=True)
+    ]
+    assert verdict(kind, sides, differing).startswith(said)
+
+
+def test_best_of_a_size_that_is_not_there_names_those_that_are(studies: Run) -> None:
+    answer = studies("best", "--n-train", "16", "99")
+    assert answer.code == 2
+    assert "no model of n_train = 99, there are 16, 32" in answer.err
 
 
 def test_studies_are_compared_at_equal_numbers_of_trials(studies: Run) -> None:
