@@ -1,7 +1,8 @@
-"""A project with a finished smoke run, its interface in a server of its own, and a real browser."""
+"""A small finished project, its interface in a server of its own, and a real browser."""
 
+import importlib.util
+import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from studies.cli import main
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
@@ -19,22 +22,42 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
 )
+SMALL_PROFILE = """\
+schema = 1
+name = "small"
+[data]
+n_train = [16, 24]
+n_validation = 32
+n_test = 32
+[tuning]
+n_trials = 2
+max_epochs = 10
+patience = 10
+[tuning.search]
+n_latent = [4, 8]
+n_hidden = [16, 32]
+beta = [10.0, 100.0]
+[screening]
+popsize = 4
+maxiter = 10
+[polish]
+max_calls = 20
+"""
+STOP_LIMIT_S = 60.0
 
 
-def studies(root: Path, *words: str) -> "subprocess.Popen[str]":
-    """Start a command of ours on a project."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "studies", *words],
-        env=os.environ | {"STUDIES_ROOT": str(root)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+@pytest.fixture(scope="module", autouse=True)
+def needs_a_browser() -> None:
+    """Skip before anything is made where nothing could look at it."""
+    if importlib.util.find_spec("playwright") is None:
+        pytest.skip("playwright is not installed (pip install playwright)")
+    if not CHROMIUM:
+        pytest.skip("there is no Chromium on this machine (Debian: apt-get install chromium)")
 
 
 @pytest.fixture(scope="module")
-def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with the studies of the smoke profile and a calibration."""
+def project(needs_a_browser: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A project with two studies of two trials and a calibration."""
     root = tmp_path_factory.mktemp("browser") / "project"
     (root / "fmus" / "office").mkdir(parents=True)
     for name in ("Office.fmu", "case.toml"):
@@ -43,35 +66,46 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
         REPOSITORY / "data" / "office", root / "data" / "office", ignore=shutil.ignore_patterns("generated")
     )
     (root / "pyproject.toml").write_text("", encoding="utf-8")
-    for words in (("tune",), ("calibrate", "--n-train", "32")):
-        done = studies(root, *words, "--profile", "smoke", "--quiet")
-        out, err = done.communicate(timeout=300)
-        assert done.returncode == 0, out + err
-    return root
+    (root / "small.toml").write_text(SMALL_PROFILE, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        patch.chdir(root)
+        assert main(["tune", "--jobs", "1", "--profile", "small.toml", "--quiet"]) == 0
+        assert main(["calibrate", "--n-train", "24", "--profile", "small.toml", "--quiet"]) == 0
+        yield root
 
 
 @pytest.fixture(scope="module")
 def page_address(project: Path) -> Iterator[str]:
     """The address that `studies ui` prints; the server ends with the module."""
-    server = studies(project, "ui")
+    server = subprocess.Popen(
+        [sys.executable, "-m", "studies", "ui", "--json"],
+        env=os.environ | {"STUDIES_ROOT": str(project)},
+        cwd=project,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    said = ""
     try:
         assert server.stdout is not None
-        found = re.search(r"http://\S+", server.stdout.readline())
-        assert found is not None, server.stderr.read() if server.stderr else ""
-        yield found.group()
+        for line in server.stdout:
+            said += line
+            if line.rstrip() == "}":
+                break
+        yield json.loads(said)["url"]
     finally:
         server.send_signal(signal.SIGTERM)
-        server.communicate(timeout=30)
-    assert server.returncode == 0
+        _, errors = server.communicate(timeout=STOP_LIMIT_S)
+    assert server.returncode == 0, errors
 
 
 @pytest.fixture(scope="module")
-def browser() -> "Iterator[Browser]":
+def browser(needs_a_browser: None) -> "Iterator[Browser]":
     """Chromium without a window."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if not CHROMIUM:
-        pytest.skip("there is no Chromium on this machine (Debian: apt-get install chromium)")
-    with playwright.sync_playwright() as driver:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield opened
         opened.close()
