@@ -16,6 +16,8 @@ from studies.report.wording import count, significant
 from studies.tuning.trial_record import TrialRecord, trial_name
 
 METRICS = ("val/mae", "val/p90", "test/mae", "test/p90")
+REASONS = {"max_epochs": "limit of epochs reached", "patience": "no better any more"}
+"""Why a training ended, for a person."""
 N_TRIALS = 40
 """Trials of a study that are listed at most; the best ones."""
 
@@ -205,7 +207,8 @@ def mlflow_text(runs: Sequence[RunAddress]) -> str:
 
 def _state(record: TrialRecord) -> Said:
     tones = {"complete": "good", "pruned": "warn", "failed": "bad"}
-    how = f"{record.state}: {record.reason}" if record.reason else record.state
+    reason = REASONS.get(record.reason, record.reason)
+    how = f"{record.state}: {reason}" if reason else record.state
     epochs = f" after {count(record.n_epochs, 'epoch')}" if record.n_epochs else ""
     kept = f", weights of epoch {record.best_epoch} kept" if record.best_epoch else ""
     return Said(f"{how}{epochs}{kept}", tones[record.state])  # type: ignore[arg-type]

@@ -39,7 +39,10 @@ def chosen_labels(project: Project, which: str | None) -> tuple[str, ...]:
     )
     if not found:
         known = ", ".join(project.labels)
-        raise InputError(f"nothing is called {which!r}; {hint(which, project.labels)}labels: {known}")
+        cases = [case for case in map(project.case_of, project.labels) if case]
+        raise InputError(
+            f"nothing is called {which!r}; {hint(which, (*cases, *project.labels))}labels: {known}"
+        )
     return found
 
 

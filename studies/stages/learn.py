@@ -43,6 +43,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
 
         _require_device(study)
         specs = study_specs(study, simulated.summary)
+        _say_what_stays_unfinished(study, specs, n_trials)
         tracker = tracker_of(study.paths)
         if n_trials < budget.n_trials:
             study.console.say(
@@ -88,6 +89,25 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
             s["n_trials"] >= n_trials and _has_its_trials(study, s) for s in summary["studies"]
         ),
     )
+
+
+def _say_what_stays_unfinished(study: Study, specs: "list[StudySpec]", n_trials: int) -> None:
+    """Name begun studies of the same sizes that these settings do not go on with."""
+    from studies.tuning.trial_store import list_studies, open_trials
+
+    asked = {spec.n_train: spec for spec in specs}
+    for entry in list_studies(study.paths):
+        spec = asked.get(entry.n_train) if entry.label == study.label else None
+        if spec is None or spec.name == entry.name or open_trials(study.paths, spec).finished():
+            continue
+        n_done = len(open_trials(study.paths, entry.name).finished())
+        if n_done < entry.n_planned:
+            how = (
+                f"--parallel {entry.n_parallel} goes on with it"
+                if entry.n_parallel != spec.n_parallel
+                else "it has other settings or data"
+            )
+            study.console.say(f"tune: {entry.name} stays at {n_done} of {entry.n_planned} trials: {how}")
 
 
 def _has_its_trials(study: Study, found: Summary) -> bool:

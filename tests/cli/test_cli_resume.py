@@ -13,7 +13,7 @@ from typing import Any
 
 import pyarrow.parquet
 import pytest
-from project_for_tests import REPOSITORY, make_project
+from project_for_tests import REPOSITORY, Run, make_project
 
 from studies.paths import ProjectPaths
 
@@ -216,3 +216,18 @@ def test_a_copy_at_another_place_calibrates_to_the_same_numbers(
     assert answers[0] == answers[1]
     file = project / "mlruns" / "results" / LABEL / "calibration-n0032.json"
     assert json.loads(file.read_text()) == results(uninterrupted)["calibration-n0032.json"]
+
+
+def test_a_limit_in_time_before_the_first_trial_is_said_and_so_is_what_another_command_goes_on_with(
+    project: Path, studies: Run
+) -> None:
+    words = ("tune", "--profile", "smoke", "--n-train", "16", "--max-hours", "1e-9")
+    first = studies(*words, "--parallel", "2")
+    assert first.code == 1
+    assert first.err.splitlines()[-1].endswith(
+        "--max-hours ended it after 0 of 2 trials, none of n_train = 16 is complete; type it again to go on"
+    )
+    assert "stays at" not in first.err
+    second = studies(*words)
+    assert second.code == 1
+    assert "stays at 0 of 2 trials: --parallel 2 goes on with it" in second.err

@@ -79,7 +79,7 @@ def test_a_trial_is_shown_with_its_curve_its_run_and_its_lineage(studies: Run) -
     answer = studies("show", "n16/t0")
     shown = answer.out
     assert "1 of" in shown
-    assert "max_epochs after 30 epochs" in shown
+    assert "limit of epochs reached after 30 epochs" in shown
     assert "MAE on the validation set [K]" in shown
     assert "studies reproduce office-smoke/n0016/t000" in shown
     assert "case office" in shown
