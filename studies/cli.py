@@ -9,6 +9,7 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
+from difflib import get_close_matches
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -91,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     console = Console(as_json="--json" in arguments)
     try:
-        chosen = build_parser().parse_args(arguments)
+        chosen = _understand(arguments)
     except _UsageError as error:
         return _bad_input(console, str(error))
     except SystemExit as done:
@@ -113,6 +114,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
     except Exception as error:
         return _failed(console, error)
+
+
+def _understand(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line; what is wrong with it is said with the help that explains it.
+
+    Raises:
+        _UsageError: there is no such command or option, or a value is wrong.
+    """
+    first = next((word for word in arguments if not word.startswith("-")), "")
+    if first and first not in COMMANDS and arguments[0] == first:
+        close = get_close_matches(first, COMMANDS, n=1)
+        hint = f"did you mean `studies {close[0]}`?" if close else "`studies --help` lists them"
+        raise _UsageError(f"there is no command {first!r}; {hint}")
+    chosen, unknown = build_parser().parse_known_args(arguments)
+    if unknown:
+        words = " ".join(unknown)
+        raise _UsageError(f"unrecognized arguments: {words} (`studies {chosen.command} --help` explains)")
+    return chosen
 
 
 def build_parser() -> argparse.ArgumentParser:

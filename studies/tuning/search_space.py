@@ -77,7 +77,7 @@ def propose(
                 return proposal_of(spec, index, known.params, origin=known.origin)
     params, origin = _suggestion(spec, finished, pending, seed=derived_seed(spec.seed, index, 0))
     if identity(params) in taken:
-        params, origin = _untried(spec, index, taken), f"random, not {origin} again"
+        params, origin = _untried(spec, index, taken), f"random, as {origin} repeated a trial"
     return proposal_of(spec, index, params, origin=origin)
 
 
