@@ -45,9 +45,12 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.case import load_case
     from simulation.workers.parallel import available_cores
+    from studies.keeping.rebuild import rebuild_mlflow
     from studies.stages.pipeline import Study
 
     case = load_case(file, window_d=None if chosen.window is None else chosen.window.days)
+    if not given.get("dry_run"):
+        rebuild_mlflow(paths, console)
     return Study(
         case=case,
         profile=profile,

@@ -48,10 +48,14 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    from studies.keeping.rebuild import rebuild_mlflow
     from studies.tracking.ui_server import open_ui
 
+    paths = find_project(chosen.storage)
+    if not chosen.dry_run:
+        rebuild_mlflow(paths, console)
     return open_ui(
-        find_project(chosen.storage),
+        paths,
         console,
         label=chosen.label,
         host=chosen.host,

@@ -13,9 +13,9 @@ from studies.keeping.mlflow_repairs import (
     follow_move,
     register_again,
     take_alias_away,
-    write_calibrations,
     write_everything,
     write_files_again,
+    write_missing_stages,
     write_study,
 )
 from studies.keeping.mlflow_tables import (
@@ -26,9 +26,9 @@ from studies.keeping.mlflow_tables import (
     moved_places,
     read_mlflow,
 )
+from studies.keeping.stage_views import stage_manifests, stage_name
 from studies.keeping.stores import KeptStudy, Stores
 from studies.report.wording import count
-from studies.stages.pipeline import read_json
 from studies.tuning.champion import CHAMPION_FILE, read_champion
 from studies.tuning.trial_record import TrialRecord, trial_name
 
@@ -180,15 +180,15 @@ class _Comparison:
 
     def _stages(self) -> Iterator[StoreFinding]:
         told = {run.tags.get("stage_key") for run in self.content.active}
-        results = self.stores.paths.mlruns / "results"
-        missing: dict[str, list[str]] = {}
-        for file in sorted(results.glob("*/calibrate-*.json")):
-            manifest = read_json(file)
-            if manifest is not None and manifest.get("digest") not in told:
-                missing.setdefault(file.parent.name, []).append(file.stem)
-        for label, stages in missing.items():
+        paths = self.stores.paths
+        for label in sorted(folder.name for folder in (paths.mlruns / "results").glob("*")):
+            manifests = stage_manifests(paths, label)
+            missing = [file for file, manifest in manifests if manifest["digest"] not in told]
+            if not missing:
+                continue
+            stages = [stage_name(paths, file).partition("/")[2] for file in missing]
             what = f"{listed(stages)} {'has no run' if len(stages) == 1 else 'have no runs'}"
-            repair = partial(write_calibrations, self.stores, label)
+            repair = partial(write_missing_stages, self.stores, label)
             yield StoreFinding(STORE, "bad", label, what, _REMEDY, repair)
 
     def _files(self) -> Iterator[StoreFinding]:

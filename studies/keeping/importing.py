@@ -15,8 +15,9 @@ from studies.console import Console
 from studies.keeping.archive import unpack
 from studies.keeping.finding import listed
 from studies.keeping.optuna_view import rebuild_optuna
+from studies.keeping.stage_views import write_stages
 from studies.keeping.stores import DAMAGE, KeptStudy, read_stores, read_study
-from studies.keeping.views import write_stages, write_to_mlflow
+from studies.keeping.views import write_to_mlflow
 from studies.paths import ProjectPaths
 from studies.recipe import file_digest
 from studies.tuning.champion import CHAMPION_FILE, read_champion

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from studies.keeping.check_champions import newest
 from studies.keeping.mlflow_tables import rewrite_places
+from studies.keeping.stage_views import write_stages
 from studies.keeping.stores import KeptStudy, Stores
-from studies.keeping.views import tracker_of, write_stages, write_to_mlflow
+from studies.keeping.views import tracker_of, write_to_mlflow
 from studies.report.wording import count
 from studies.tracking.mlflow_registry import model_name
 
@@ -36,7 +37,7 @@ def write_study(stores: Stores, study: KeptStudy, bad: Sequence[str]) -> str:
 
 
 def write_everything(stores: Stores) -> str:
-    """Write all studies and calibrations."""
+    """Write all studies and stages."""
     lines: list[str] = []
     for study in sorted(stores.studies, key=lambda one: one.entry.created_s):
         if study.records:
@@ -47,9 +48,9 @@ def write_everything(stores: Stores) -> str:
     return "; ".join([f"MLflow: {studies} written from the records", *lines])
 
 
-def write_calibrations(stores: Stores, label: str) -> str:
-    """Write the calibrations of a label that MLflow does not know."""
-    return "; ".join([f"MLflow: the calibrations of {label} written", *write_stages(stores.paths, label)])
+def write_missing_stages(stores: Stores, label: str) -> str:
+    """Write the stages of a label that MLflow does not know."""
+    return "; ".join([f"MLflow: the stages of {label} written", *write_stages(stores.paths, label)])
 
 
 def write_files_again(stores: Stores, label: str, run_ids: Sequence[str]) -> str:

@@ -3,11 +3,9 @@
 import shutil
 import tempfile
 from collections.abc import Callable
-from datetime import datetime
 from functools import cache
 from pathlib import Path
 
-from simulation.errors import InputError
 from studies.keeping.stores import KeptStudy
 from studies.keeping.versions import require_mlflow_version
 from studies.paths import ProjectPaths
@@ -65,54 +63,6 @@ def crown(study: KeptStudy, best: TrialRecord) -> bool:
             return False
         write_champion(study.spec, best, study_folder=Path(scratch), folder=folder)
     return True
-
-
-def write_stages(paths: ProjectPaths, label: str) -> list[str]:
-    """Tell MLflow of the finished calibrations of a label; what it knows already stays.
-
-    Returns:
-        What could not be told, a line each.
-    """
-    from simulation.case import load_case
-    from studies.console import Console
-    from studies.profile import profile_from
-    from studies.recipe import checked
-    from studies.stages.pipeline import Study, read_json
-    from studies.stages.results import ADAPTIVE, stored_calibrations
-    from studies.stages.tracking import log_adaptive, log_calibration
-
-    left = []
-    for file in sorted(paths.results(label).glob("calibration-*.json")):
-        name = file.stem.removeprefix("calibration-")
-        numbers, manifest = read_json(file), read_json(file.with_name(f"calibrate-{name}.json"))
-        if numbers is None or manifest is None:
-            continue
-        try:
-            recipe = checked(numbers.get("recipe", {}), f"{label}/{file.stem}")
-            begin, end = recipe["window_d"]
-            study = Study(
-                case=load_case(paths.root / recipe["case"]["place"], window_d=(begin, end)),
-                profile=profile_from(recipe["profile"], file.stem),
-                paths=paths,
-                console=Console(quiet=True),
-                n_jobs=1,
-                label=label,
-                command=str(recipe["command"]),
-            )
-        except InputError as error:
-            left.append(f"{label}/{file.stem} is not shown in MLflow: {error}")
-            continue
-        stored = {one.files.numbers: one for one in stored_calibrations(study)}.get(file)
-        if stored is None:
-            left.append(
-                f"{label}/{file.stem} is not shown in MLflow: the case {study.case.name} has changed since"
-            )
-            continue
-        wall_s = float(manifest["wall_s"])
-        started_s = datetime.fromisoformat(manifest["finished"]).timestamp() - wall_s
-        log = log_adaptive if name == ADAPTIVE else log_calibration
-        log(study, stored, manifest["digest"], started_s=started_s, wall_s=wall_s)
-    return left
 
 
 def remove_folder(folder: Path) -> None:

@@ -124,6 +124,7 @@ def write_result(folder: Path, result: ItemResult, head: Mapping[str, Any]) -> l
             "work_s": round(result.work_s, 1),
             "seeds": dict(result.seeds),
             "settings": dict(result.settings),
+            "metrics": {name: value for name, value in result.metrics.items() if value == value},
             "uses": list(result.uses),
             "paper": finite(dict(result.paper)),
             "numbers": finite(dict(result.numbers)),

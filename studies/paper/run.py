@@ -8,9 +8,8 @@ from typing import Any
 from studies.paper.catalog import Item, item_module
 from studies.paper.plan import Plan
 from studies.paper.result import item_folder, write_result
+from studies.paper.telling import tell_item
 from studies.stages.pipeline import Outcome, Summary, digest_of, read_manifest, run_stage
-from studies.stages.tracking import tracker_of
-from studies.tracking.tracker import StageRun
 
 
 def item_inputs(plan: Plan, item: Item) -> dict[str, Any]:
@@ -59,28 +58,13 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
         }
         folder = item_folder(study, item.name)
         files = write_result(folder, result, head)
-        tracker_of(study.paths).log_stage(
-            StageRun(
-                label=study.label,
-                kind="paper",
-                name=f"paper {item.name}",
-                key=digest_of(inputs),
-                params={"budget": plan.budget.name, "item": item.name, **dict(result.settings)},
-                metrics={
-                    "calls/all": sum(result.n_calls.values()),
-                    **{name: value for name, value in result.metrics.items() if value == value},
-                },
-                tags={
-                    "case": study.case.name,
-                    "case_sha256": study.case.digest,
-                    "agreement": result.agreement,
-                },
-                figures=[file for file in files if file.suffix == ".png"],
-                artifacts=[file for file in files if file.suffix != ".png"],
-                started_s=started_s,
-                wall_s=time.time() - started_s,
-                note=f"{item.title}: {result.agreement}. {result.verdict}",
-            )
+        tell_item(
+            study.paths,
+            files,
+            digest_of(inputs),
+            case_digest=study.case.digest,
+            started_s=started_s,
+            wall_s=time.time() - started_s,
         )
         summary: Summary = {
             "agreement": result.agreement,

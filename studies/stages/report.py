@@ -1,6 +1,7 @@
 """The last stage: everything that lies on disk on one page."""
 
 import hashlib
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,16 @@ def report_stage(study: Study) -> Outcome:
     )
     if not outcome.reused:
         index = study.paths.root / outcome.summary["index"]
-        log_report(study, outcome.digest, index=index, wall_s=outcome.wall_s)
+        log_report(
+            study.paths,
+            study.label,
+            outcome.digest,
+            case={"case": study.case.name, "case_sha256": study.case.digest},
+            note=study.case.note,
+            index=index,
+            started_s=time.time() - outcome.wall_s,
+            wall_s=outcome.wall_s,
+        )
     return outcome
 
 

@@ -19,6 +19,7 @@ from studies.physical_model import open_physical_model, store_folder
 from studies.profile import Profile
 from studies.recipe import recipe_of
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
+from studies.tracking.origin import environment
 
 if TYPE_CHECKING:
     from studies.sensitivity import SobolIndices
@@ -158,12 +159,20 @@ def sensitivity_stage(study: Study) -> Outcome:
     def work() -> tuple[Summary, list[Path]]:
         from studies.stages.tracking import log_sensitivity
 
-        started = time.perf_counter()
+        started_s = time.time()
         found, indices = estimate_indices(study, n_rows)
         indices.save(file)
         summary = {**found, "file": study.paths.show(file)}
-        wall_s = time.perf_counter() - started
-        log_sensitivity(study, summary, digest_of(inputs), file=file, wall_s=wall_s, recipe=recipe)
+        log_sensitivity(
+            study,
+            summary,
+            digest_of(inputs),
+            file=file,
+            started_s=started_s,
+            wall_s=time.time() - started_s,
+            recipe=recipe,
+            made_with=environment(),
+        )
         return summary, [file]
 
     manifest = read_json(study.results / "sensitivity.json")

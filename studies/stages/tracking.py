@@ -1,7 +1,7 @@
 """What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +13,6 @@ from studies.recipe import Recipe, memory_tags
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Study, Summary
 from studies.stages.results import StoredCalibration, calibration_record, measured_series
-from studies.tracking.origin import environment
 from studies.tracking.tracker import StageRun, Tracker, open_tracker
 
 
@@ -153,9 +152,28 @@ def _remembered(numbers: Summary) -> Summary:
 
 
 def log_sensitivity(
-    study: Study, summary: Summary, digest: str, *, file: Path, wall_s: float, recipe: Recipe
+    study: Study,
+    summary: Summary,
+    digest: str,
+    *,
+    file: Path,
+    started_s: float,
+    wall_s: float,
+    recipe: Recipe,
+    made_with: Mapping[str, str],
 ) -> None:
-    """Tell of finished Sobol indices."""
+    """Tell of finished Sobol indices.
+
+    Args:
+        study: the study.
+        summary: the stage's results.
+        digest: digest of the stage's inputs.
+        file: the indices.
+        started_s: start of the stage. [s since 1970, UTC]
+        wall_s: its duration. [s]
+        recipe: what rebuilds them.
+        made_with: versions, machine and state of the code.
+    """
     if not study.paths.tracking_database.is_file():
         study.console.say("sensitivity: making MLflow's store, once")
     shares = {f"first_order/{name}": value for name, value in summary["mean_first_order"].items()}
@@ -171,29 +189,52 @@ def log_sensitivity(
             tags={
                 "case": study.case.name,
                 "case_sha256": study.case.digest,
-                **memory_tags(recipe=recipe, environment=environment(), numbers=summary),
+                **memory_tags(recipe=recipe, environment=made_with, numbers=summary),
             },
             artifacts=[file],
+            started_s=started_s,
             wall_s=wall_s,
             note=study.case.note,
             recipe=recipe,
-            environment=environment(),
+            environment=made_with,
         )
     )
 
 
-def log_report(study: Study, digest: str, *, index: Path, wall_s: float) -> None:
-    """Tell of a finished report, with all its pictures."""
-    tracker_of(study.paths).log_stage(
+def log_report(
+    paths: ProjectPaths,
+    label: str,
+    digest: str,
+    *,
+    case: Mapping[str, str],
+    note: str,
+    index: Path,
+    started_s: float,
+    wall_s: float,
+) -> None:
+    """Tell of a finished report, with all its pictures.
+
+    Args:
+        paths: the project.
+        label: label of the study.
+        digest: digest of the stage's inputs.
+        case: name and digest of the case, as tags.
+        note: the case's note.
+        index: the report's page.
+        started_s: start of the stage. [s since 1970, UTC]
+        wall_s: its duration. [s]
+    """
+    tracker_of(paths).log_stage(
         StageRun(
-            label=study.label,
+            label=label,
             kind="report",
             name="report",
             key=digest,
-            tags={"case": study.case.name, "case_sha256": study.case.digest},
+            tags=case,
             figures=sorted(index.parent.glob("*.png")),
             artifacts=[index],
+            started_s=started_s,
             wall_s=wall_s,
-            note=study.case.note,
+            note=note,
         )
     )

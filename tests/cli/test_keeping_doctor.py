@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from kept_project import LABEL, bad_findings, contents, copy_project, flip, the_study, trial_folder
+from kept_project import LABEL, bad_findings, contents, copy_project, enter, flip, the_study, trial_folder
 from project_for_tests import Run
 
 from studies.keeping.optuna_view import read_optuna
@@ -168,3 +168,34 @@ def test_an_empty_project_is_sound(project: Path, studies: Run) -> None:
     assert answer.code == 0
     assert json.loads(answer.out)["sound"] is True
     assert not (project / "mlruns" / "mlflow.db").exists()
+
+
+def test_a_removed_mlflow_database_is_written_again_by_the_same_command(
+    paths: ProjectPaths, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    for command in ("sensitivity", "report"):
+        assert studies(command, "--profile", "tiny.toml").code == 0
+    before = told(paths)
+    roles = {"study", "trial", "overview", "calibration", "sensitivity", "report"}
+    assert {what for what, *_ in before} == roles | {f"{LABEL}-n0016"}
+    # Another place: MLflow remembers the databases that a process has opened.
+    again = ProjectPaths(tmp_path / "again")
+    shutil.copytree(paths.root, again.root, ignore=shutil.ignore_patterns("mlflow.db*"))
+    enter(again, monkeypatch)
+    answer = studies("calibrate", "--profile", "tiny.toml")
+    assert "is gone: writing it again from the records" in answer.err
+    assert "calibrate-n0016: finished before" in answer.err
+    assert told(again) == before
+    assert bad_findings(studies) == []
+    assert "is gone" not in studies("calibrate", "--profile", "tiny.toml").err
+
+
+def told(paths: ProjectPaths) -> list[tuple[str, ...]]:
+    """Return what MLflow tells: every run with its numbers, and which models bear which alias."""
+    with closing(sqlite3.connect(paths.tracking_database)) as database:
+        numbers = database.execute(
+            "select t.value, r.name, r.status, m.key, m.value from runs r"
+            " join tags t on t.run_uuid = r.run_uuid and t.key = 'role'"
+            " left join latest_metrics m on m.run_uuid = r.run_uuid order by 1, 2, 4"
+        ).fetchall()
+        return numbers + database.execute("select name, alias from registered_model_aliases").fetchall()
