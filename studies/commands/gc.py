@@ -9,7 +9,7 @@ from studies.paths import find_project
 HELP = "show what nothing refers to and how much it takes, ask, remove"
 MORE = """\
 what happens: lists by kind, with sizes, and asks before anything goes:
-  studies that newer data or settings have superseded, or whose case or profile is gone, from everywhere
+  superseded studies (by newer data or settings), and those whose case or profile is gone, from everywhere
   weights of trials that are not their study's best; models that are neither champion nor previous
   runs in MLflow's bin, runs without records, files of runs that are no more
   sets of rows that no stage names, reports of nothing, copies kept aside, scratch of dead processes

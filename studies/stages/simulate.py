@@ -163,16 +163,9 @@ def sensitivity_stage(study: Study) -> Outcome:
         found, indices = estimate_indices(study, n_rows)
         indices.save(file)
         summary = {**found, "file": study.paths.show(file)}
-        log_sensitivity(
-            study,
-            summary,
-            digest_of(inputs),
-            file=file,
-            started_s=started_s,
-            wall_s=time.time() - started_s,
-            recipe=recipe,
-            made_with=environment(),
-        )
+        when = {"started_s": started_s, "wall_s": time.time() - started_s}
+        made = environment()
+        log_sensitivity(study, summary, digest_of(inputs), file=file, recipe=recipe, made_with=made, **when)
         return summary, [file]
 
     manifest = read_json(study.results / "sensitivity.json")

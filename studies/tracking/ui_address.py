@@ -25,12 +25,12 @@ def leaderboard_page(server: str, *, label: str | None, password: str = "") -> s
     """
     try:
         found = _experiments(server, password)
-        if label is not None and label not in found:
-            names = ", ".join(name for name in found if name != "Default") or "none"
-            raise InputError(f"MLflow has no experiment {label!r}; there are: {names}")
-        chosen = found[label] if label is not None else _newest(server, found, password)
+        chosen = _newest(server, found, password) if label is None else found.get(label)
     except (OSError, ValueError, KeyError):  # a page that cannot be found is no reason not to open the others
         return ALL
+    if label is not None and chosen is None:
+        names = ", ".join(name for name in found if name != "Default") or "none"
+        raise InputError(f"MLflow has no experiment {label!r}; there are: {names}")
     if chosen is None:
         return ALL
     if any(tag["key"] == f"{SHARED_VIEW}{LEADERBOARD}" for tag in chosen.get("tags", [])):
