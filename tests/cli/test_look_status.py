@@ -196,8 +196,10 @@ def test_live_draws_until_ctrl_c_and_leaves_what_fits_the_terminal(
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
     words = [sys.executable, "-m", "studies", "status", "--live"]
+    # The terminal tells its size, not what the tests' own terminal is said to have.
+    environment = {k: v for k, v in in_project(project).items() if k not in ("COLUMNS", "LINES")}
     process = subprocess.Popen(
-        words, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=in_project(project), close_fds=True
+        words, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=environment, close_fds=True
     )
     os.close(theirs)
     seen = ""
