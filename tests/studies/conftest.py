@@ -1,6 +1,8 @@
 """Small studies on toy models, and an MLflow database that is made once and copied."""
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -83,12 +85,17 @@ def project(tmp_path: Path) -> ProjectPaths:
 
 @pytest.fixture(scope="session")
 def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An MLflow database with its schema and nothing in it; making one takes seconds, a copy none."""
-    from studies.tracking.mlflow_tracker import MlflowTracker
-
-    folder = tmp_path_factory.mktemp("mlflow-template")
-    paths = ProjectPaths(folder)
-    MlflowTracker(paths)
+    """An MLflow database with its schema and nothing in it, made by two processes at the same moment."""
+    paths = ProjectPaths(tmp_path_factory.mktemp("mlflow-template"))
+    script = (
+        "import sys; from pathlib import Path; from studies.paths import ProjectPaths\n"
+        "from studies.tracking.mlflow_tracker import MlflowTracker\n"
+        "MlflowTracker(ProjectPaths(Path(sys.argv[1])))"
+    )
+    command = [sys.executable, "-c", script, str(paths.root)]
+    both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    errors = [process.communicate(timeout=240)[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], errors
     return paths.tracking_database
 
 

@@ -4,9 +4,9 @@ import errno
 import json
 import logging
 import math
-import subprocess
-import sys
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -308,15 +308,16 @@ def test_overview_says_which_model_is_best_and_shows_all_trials(
     assert {"figures/learning_curves.png", "figures/slices.png"} <= drawn
 
 
-def test_two_processes_can_make_the_database_at_the_same_moment(tmp_path: Path) -> None:
-    script = (
-        "import sys; from pathlib import Path; from studies.paths import ProjectPaths\n"
-        "from studies.tracking.mlflow_tracker import MlflowTracker\n"
-        "MlflowTracker(ProjectPaths(Path(sys.argv[1]))).runs.experiment('both')"
-    )
-    both = [
-        subprocess.Popen([sys.executable, "-c", script, str(tmp_path)], stderr=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    errors = [process.communicate(timeout=120)[1] for process in both]
-    assert [process.returncode for process in both] == [0, 0], errors
+def test_two_processes_have_made_the_database_and_two_can_make_an_experiment(
+    tracker: MlflowTracker, project: ProjectPaths
+) -> None:
+    other = MlflowTracker(project)
+    both = threading.Barrier(2)
+
+    def make(one: MlflowTracker) -> str:
+        both.wait()
+        return one.runs.experiment("both")
+
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(make, (tracker, other))
+    assert first == second
