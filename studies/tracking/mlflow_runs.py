@@ -1,6 +1,7 @@
 """MLflow's runs and experiments: found by their tags, made once, ended when nobody works on them."""
 
 import json
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -22,6 +23,7 @@ GRACE_S = 900.0
 
 _LOOK_PERIOD_S = 30.0
 _INTERRUPTED = "interrupted"
+logger = logging.getLogger(__name__)
 
 
 class RunStore:
@@ -42,6 +44,7 @@ class RunStore:
         self._experiments: dict[str, str] = {}
         self._awake: dict[str, float] = {}
         self._half_written: set[str] = set()
+        self._out_of_reach: set[Path] = set()
 
     def lock(self, name: str) -> AbstractContextManager[Any]:
         """Return a lock of this name that excludes every other process of the project, on any machine."""
@@ -115,14 +118,25 @@ class RunStore:
     def reaches_artifacts(self, label: str) -> bool:
         """Return whether files of a label's runs can be written from this machine.
 
-        On several machines with one database the files lie where the experiment was made first.
+        On several machines with one database the files lie where the experiment was made first. Where that
+        folder is not to be reached, one warning says so.
         """
         location = self.client.get_experiment(self.experiment(label)).artifact_location
         place = urlparse(location)
         if place.scheme not in ("", "file"):
             return True
         folder = Path(unquote(place.path))
-        return folder.is_relative_to(self.artifacts) or folder.is_dir()
+        if folder.is_relative_to(self.artifacts) or folder.is_dir():
+            return True
+        if folder not in self._out_of_reach:
+            self._out_of_reach.add(folder)
+            logger.warning(
+                "MLflow's files of %s lie in %s, out of this machine's reach: its runs get numbers only, "
+                "the registry no model from here",
+                label,
+                folder,
+            )
+        return False
 
     def end_ghosts(self) -> list[str]:
         """End the runs that say RUNNING and whose process is no more; return their names."""

@@ -321,3 +321,17 @@ def test_two_processes_have_made_the_database_and_two_can_make_an_experiment(
     with ThreadPoolExecutor(2) as pool:
         first, second = pool.map(make, (tracker, other))
     assert first == second
+
+
+def test_a_machine_that_does_not_reach_the_files_says_so_once_and_goes_on(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    spec, folder = study
+    elsewhere = tmp_path / "another-machine" / "artifacts"
+    tracker.client.create_experiment(spec.label, elsewhere.as_uri())
+    with caplog.at_level(logging.WARNING):
+        tell_all(tracker, spec, folder)
+    (line,) = [line for line in caplog.messages if "out of this machine's reach" in line]
+    assert str(elsewhere) in line
+    assert not elsewhere.exists()
+    assert len(runs(tracker, "tags.role = 'trial'")) == N
