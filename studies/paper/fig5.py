@@ -16,10 +16,10 @@ from studies.report.contents import Picture
 from studies.report.figures_indices import indices_over_time_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.findings import mean_over_time
-from studies.report.records import SensitivityRecord
 from studies.report.tables import Column, Table
 from studies.report.wording import count, listed, percent
 from studies.sensitivity import SobolIndices, sobol_indices
+from studies.stages.results import indices_record
 
 WORKING_H = (8.0, 20.0)
 """Hours that count as day. [h]"""
@@ -58,7 +58,7 @@ def run(plan: Plan) -> ItemResult:
     work_s = time.perf_counter() - started
     file = item_folder(study, "fig5") / FILE
     indices.save(file)
-    record = _record(indices)
+    record = indices_record(indices)
     order = [indices.names[i] for i in indices.order()]
     first, total = mean_over_time(indices.first_order[:, 0]), mean_over_time(indices.total_order[:, 0])
     daily = daily_course(indices.time, indices.first_order[:, 0], begin_h=study.case.window_d[0] * 24.0)
@@ -136,20 +136,6 @@ def run(plan: Plan) -> ItemResult:
 
 def _n_rows(plan: Plan) -> int:
     return plan.budget.n_base * (plan.study.case.parameter_space.n_parameters + 2)
-
-
-def _record(indices: SobolIndices) -> SensitivityRecord:
-    return SensitivityRecord(
-        time=indices.time,
-        names=indices.names,
-        output_names=indices.output_names,
-        first_order=indices.first_order,
-        total_order=indices.total_order,
-        first_order_ci=indices.first_order_ci,
-        total_order_ci=indices.total_order_ci,
-        n_calls=indices.n_calls,
-        model="the FMU",
-    )
 
 
 @dataclass(frozen=True)

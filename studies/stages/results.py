@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from studies.report.records import (
 )
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
 from studies.stages.pipeline import Study, read_json
+
+if TYPE_CHECKING:
+    from studies.sensitivity import SobolIndices
 
 ADAPTIVE = "adaptive"
 """What stage and files of an adaptive calibration are called."""
@@ -212,7 +215,11 @@ def sensitivity_record(study: Study) -> SensitivityRecord | None:
     manifest, file = read_json(study.results / "sensitivity.json"), study.results / "sensitivity.npz"
     if manifest is None or manifest["inputs"]["case"] != study.case.digest or not file.is_file():
         return None
-    indices = SobolIndices.load(file)
+    return indices_record(SobolIndices.load(file))
+
+
+def indices_record(indices: "SobolIndices") -> SensitivityRecord:
+    """Return Sobol indices of the FMU as figures and tables want them."""
     return SensitivityRecord(
         time=indices.time,
         names=indices.names,
