@@ -15,6 +15,7 @@ from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_sta
 from studies.stages.simulate import datasets_of, set_files
 from studies.stages.tracking import tracker_of
 from studies.stages.tuning_progress import TuningProgress
+from studies.storage_url import hide_passwords
 
 if TYPE_CHECKING:
     from studies.tuning.study_spec import StudySpec
@@ -36,6 +37,8 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         "variant": VARIANTS[budget.variant].to_dict(),
         "seed": study.profile.seed,
     }
+    if study.paths.storage is not None:  # finished in the project's own files is not finished on a server
+        inputs["storage"] = hide_passwords(study.paths.storage)
 
     def work() -> tuple[Summary, list[Path]]:
         from studies.tuning.crew import TuningError

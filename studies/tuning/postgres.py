@@ -117,6 +117,7 @@ class Database:
             InputError: the server refuses it.
             StorageAwayError: the server cannot be reached.
         """
+        self._require_driver()
         from psycopg import Error, OperationalError
 
         with self._guard:
@@ -134,6 +135,14 @@ class Database:
                     raise self._explained(error) from None
         raise AssertionError("unreachable")
 
+    def _require_driver(self) -> None:
+        try:
+            import psycopg  # noqa: F401
+        except ImportError:
+            raise InputError(
+                f"the storage {self.shown} needs the driver psycopg; type: pip install '.[postgres]'"
+            ) from None
+
     def connect(self) -> "Connection":
         """Open a connection; the first one makes our schemas where they are absent.
 
@@ -141,12 +150,9 @@ class Database:
             InputError: there is no driver, the server refuses us, or our schema is of another version.
             StorageAwayError: the server cannot be reached.
         """
-        try:
-            from psycopg import Error, OperationalError, connect
-        except ImportError:
-            raise InputError(
-                f"the storage {self.shown} needs the driver psycopg; type: pip install '.[postgres]'"
-            ) from None
+        self._require_driver()
+        from psycopg import Error, OperationalError, connect
+
         try:
             connection = connect(
                 self._storage,

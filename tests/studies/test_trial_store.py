@@ -1,5 +1,6 @@
 """The records of a study: the same promises from files and from PostgreSQL."""
 
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -181,3 +182,12 @@ def test_a_named_lock_is_held_by_one_at_a_time(paths: ProjectPaths) -> None:
 def test_a_name_that_is_no_study_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"'\.\./x/y' is no name of a study; one is like office-quick"):
         open_trials(ProjectPaths(tmp_path), "../x/y")
+
+
+def test_a_missing_driver_is_one_line_with_its_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "psycopg", None)  # what an import of an absent package finds
+    paths = ProjectPaths(tmp_path, "postgresql://me:secret@nowhere/studies")
+    with pytest.raises(InputError, match=r"me:\*\*\*@nowhere.*pip install '\.\[postgres\]'"):
+        list_studies(paths)
