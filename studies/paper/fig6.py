@@ -8,13 +8,13 @@ from simulation.arrays import FloatArray
 from simulation.store.row_set import RowSet
 from studies.paper.plan import SIMULATIONS_PER_S, Plan
 from studies.paper.published import FIG_6_LATENT, FIG_6_MAE, FIG_6_RANGE
-from studies.paper.result import Agreement, ItemResult
+from studies.paper.result import ERROR, Agreement, ItemResult, columns_in
 from studies.paper.tuned import Tuned, tune_sizes
 from studies.report import captions
 from studies.report.contents import Picture
 from studies.report.figures_by_size import LatentTrials, latent_figure
 from studies.report.figures_tuning import mae_over_n_figure
-from studies.report.tables import Column, Table
+from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, listed, quantity, significant
 from studies.stages.simulate import set_files, train_seed
 from studies.tuning.trial_record import TrialRecord, best_record
@@ -24,18 +24,18 @@ CLOSE = 1.5
 """Errors within this factor of each other are called the same: it is read from a figure, and noise is 5 %."""
 
 COLUMNS = (
-    Column("n_train", "training simulations"),
-    Column("trials", "trials"),
-    Column("best_mae", "best MAE", "K"),
-    Column("best_p90", "its 90th percentile", "K"),
-    Column("default_mae", "MAE untuned", "K"),
-    Column("median_mae", "median MAE", "K"),
-    Column("worst_mae", "worst MAE", "K"),
-    Column("mean_predictor_mae", "MAE of predicting the mean", "K"),
-    Column("n_latent", "latent dimension"),
-    Column("n_hidden", "hidden width"),
-    Column("beta", "beta"),
-    Column("paper_mae", "paper's best MAE", "K"),
+    ("n_train", "training simulations", ""),
+    ("trials", "trials", ""),
+    ("best_mae", "best MAE", ERROR),
+    ("best_p90", "its 90th percentile", ERROR),
+    ("default_mae", "MAE untuned", ERROR),
+    ("median_mae", "median MAE", ERROR),
+    ("worst_mae", "worst MAE", ERROR),
+    ("mean_predictor_mae", "MAE of predicting the mean", ERROR),
+    ("n_latent", "latent dimension", ""),
+    ("n_hidden", "hidden width", ""),
+    ("beta", "beta", ""),
+    ("paper_mae", "paper's best MAE", "K"),
 )
 
 
@@ -82,7 +82,7 @@ def run(plan: Plan) -> ItemResult:
             Table(
                 "sizes",
                 f"Hyperparameter studies on {window}; worst and median are over complete trials",
-                COLUMNS,
+                columns_in(unit, COLUMNS),
                 tuple(_row(n, numbers) for n, numbers in found.items()),
             ),
         ),
@@ -159,7 +159,7 @@ def _numbers(records: list[TrialRecord]) -> dict[str, Any]:
 
 def _row(n: int, numbers: dict[str, Any]) -> tuple[Any, ...]:
     named = {"n_train": n, "paper_mae": FIG_6_MAE.get(n), **numbers}
-    return tuple(named[column.key] for column in COLUMNS)
+    return tuple(named[key] for key, _, _ in COLUMNS)
 
 
 def _mean_predictor(tuned: Tuned) -> dict[int, float]:

@@ -74,7 +74,7 @@ def run(plan: Plan) -> ItemResult:
         verdict=verdict,
         numbers={kind: _kept(numbers) for kind, numbers in found.items()},
         paper={"mse_mean": MEAN_PAPER, "mse_best_5_percent": BEST_PAPER, "in_3_largest_clusters": [110, 256]},
-        tables=(_starts_table(found), _parameters_table(found, names)),
+        tables=(_starts_table(found, unit), _parameters_table(found, names)),
         pictures=(
             Picture(
                 "optima",
@@ -130,14 +130,14 @@ def _panels(arrays: dict[str, NDArray[Any]], found: Found) -> list[BundlePanel]:
     ]
 
 
-def _starts_table(found: dict[str, Found]) -> Table:
+def _starts_table(found: dict[str, Found], unit: str) -> Table:
     columns = (
         Column("kind", "starts"),
         Column("n_calls", "model calls"),
-        Column("mse_best", "best MSE", "K²"),
-        Column("mse_best_5_percent", "best 5 %", "K²"),
-        Column("mse_median", "median", "K²"),
-        Column("mse_mean", "mean", "K²"),
+        Column("mse_best", "best MSE", unit),
+        Column("mse_best_5_percent", "best 5 %", unit),
+        Column("mse_median", "median", unit),
+        Column("mse_mean", "mean", unit),
         Column("n_at_best", "within 1 % of the best"),
     )
     keys = [column.key for column in columns[1:]]

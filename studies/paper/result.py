@@ -1,7 +1,7 @@
 """What an item of the paper comes to: numbers, verdict, tables and pictures, written as plain files."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -10,7 +10,7 @@ from simulation.errors import InputError
 from studies.report.contents import Picture
 from studies.report.page import PlacedPicture, Section, Verdict
 from studies.report.tables import Cell, Column, Table
-from studies.report.wording import count, declared, percent, significant
+from studies.report.wording import count, declared, percent, significant, squared
 from studies.stages.pipeline import Study, read_json, write_json, write_text
 
 Agreement = Literal["agrees", "agrees in part", "differs", "beyond the paper"]
@@ -23,6 +23,9 @@ def fraction2(value: float) -> str:
     """Write a number with two decimals."""
     return f"{value:.2f}"
 
+
+ERROR, SQUARED_ERROR = "error", "squared error"
+"""Units of declared columns that the case's first output decides."""
 
 WRITERS: dict[str, Callable[[float], str]] = {
     "significant": significant,
@@ -68,6 +71,17 @@ class ItemResult:
     remarks: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
+
+
+def columns_in(unit: str, declared_columns: Sequence[tuple[str, str, str]]) -> tuple[Column, ...]:
+    """Return the columns of a table.
+
+    Args:
+        unit: unit of an error.
+        declared_columns: key, title, and unit: a unit as it is written, or `ERROR` or `SQUARED_ERROR`.
+    """
+    units = {ERROR: unit, SQUARED_ERROR: squared(unit)}
+    return tuple(Column(key, title, units.get(known, known)) for key, title, known in declared_columns)
 
 
 def item_folder(study: Study, name: str) -> Path:

@@ -8,7 +8,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE, published_calibration
-from studies.paper.result import Agreement, ItemResult
+from studies.paper.result import ERROR, SQUARED_ERROR, Agreement, ItemResult
 from studies.paper.table4 import row_of
 from studies.paper.tuned import tune_sizes
 from studies.report.contents import Picture
@@ -18,11 +18,11 @@ from studies.report.wording import count, difference_unit, listed, quantity, squ
 from studies.stages.calibrate import calibrate_stage
 
 QUANTITIES = (
-    ("test_mae", "surrogate's test MAE", "K"),
-    ("mse_surrogate", "MSE by the surrogate", "K²"),
-    ("mse_screened", "MSE by the FMU", "K²"),
+    ("test_mae", "surrogate's test MAE", ERROR),
+    ("mse_surrogate", "MSE by the surrogate", SQUARED_ERROR),
+    ("mse_screened", "MSE by the FMU", SQUARED_ERROR),
     ("n_polish", "polish calls", ""),
-    ("mse_polished", "final MSE", "K²"),
+    ("mse_polished", "final MSE", SQUARED_ERROR),
     ("total_paper", "calls (paper's count)", ""),
     ("calls_to_usual", f"calls to {USUAL_MSE}", ""),
 )
@@ -69,7 +69,8 @@ def run(plan: Plan) -> ItemResult:
             n_calls["polish"] += ledger["n_polish"]
             rows[n].append({"seed": seed, **row_of(tuned.study, n, outcome.summary)})
         uses.append(f"studies calibrate {tuned.study.command}")
-    unit = squared(difference_unit(plan.study.case.outputs[0].unit))
+    error_unit = difference_unit(plan.study.case.outputs[0].unit)
+    unit = squared(error_unit)
     agreement, verdict = _verdict(rows, unit)
     return ItemResult(
         agreement=agreement,
@@ -79,7 +80,7 @@ def run(plan: Plan) -> ItemResult:
             "target": USUAL_MSE,
         },
         paper={"rows": [{"n_train": r.n_train, "mse": r.mse_polished, "total": r.total} for r in TABLE_4]},
-        tables=(_table(rows),),
+        tables=(_table(rows, error_unit),),
         pictures=(
             Picture(
                 "seeds",
@@ -117,10 +118,11 @@ def _quartiles(values: FloatArray) -> FloatArray:
     return np.asarray(np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf"), dtype=np.float64)
 
 
-def _table(rows: dict[int, list[dict[str, Any]]]) -> Table:
+def _table(rows: dict[int, list[dict[str, Any]]], error_unit: str) -> Table:
     columns = [Column("n_train", "training simulations"), Column("quantity", "quantity")]
     columns += [Column("lowest", "lowest"), Column("q25", "lower quartile"), Column("median", "median")]
     columns += [Column("q75", "upper quartile"), Column("highest", "highest"), Column("paper", "paper")]
+    units = {ERROR: error_unit, SQUARED_ERROR: squared(error_unit)}
     cells: list[tuple[Any, ...]] = []
     for n, found in rows.items():
         paper = published_calibration(n)
@@ -137,7 +139,8 @@ def _table(rows: dict[int, list[dict[str, Any]]]) -> Table:
         for key, title, unit in QUANTITIES:
             values = _values(found, key)
             low, middle, high = _quartiles(values).tolist()
-            name = f"{title} [{unit}]" if unit else title
+            shown = units.get(unit, unit)
+            name = f"{title} [{shown}]" if shown else title
             cells.append((n, name, values.min(), low, middle, high, values.max(), theirs.get(key)))
     title = f"Over {count(len(next(iter(rows.values()))), 'seed')}; ∞ where the target was never reached"
     return Table("seeds", title, tuple(columns), tuple(cells))

@@ -12,7 +12,7 @@ from studies.paper.direct_crew import DirectProgress
 from studies.paper.direct_row import TITLES, DirectRow, PaperRow, paper_rows, published_row
 from studies.paper.plan import DIRECT_CALLS_PER_S, Plan
 from studies.paper.published import USUAL_MSE
-from studies.paper.result import Agreement, ItemResult
+from studies.paper.result import SQUARED_ERROR, Agreement, ItemResult, columns_in
 from studies.report.contents import Picture
 from studies.report.data import Reference
 from studies.report.figures_direct import DirectPoint, direct_figure
@@ -32,8 +32,8 @@ COLUMNS = (
     ("objective", "objective", ""),
     ("coordinates", "coordinates", ""),
     ("n_calls", "model calls", ""),
-    ("mse", "MSE", "K²"),
-    ("mse_median", "median over its starts", "K²"),
+    ("mse", "MSE", SQUARED_ERROR),
+    ("mse_median", "median over its starts", SQUARED_ERROR),
     ("wall_s", "work", "s"),
     ("paper_calls", "paper: model calls", ""),
     ("paper_mse", "paper: MSE", "K²"),
@@ -88,7 +88,8 @@ def run(plan: Plan) -> ItemResult:
             method: row_over_seeds(study, rows, lambda row, now: _teller(bars, row)(now))
             for method, rows in _seeded(plan).items()
         }
-    unit = squared(difference_unit(study.case.outputs[0].unit))
+    error_unit = difference_unit(study.case.outputs[0].unit)
+    unit = squared(error_unit)
     left_out = [one for one in paper_rows(study.profile.seed) if one not in _rows(plan)]
     agreement, verdict = _verdict([numbers for _, numbers in found], unit)
     if left_out:
@@ -99,12 +100,12 @@ def run(plan: Plan) -> ItemResult:
         Table(
             "table3",
             "Optimizers on the FMU; a row of many starts reports its best",
-            tuple(Column(key, title, unit_) for key, title, unit_ in COLUMNS),
+            columns_in(error_unit, COLUMNS),
             (*(_cells(n) for _, n in found), *(_cells(n) for n in own), *(_unknown(one) for one in left_out)),
         )
     ]
     if seeded:
-        tables.append(_seeds_table(seeded))
+        tables.append(_seeds_table(seeded, unit))
     all_rows = [numbers for _, numbers in found] + own
     return ItemResult(
         agreement=agreement,
@@ -227,14 +228,14 @@ def _unknown(one: PaperRow) -> tuple[Any, ...]:
     return row.title, row.objective, row.coordinates, *nothing, one.published.n_calls, one.published.mse
 
 
-def _seeds_table(seeded: dict[str, Found]) -> Table:
+def _seeds_table(seeded: dict[str, Found], unit: str) -> Table:
     columns = [Column("method", "method, 16 starts"), Column("quantity", "quantity")]
     columns += [Column("q25", "lower quartile"), Column("median", "median"), Column("q75", "upper quartile")]
     columns += [Column("lowest", "lowest"), Column("highest", "highest")]
     rows: list[tuple[Any, ...]] = []
     for method, found in seeded.items():
         title = next(t for name, t in TITLES.items() if name == method)
-        for key, name in (("mse", "MSE [K²]"), ("n_calls", "model calls")):
+        for key, name in (("mse", f"MSE [{unit}]"), ("n_calls", "model calls")):
             values = found[key]
             rows.append((title, name, *found[f"{key}_quartiles"], min(values), max(values)))
     n = len(next(iter(seeded.values()))["seeds"])

@@ -11,13 +11,13 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE, published_calibration
-from studies.paper.result import Agreement, ItemResult
+from studies.paper.result import ERROR, SQUARED_ERROR, Agreement, ItemResult, columns_in
 from studies.paper.tuned import tune_sizes
 from studies.physical_model import open_physical_model
 from studies.report.contents import Picture
 from studies.report.data import Reference
 from studies.report.figures_polish_paths import PolishPath, polish_paths_figure
-from studies.report.tables import Column, Table
+from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, listed, quantity, significant, squared
 from studies.stages.calibrate import calibrate_stage
 from studies.stages.pipeline import Study
@@ -26,17 +26,17 @@ from studies.stages.simulate import train_seed
 
 COLUMNS = (
     ("n_train", "training simulations", ""),
-    ("test_mae", "surrogate's test MAE", "K"),
-    ("mse_surrogate", "MSE by the surrogate", "K²"),
-    ("mse_screened", "MSE by the FMU", "K²"),
-    ("gap", "gap", "K²"),
+    ("test_mae", "surrogate's test MAE", ERROR),
+    ("mse_surrogate", "MSE by the surrogate", SQUARED_ERROR),
+    ("mse_screened", "MSE by the FMU", SQUARED_ERROR),
+    ("gap", "gap", SQUARED_ERROR),
     ("n_polish", "polish calls", ""),
-    ("mse_polished", "final MSE", "K²"),
+    ("mse_polished", "final MSE", SQUARED_ERROR),
     ("total_paper", "calls (paper's count)", ""),
     ("total_honest", "calls in all", ""),
     ("calls_to_usual", f"calls to {USUAL_MSE}", ""),
     ("squared_calls", "polish calls, squared residuals", ""),
-    ("squared_mse", "final MSE, squared residuals", "K²"),
+    ("squared_mse", "final MSE, squared residuals", SQUARED_ERROR),
     ("paper_mse_screened", "paper: MSE by the FMU", "K²"),
     ("paper_n_polish", "paper: polish calls", ""),
     ("paper_mse_polished", "paper: final MSE", "K²"),
@@ -88,7 +88,8 @@ def run(plan: Plan) -> ItemResult:
     polishes = paper_polishes(study, {n: _screened(study, n) for n in rows})
     for n, polish in polishes.items():
         rows[n] |= {"squared_calls": polish.n_calls, "squared_mse": polish.mse}
-    unit = squared(difference_unit(study.case.outputs[0].unit))
+    error_unit = difference_unit(study.case.outputs[0].unit)
+    unit = squared(error_unit)
     references = [Reference(known.label, known.mse, known.is_target) for known in study.case.references]
     agreement, verdict = _verdict(rows, unit)
     n_polish = sum(row["n_polish"] for row in rows.values())
@@ -111,7 +112,7 @@ def run(plan: Plan) -> ItemResult:
                 "Calibration with the best surrogate of each size; the paper's count leaves out the "
                 f"{count(tuned.n_simulations['validation set'] + tuned.n_simulations['test set'])} "
                 "validation and test simulations",
-                tuple(Column(key, title, unit_) for key, title, unit_ in COLUMNS),
+                columns_in(error_unit, COLUMNS),
                 tuple(_cells(n, row) for n, row in rows.items()),
             ),
         ),
@@ -174,8 +175,7 @@ def paper_polishes(study: Study, screened: dict[int, FloatArray]) -> dict[int, P
         for n, theta in screened.items():
             u = np.asarray(problem.space.to_unit(theta[None]), dtype=np.float64)
             polished = settings.minimize(problem, u[0], known=problem.evaluate(u))
-            mse = polished.mse if np.isfinite(polished.mse) else None
-            found[n] = PaperPolish(polished.n_calls, mse)
+            found[n] = PaperPolish(polished.n_calls, polished.mse if np.isfinite(polished.mse) else None)
     return found
 
 

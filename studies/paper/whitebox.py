@@ -5,11 +5,11 @@ from typing import Any
 
 from simulation.errors import InputError
 from studies.paper.plan import Plan
-from studies.paper.result import ItemResult
+from studies.paper.result import ERROR, SQUARED_ERROR, ItemResult, columns_in
 from studies.paper.tuned import tune_sizes
 from studies.report.contents import Picture
 from studies.report.figures_calibration import overview_figure
-from studies.report.tables import Column, Table
+from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, listed, quantity, squared
 from studies.stages.adaptive import adaptive_settings, adaptive_stage
 from studies.stages.calibrate import calibrate_stage
@@ -25,9 +25,9 @@ SIMULATIONS_PER_S = 40.0
 COLUMNS = (
     ("method", "method", ""),
     ("n_train", "training simulations", ""),
-    ("test_mae", "surrogate's test MAE", "K"),
-    ("mse_screened", "MSE by the FMU, screened", "K²"),
-    ("mse", "final MSE", "K²"),
+    ("test_mae", "surrogate's test MAE", ERROR),
+    ("mse_screened", "MSE by the FMU, screened", SQUARED_ERROR),
+    ("mse", "final MSE", SQUARED_ERROR),
     ("total_paper", "calls (paper's count)", ""),
     ("total_honest", "calls in all", ""),
 )
@@ -81,7 +81,7 @@ def run(plan: Plan) -> ItemResult:
             Table(
                 "whitebox",
                 f"{study.case.title}: {p} parameters",
-                tuple(Column(key, title, unit_) for key, title, unit_ in COLUMNS),
+                columns_in(difference_unit(study.case.outputs[0].unit), COLUMNS),
                 tuple(_cells(name, row) for name, row in rows.items()),
             ),
         ),
