@@ -71,23 +71,22 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.paper.catalog import chosen_items, item_module, with_needs
+    from studies.paper.catalog import chosen_items, with_needs
 
     items = with_needs(chosen_items(chosen.only))
     plan = _plan(chosen, console)
     from studies.paper.gather import build_page, export
-    from studies.paper.run import is_finished, run_item
+    from studies.paper.run import estimates_s, run_item
 
     study = plan.study
     if chosen.row is not None:
         return _one_row(plan, chosen.row, console)
     items = tuple(item for item in items if item.is_about(study.case.name))
-    finished = {item.name: is_finished(plan, item) for item in items}
-    costs = {item.name: 0.0 if finished[item.name] else item_module(item).estimate_s(plan) for item in items}
+    costs = estimates_s(plan, items)
     console.table(
         f"{study.label}: {plan.budget.name} budget",
         [Column("item"), Column("what"), Column("about", True)],
-        [[i.name, i.what, "finished" if finished[i.name] else format_seconds(costs[i.name])] for i in items],
+        [[i.name, i.what, format_seconds(costs[i.name]) if costs[i.name] else "finished"] for i in items],
     )
     console.say(
         f"reproduce-paper: about {format_seconds(sum(costs.values()))} in all, less where stages are finished"

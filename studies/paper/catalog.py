@@ -22,6 +22,7 @@ class Item:
         needs: items that must be finished before.
         aliases: other words that mean it.
         cases: cases that it is about; none for all.
+        trains_own_window: whether it wants the studies of the case's own window, which one trains for all.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Item:
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
     cases: tuple[str, ...] = ()
+    trains_own_window: bool = False
 
     def is_about(self, case_name: str) -> bool:
         """Say whether the item makes sense for a case."""
@@ -45,6 +47,7 @@ ITEMS = (
         "Fig. 7: error on narrower test sets",
         "the best surrogate per size on test sets of spread 0 to 1",
         needs=("fig5",),
+        trains_own_window=True,
     ),
     Item(
         "table3",
@@ -62,6 +65,7 @@ ITEMS = (
         "Table 4 and Fig. 9: calibration by surrogate and polish",
         "screening and polish per size",
         aliases=("fig9",),
+        trains_own_window=True,
     ),
     Item("seeds", "Table 4 over seeds", "the whole method again with other seeds: medians and quartiles"),
     Item(

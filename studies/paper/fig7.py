@@ -49,7 +49,7 @@ def estimate_s(plan: Plan) -> float:
     """Estimate how long it takes from nothing. [s]."""
     budget = plan.budget
     n_rows = max(budget.n_train) + 640 + 2 * len(SPREADS) * budget.n_spread
-    return plan.training_s(budget.n_train, budget.window_trials) + n_rows / SIMULATIONS_PER_S
+    return plan.window_training_s + n_rows / SIMULATIONS_PER_S
 
 
 def spread_set(study: Study, n: int, spread: float, important: list[str] | None) -> FloatArray:

@@ -211,6 +211,11 @@ class Plan:
         """Return what makes one item alone."""
         return f"studies reproduce-paper {self.words} --only {item}".replace("  ", " ")
 
+    @property
+    def window_training_s(self) -> float:
+        """Estimated time of the studies of the case's own window. [s]."""
+        return self.training_s(self.budget.n_train, self.budget.window_trials)
+
     def training_s(self, sizes: tuple[int, ...], trials: dict[int, int]) -> float:
         """Estimate how long tuning takes. [s]."""
         known = sorted(TRAINING_S)

@@ -31,6 +31,23 @@ def is_finished(plan: Plan, item: Item) -> bool:
     return read_manifest(study.paths, manifest, digest_of(item_inputs(plan, item))) is not None
 
 
+def estimates_s(plan: Plan, items: tuple[Item, ...]) -> dict[str, float]:
+    """Estimate how long items take, what is finished or shared left out. [s].
+
+    Args:
+        plan: what is repeated, and with how much.
+        items: which ones, in the order of the paper.
+    """
+    costs, trained = {}, False
+    for item in items:
+        costs[item.name] = 0.0 if is_finished(plan, item) else item_module(item).estimate_s(plan)
+        if item.trains_own_window:
+            if trained and costs[item.name]:
+                costs[item.name] -= plan.window_training_s
+            trained = True
+    return costs
+
+
 def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
     """Make one item unless it is finished.
 

@@ -74,7 +74,7 @@ def inputs(plan: Plan) -> dict[str, Any]:
 def estimate_s(plan: Plan) -> float:
     """Estimate how long it takes from nothing. [s]."""
     sizes = plan.budget.n_train
-    return plan.training_s(sizes, plan.budget.window_trials) + len(sizes) * plan.screening_s()
+    return plan.window_training_s + len(sizes) * plan.screening_s()
 
 
 def run(plan: Plan) -> ItemResult:
