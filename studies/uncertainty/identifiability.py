@@ -1,0 +1,245 @@
+"""What the data say about parameters near an optimum: singular values and correlations of the Jacobian.
+
+In the case's own scales (logarithmic where declared), each parameter's range counting 1. With the Jacobian J,
+residuals of standard deviation s, and a box in which every point was as likely before (variance 1/12), the
+estimates scatter with the covariance (J'J / s^2 + 12)^-1: what the data leave open, the box limits. Residuals
+of a room follow each other, so s is raised by the root of how many samples stand for one independent one.
+Bounds are looked away from: at one of them a parameter would go on if it might.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simulation.arrays import BoolArray, FloatArray
+from simulation.counting import CountingModel
+from simulation.forward_model import ForwardModel
+from simulation.measurement import Measurement
+from studies.calibration.problem import CalibrationProblem
+
+STEP = 1e-4
+"""Step of the differences, as a share of the range."""
+
+DETERMINED = 0.1
+"""A standard deviation below this share of the range counts as determined by the data."""
+
+A_PAIR = 0.7
+"""A direction that two parameters make up to this share of its squared length is theirs."""
+
+ON_BOUND = 1e-3
+"""Share of the range within which a parameter lies on its bound."""
+
+NULL = 1e-6
+"""Singular values below this share of the largest are none: the differences are no more exact."""
+
+BOX_VARIANCE = 1.0 / 12.0
+"""Of a parameter that may be anywhere in its range."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two parameters of which one can stand in for the other.
+
+    Attributes:
+        first: Name of the one.
+        second: Name of the other.
+        strength: A correlation, or a direction's share: above 0 the two rise together, below 0 one makes up
+            for the other.
+    """
+
+    first: str
+    second: str
+    strength: float
+
+    @property
+    def in_words(self) -> str:
+        """How the two compensate."""
+        how = "rise together" if self.strength > 0 else "one rises as the other falls"
+        return f"{self.first} and {self.second}: {how} ({self.strength:+.2f})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the pair as JSON values."""
+        return {
+            "first": self.first,
+            "second": self.second,
+            "strength": self.strength,
+            "in_words": self.in_words,
+        }
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What a measurement tells about each parameter near one point.
+
+    Attributes:
+        names: Names of the p parameters.
+        theta: The point. Shape (p,). [per parameter]
+        mse: Mean squared error there. [first output's unit squared]
+        on_bound: Which parameters lie on a bound. Shape (p,).
+        singular_values: Of the Jacobian, falling. Shape (p,). [first output's unit per range]
+        directions: Right singular vectors, one per row. Shape (p, p). [1]
+        noise: Standard deviation of the residuals, raised for those that follow each other.
+            [first output's unit]
+        spread: Standard deviation of each parameter, as a share of its range. Shape (p,). [1]
+        correlation: Of the estimates. Shape (p, p). [1]
+        alignment: Cosine between the columns of the Jacobian: what two parameters do to the outputs,
+            all others held. Shape (p, p). [1]
+        n_samples: Residuals.
+        n_independent: Independent samples that they are worth.
+        n_calls: Rows asked of the model.
+    """
+
+    names: tuple[str, ...]
+    theta: FloatArray
+    mse: float
+    on_bound: BoolArray
+    singular_values: FloatArray
+    directions: FloatArray
+    noise: float
+    spread: FloatArray
+    correlation: FloatArray
+    alignment: FloatArray
+    n_samples: int
+    n_independent: float
+    n_calls: int
+
+    @property
+    def determined(self) -> tuple[str, ...]:
+        """Parameters that the data determine."""
+        return tuple(n for n, s in zip(self.names, self.spread, strict=True) if s < DETERMINED)
+
+    @property
+    def n_determined_directions(self) -> int:
+        """Combinations of parameters that the data determine."""
+        return int(np.sum(self.noise < DETERMINED * self.singular_values))
+
+    @property
+    def n_null_directions(self) -> int:
+        """Combinations of parameters that change no output at all, whatever is measured."""
+        return int(np.sum(self.singular_values < NULL * self.singular_values[0]))
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """Pairs that the data cannot tell apart: the directions left open that two parameters make up."""
+        found = []
+        for direction in self.directions[self.n_determined_directions :][::-1]:
+            i, j = np.argsort(-(direction**2))[:2] if len(direction) > 1 else (0, 0)
+            share = float(direction[i] ** 2 + direction[j] ** 2)
+            # Both must matter: a parameter alone that moves nothing compensates none.
+            if i != j and share >= A_PAIR and abs(direction[j]) >= 0.5 * abs(direction[i]):
+                first, second = sorted((int(i), int(j)))
+                sign = 1.0 if direction[first] * direction[second] > 0 else -1.0
+                found.append(Pair(self.names[first], self.names[second], sign * share))
+        return tuple(found)
+
+    def direction_in_words(self, rank: int) -> str:
+        """Say which parameters a direction moves, e.g. "+0.71 cExt1 −0.70 rExt2"."""
+        direction = self.directions[rank]
+        most = np.argsort(-np.abs(direction))
+        terms = [f"{direction[i]:+.2f} {self.names[i]}" for i in most if abs(direction[i]) >= 0.1]
+        return " ".join(terms).replace("-", "\N{MINUS SIGN}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        return {
+            "theta": dict(zip(self.names, self.theta.tolist(), strict=True)),
+            "mse": self.mse,
+            "on_bound": [n for n, on in zip(self.names, self.on_bound, strict=True) if on],
+            "determined": list(self.determined),
+            "not_determined": [n for n in self.names if n not in self.determined],
+            "n_determined_directions": self.n_determined_directions,
+            "spread": dict(zip(self.names, self.spread.tolist(), strict=True)),
+            "singular_values": self.singular_values.tolist(),
+            "n_null_directions": self.n_null_directions,
+            "noise": self.noise,
+            "directions": [self.direction_in_words(k) for k in range(len(self.names))],
+            "pairs": [pair.to_dict() for pair in self.pairs],
+            "n_samples": self.n_samples,
+            "n_independent": self.n_independent,
+            "n_calls": self.n_calls,
+        }
+
+
+def identifiability(model: ForwardModel, measurement: Measurement, theta: FloatArray) -> Identifiability:
+    """Differentiate the residuals at a point and read off what they determine.
+
+    Args:
+        model: The physical model.
+        measurement: What it is compared with.
+        theta: The point. Shape (p,). [per parameter]
+
+    Returns:
+        Singular values, correlations and spreads; a parameter whose differences fail moves nothing.
+    """
+    counter = CountingModel(model)
+    problem = CalibrationProblem(counter, measurement)
+    u = np.clip(problem.space.to_unit(theta), 0.0, 1.0)
+    p = len(u)
+    ahead, behind = np.minimum(u + STEP, 1.0), np.maximum(u - STEP, 0.0)
+    rows = np.concatenate([u[None], _moved(u, ahead), _moved(u, behind)])
+    answer = problem.evaluate(rows)
+    residuals = answer.residuals[0]
+    slopes = (answer.residuals[1 : p + 1] - answer.residuals[p + 1 :]) / (ahead - behind)[:, None]
+    jacobian = np.where(np.isfinite(slopes), slopes, 0.0).T
+    n_independent = independent_samples(residuals)
+    m = len(residuals)
+    noise = float(np.sqrt(np.sum(residuals**2) / max(m - p, 1) * m / n_independent))
+    _, values, directions = np.linalg.svd(jacobian, full_matrices=len(jacobian) < p)
+    values = np.pad(values, (0, p - len(values)))
+    known = (values / noise) ** 2 if noise > 0.0 else np.where(values > NULL * values[0], np.inf, 0.0)
+    covariance = (directions.T / (known + 1.0 / BOX_VARIANCE)) @ directions
+    lengths = np.linalg.norm(jacobian, axis=0)
+    return Identifiability(
+        names=problem.space.names,
+        theta=np.array(theta, dtype=np.float64),
+        mse=float(answer.mse[0]),
+        on_bound=(u < ON_BOUND) | (u > 1.0 - ON_BOUND),
+        singular_values=values,
+        directions=directions,
+        noise=noise,
+        spread=np.sqrt(np.diag(covariance)),
+        correlation=_normed(covariance, np.sqrt(np.diag(covariance))),
+        alignment=_normed(jacobian.T @ jacobian, lengths),
+        n_samples=m,
+        n_independent=n_independent,
+        n_calls=counter.n_calls,
+    )
+
+
+def independent_samples(residuals: FloatArray) -> float:
+    """Return how many independent samples residuals are worth, by their correlation from one to the next.
+
+    Args:
+        residuals: In the order of time. Shape (m,).
+    """
+    centered = residuals - residuals.mean()
+    power = float(centered @ centered)
+    if power <= 0.0 or len(residuals) < 3:
+        return float(len(residuals))
+    rho = min(max(float(centered[1:] @ centered[:-1]) / power, 0.0), 0.999)
+    return max(len(residuals) * (1.0 - rho) / (1.0 + rho), 1.0)
+
+
+def correlated_pairs(names: tuple[str, ...], correlation: FloatArray, least: float) -> tuple[Pair, ...]:
+    """Return the pairs whose correlation is at least so large, the largest first."""
+    first, second = np.triu_indices(len(names), k=1)
+    pairs = [
+        Pair(names[i], names[j], float(correlation[i, j]))
+        for i, j in zip(first, second, strict=True)
+        if abs(correlation[i, j]) >= least
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.strength)))
+
+
+def _moved(u: FloatArray, to: FloatArray) -> FloatArray:
+    """Return a row per parameter in which that one alone has moved. Shape (p, p)."""
+    rows = np.tile(u, (len(u), 1))
+    np.fill_diagonal(rows, to)
+    return rows
+
+
+def _normed(products: FloatArray, lengths: FloatArray) -> FloatArray:
+    safe = np.where(lengths > 0.0, lengths, 1.0)
+    normed: FloatArray = np.clip(products / np.outer(safe, safe), -1.0, 1.0)
+    return normed
