@@ -54,6 +54,8 @@ class Measurement:
         output_names: Names of the outputs.
         uncertainty: Uncertainty of the sensors. Shape (k,). [per output]
         weights: Share of the MSE that each output has, relative to the others. Shape (k,). [1]
+        lasts_s: How long an error of each output lasts, None where that is not known: it decides how much a
+            prior weighs, and no error. Shape (k,). [s]
     """
 
     time: FloatArray
@@ -61,6 +63,7 @@ class Measurement:
     output_names: tuple[str, ...]
     uncertainty: FloatArray
     weights: FloatArray
+    lasts_s: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n_outputs = len(self.output_names)
@@ -120,6 +123,11 @@ class Measurement:
         first_s = min(float(one.time[0]) for one in self.samples)
         first = int(np.searchsorted(self.time, first_s, side="right")) - 1
         return replace(self, time=self.time[max(first, 0) :])
+
+    @property
+    def error_lasts_s(self) -> FloatArray:
+        """How long an error of each output lasts, 0 where that is not known. Shape (k,). [s]."""
+        return np.zeros(len(self.samples)) if self.lasts_s is None else self.lasts_s
 
     @property
     def n_samples(self) -> int:

@@ -14,6 +14,20 @@ Scale = Literal["linear", "log"]
 
 
 @dataclass(frozen=True)
+class Belief:
+    """What is known about a parameter before it is calibrated: it is normal in the parameter's coordinates.
+
+    Attributes:
+        centre: Most probable value, inside the bounds. [unit]
+        deviation: Standard deviation; for a logarithmic parameter the factor that two thirds of the
+            probability lie within (geometric standard deviation), above 1. [unit, or 1]
+    """
+
+    centre: float
+    deviation: float
+
+
+@dataclass(frozen=True)
 class Parameter:
     """A physical parameter to calibrate.
 
@@ -25,6 +39,7 @@ class Parameter:
         unit: Unit as the model writes it.
         scale: Coordinates in which the unit cube is even; "log" needs positive bounds.
         description: What the parameter means.
+        prior: What is known about it beforehand, or None.
     """
 
     name: str
@@ -34,6 +49,7 @@ class Parameter:
     unit: str = "1"
     scale: Scale = "linear"
     description: str = ""
+    prior: Belief | None = None
 
     def __post_init__(self) -> None:
         where = f"parameter {self.name}"
@@ -57,6 +73,20 @@ class Parameter:
                 f"{where}: estimate = {self.estimate:g} lies outside the bounds {self.lower:g} to "
                 f"{self.upper:g}; move the estimate or widen the bounds"
             )
+        if self.prior is not None:
+            self._check(self.prior)
+
+    def _check(self, prior: Belief) -> None:
+        where = f"parameter {self.name}: prior"
+        if not self.lower <= prior.centre <= self.upper:
+            raise InputError(
+                f"{where}: about = {prior.centre:g} lies outside the bounds {self.lower:g} to "
+                f"{self.upper:g}; move it or widen the bounds"
+            )
+        if self.scale == "log" and not 1.0 < prior.deviation < math.inf:
+            raise InputError(f"{where}: within_factor = {prior.deviation:g}; give a number above 1, like 1.5")
+        if not 0.0 < prior.deviation < math.inf:
+            raise InputError(f"{where}: within = {prior.deviation:g}; give a number above 0")
 
 
 @dataclass(frozen=True)

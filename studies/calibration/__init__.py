@@ -4,6 +4,7 @@ from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.direct import MultistartResult, best_known, multistart
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
+from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, Progress
 from studies.calibration.screen import DifferentialEvolution, ScreenResult
@@ -21,6 +22,7 @@ __all__ = [
     "Ledger",
     "MultistartResult",
     "PolishResult",
+    "Prior",
     "Progress",
     "ScreenResult",
     "best_known",

@@ -1,13 +1,14 @@
 """The rows of an adaptive calibration: first design, legs of a search, trust region and proposals."""
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.parameters import ParameterSpace
 from studies.calibration.box_newton import descend
+from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features, ResidualProcess
 
@@ -33,27 +34,28 @@ class AdaptiveSearch:
     """The rows of one calibration and its trust region."""
 
     def __init__(
-        self, settings: "Adaptive", space: ParameterSpace, recorder: Recorder, rng: np.random.Generator
+        self, settings: "Adaptive", problem: CalibrationProblem, recorder: Recorder, rng: np.random.Generator
     ) -> None:
         """Begin with nothing known.
 
         Args:
             settings: How to search.
-            space: The parameters.
+            problem: The parameters and what is known about them.
             recorder: Asks the model and counts.
             rng: Source of the first design and all draws.
         """
         self._settings = settings
-        self._p = p = space.n_parameters
-        self._features = Features.of(space)
+        self._p = p = problem.space.n_parameters
+        self._prior = problem.prior
+        self._features = Features.of(problem.space)
         self._recorder = recorder
         self._rng = rng
         self._u = np.empty((0, p))
-        self._mse = np.empty(0)
+        self._objective = np.empty(0)
         self._residuals = np.empty((0, 0))
         self._hyper: FloatArray | None = None
         self._radius = settings.radius
-        # A leg of the search sees the rows from `first` on; its lowest errors after every round.
+        # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
         self._first = 0
         self._leg: list[float] = []
         self._idle = 0
@@ -73,7 +75,7 @@ class AdaptiveSearch:
         while True:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return "the target is reached"
-            if np.isfinite(self._mse).sum() < 2:
+            if np.isfinite(self._objective).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
             if self._leg_is_over():
@@ -86,39 +88,39 @@ class AdaptiveSearch:
     def _step(self) -> None:
         """Make one round of a leg."""
         process = self._fit()
-        if self._first == self._mse.size:
+        if self._first == self._objective.size:
             self._ask(self._elsewhere(process))
-            self._leg.append(self._leg_mse)
+            self._leg.append(self._leg_best)
             return
         # A leg whose rows have all failed goes on from the best row.
-        first = self._first if np.isfinite(self._leg_mse) else 0
-        best = first + int(np.argmin(self._mse[first:]))
-        centre, centre_mse = self._u[best], float(self._mse[best])
+        first = self._first if np.isfinite(self._leg_best) else 0
+        best = first + int(np.argmin(self._objective[first:]))
+        centre, centre_objective = self._u[best], float(self._objective[best])
         points, expected = self._propose(process, centre)
         self._ask(points)
-        gain = max(centre_mse - self._leg_mse, 0.0)
-        promise = centre_mse - expected.value
+        gain = max(centre_objective - self._leg_best, 0.0)
+        promise = centre_objective - expected.value
         self._resize(points - centre, gain, promise)
-        self.expected_gain = promise / centre_mse if centre_mse > 0.0 else 0.0
-        is_idle = max(gain, promise) <= self._settings.ftol * centre_mse
+        self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
+        is_idle = max(gain, promise) <= self._settings.ftol * centre_objective
         self._idle = self._idle + 1 if is_idle else 0
-        self._leg.append(self._leg_mse)
+        self._leg.append(self._leg_best)
 
     @property
-    def _leg_mse(self) -> float:
-        """The leg's lowest error so far."""
-        return float(self._mse[self._first :].min(initial=np.inf))
+    def _leg_best(self) -> float:
+        """The leg's lowest objective so far."""
+        return float(self._objective[self._first :].min(initial=np.inf))
 
     @property
     def _is_home(self) -> bool:
         """Whether the leg is around the best row of all."""
-        return self._leg_mse <= float(self._mse.min())
+        return self._leg_best <= float(self._objective.min())
 
     @property
     def _is_doubtful(self) -> bool:
         """Whether the best error is too large for the bottom of the right valley."""
         doubtful = self._settings.doubtful_mse
-        return doubtful is not None and float(self._mse.min()) > doubtful
+        return doubtful is not None and self._recorder.best_mse > doubtful
 
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
@@ -136,7 +138,7 @@ class AdaptiveSearch:
         """End a leg: from the best row go elsewhere, from elsewhere back to it."""
         leaves = self._is_home and (self._settings.n_elsewhere > 0 or self._is_doubtful)
         self._n_elsewhere += leaves
-        self._first = self._mse.size if leaves else 0
+        self._first = self._objective.size if leaves else 0
         self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)
         self._leg, self._idle = [], 0
 
@@ -147,20 +149,33 @@ class AdaptiveSearch:
         answer = self._recorder.evaluate(u[: max(left, 1)])
         self.n_rounds += 1
         self._u = np.concatenate([self._u, answer.u])
-        earlier = self._residuals.reshape(self._mse.size, answer.residuals.shape[1])
+        earlier = self._residuals.reshape(self._objective.size, answer.residuals.shape[1])
         self._residuals = np.concatenate([earlier, answer.residuals])
-        self._mse = np.concatenate([self._mse, answer.mse])
+        self._objective = np.concatenate([self._objective, answer.objective])
 
     def _fit(self) -> ResidualProcess:
-        good = np.isfinite(self._mse)
+        good = np.isfinite(self._objective)
         process = ResidualProcess.fit(self._features, self._u[good], self._residuals[good], self._hyper)
         self._hyper = process.hyper
         return process
 
+    def _expand(self, process: ResidualProcess, u: FloatArray, caution: float) -> Expansion:
+        """Expand the objective around a point: the error is predicted, a prior's penalty is known exactly."""
+        found = process.expand(u, caution)
+        if self._prior is None:
+            return found
+        penalty, gradient, hessian = self._prior.expand(u)
+        return replace(
+            found,
+            value=found.value + penalty,
+            gradient=found.gradient + gradient,
+            hessian=found.hessian + hessian,
+        )
+
     def _elsewhere(self, process: ResidualProcess) -> FloatArray:
         """Return the surrogate's minima around points drawn anew, one for each parallel row."""
         margin = self._settings.margin
-        expand = partial(process.expand, caution=self._settings.caution)
+        expand = partial(self._expand, process, caution=self._settings.caution)
         starts = margin + (1.0 - 2.0 * margin) * self._rng.random((self._settings.n_parallel, self._p))
         ends = [descend(expand, u, np.maximum(u - AWAY, 0.0), np.minimum(u + AWAY, 1.0)) for u in starts]
         return np.array([u for u, _ in ends])
@@ -173,7 +188,7 @@ class AdaptiveSearch:
             radius, caution = self._variation(rank)
             lower, upper = np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
             starts = [centre, *self._rng.uniform(lower, upper, (self._settings.n_descents - 1, self._p))]
-            expand = partial(process.expand, caution=caution)
+            expand = partial(self._expand, process, caution=caution)
             ends = [descend(expand, start, lower, upper) for start in starts]
             u, expected = min(ends, key=lambda end: end[1].value)
             favourite = favourite or expected
@@ -194,7 +209,7 @@ class AdaptiveSearch:
 
     def _resize(self, steps: FloatArray, gain: float, expected: float) -> None:
         """Widen or shrink the trust region by what the last round has brought."""
-        if not np.isfinite(self._mse[-len(steps) :]).any():
+        if not np.isfinite(self._objective[-len(steps) :]).any():
             self._radius = max(self._radius * SHRINK_AFTER_FAILURE, LEAST_RADIUS)
         elif gain < BAD_STEP * expected:
             self._radius = max(self._radius * SHRINK, min(self._radius, self._settings.least_radius))

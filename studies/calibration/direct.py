@@ -27,8 +27,8 @@ class MultistartResult:
 
     @property
     def best(self) -> PolishResult:
-        """The run with the lowest error; the first of equals."""
-        return min(self.runs, key=lambda run: run.mse)
+        """The run with the lowest objective; the first of equals."""
+        return min(self.runs, key=lambda run: run.objective)
 
     @property
     def mse(self) -> FloatArray:

@@ -38,6 +38,7 @@ class PolishResult:
         theta: As parameters. Shape (p,). [per parameter]
         y: Trajectory there. Shape (t, k). [output's unit]
         mse: Mean squared error there, infinite when no simulation succeeded. [first output's unit squared]
+        objective: The same with a prior's penalty. [first output's unit squared]
         n_calls: Rows asked of the model.
         n_iterations: Jacobians evaluated.
         history: Best MSE over rows asked.
@@ -49,6 +50,7 @@ class PolishResult:
     theta: FloatArray
     y: FloatArray
     mse: float
+    objective: float
     n_calls: int
     n_iterations: int
     history: History
@@ -115,6 +117,11 @@ class LeastSquaresTRF:
         Returns:
             The best point seen; never raises for a failed simulation or a spent budget.
         """
+        if problem.prior is not None and self.residuals == "squared":
+            raise InputError(
+                'polishing: residuals = "squared" minimizes fourth powers, against which no prior can be '
+                'weighed; use "signed", or remove prior from the parameters'
+            )
         recorder = Recorder(problem, phase="polish", max_calls=self.max_calls, on_progress=on_progress)
         if known is not None:
             recorder.know(known)
@@ -149,6 +156,7 @@ class LeastSquaresTRF:
             theta=best.theta[0],
             y=best.y[0],
             mse=float(best.mse[0]),
+            objective=float(best.objective[0]),
             n_calls=recorder.n_calls,
             n_iterations=search.n_jacobians,
             history=recorder.history,
@@ -174,6 +182,7 @@ class _Search:
         self._settings = settings
         self._recorder = recorder
         self._space = problem.space
+        self._prior = problem.prior
         self._search_space = _linear(problem.space) if settings.coordinates == "linear" else problem.space
         self._last: tuple[FloatArray, Evaluation] | None = None
         self._accepted: FloatArray | None = None
@@ -215,7 +224,7 @@ class _Search:
         moved = np.inf if self._accepted is None else float(np.max(np.abs(v - self._accepted)))
         if answer.failures[0] and moved < self._settings.difference_step:
             raise _StepsFailError(answer.failures[0])
-        return self._form(answer.residuals[0])
+        return self._with_prior(self._form(answer.residuals[0]), v)
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Return the differences of the objective, all p of them from one batch. Shape (t*k, p).
@@ -235,14 +244,33 @@ class _Search:
             steps[other_side] *= -1.0
             moved[other_side] = self._differences(v, steps, other_side)
         slopes: FloatArray = (moved - here) / steps[:, None]
-        slopes[~np.all(np.isfinite(slopes), axis=1)] = 0.0
-        return slopes.T
+        is_stuck = ~np.all(np.isfinite(slopes), axis=1)
+        slopes[is_stuck] = 0.0
+        if self._prior is None:
+            return slopes.T
+        exact = self._prior.row_slopes(slopes.shape[1]) * self._stretch(v)
+        return np.concatenate([slopes.T, np.diag(np.where(is_stuck, 0.0, exact))])
 
     def _differences(self, v: FloatArray, steps: FloatArray, which: list[int] | None = None) -> FloatArray:
         rows = v + np.diag(steps)
         if which is not None:
             rows = rows[which]
         return self._form(self._recorder.evaluate(self.from_search(rows)).residuals)
+
+    def _with_prior(self, residuals: FloatArray, v: FloatArray) -> FloatArray:
+        """Append the prior's residuals at a point. Shape (t*k + p,), or as residuals without a prior."""
+        if self._prior is None:
+            return residuals
+        return np.concatenate([residuals, self._prior.rows(self.from_search(v[None]), residuals.size)[0]])
+
+    def _stretch(self, v: FloatArray) -> FloatArray:
+        """Return the derivatives of the unit cube's coordinates by those of the search. Shape (p,). [1]."""
+        if self._search_space is self._space:
+            return np.ones_like(v)
+        lower, upper = self._space.lower, self._space.upper
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_v = (upper - lower) / (self._search_space.from_unit(v) * np.log(upper / lower))
+        return np.where(self._space.is_log, by_v, 1.0)
 
     def _form(self, residuals: FloatArray) -> FloatArray:
         return residuals**2 if self._settings.residuals == "squared" else residuals

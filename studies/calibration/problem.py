@@ -10,6 +10,7 @@ from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
+from studies.calibration.prior import Prior
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Evaluation:
         residuals: Scaled (simulated - measured) at the m samples of all outputs, NaN in failed rows.
             Shape (n, m). [first output's unit]
         mse: Mean of the squared residuals, infinite in failed rows. Shape (n,). [first output's unit squared]
+        objective: What is minimized: the MSE, and a prior's penalty where there is one. Shape (n,). [same]
         failures: Why a row failed; "" where it did not. Length n.
     """
 
@@ -31,6 +33,7 @@ class Evaluation:
     y: FloatArray
     residuals: FloatArray
     mse: FloatArray
+    objective: FloatArray
     failures: tuple[str, ...]
 
     @property
@@ -47,6 +50,7 @@ class Evaluation:
             y=self.y[row],
             residuals=self.residuals[row],
             mse=self.mse[row],
+            objective=self.objective[row],
             failures=self.failures[row],
         )
 
@@ -61,10 +65,12 @@ class CalibrationProblem:
     Attributes:
         model: The model that is asked.
         measurement: The target, on the model's output grid.
+        prior: What is known about the parameters beforehand, or None.
     """
 
     model: ForwardModel
     measurement: Measurement
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         """Refuse a measurement that the model cannot be compared with."""
@@ -78,6 +84,10 @@ class CalibrationProblem:
             raise InputError(
                 f"the model answers at {time.size} times up to {time[-1]:g} s, the measurement has "
                 f"{measured.size} up to {measured[-1]:g} s; open both from the same case and window"
+            )
+        if self.prior is not None and self.prior.width.size != self.space.n_parameters:
+            raise ValueError(
+                f"the prior is of {self.prior.width.size} parameters, the model has {self.space.n_parameters}"
             )
 
     @property
@@ -129,7 +139,10 @@ class CalibrationProblem:
             reason or ("the simulated values are not finite" if bad else "")
             for reason, bad in zip(trajectories.failures, failed, strict=True)
         )
-        return Evaluation(u, trajectories.theta, trajectories.y, residuals, mse, failures)
+        objective = mse
+        if self.prior is not None:
+            objective = np.where(failed, np.inf, mse + self.prior.penalty(u))
+        return Evaluation(u, trajectories.theta, trajectories.y, residuals, mse, objective, failures)
 
     def residuals(self, u: FloatArray) -> FloatArray:
         """Return the signed residuals, simulated minus measured. Shape (n, m). [first output's unit]."""
@@ -138,3 +151,7 @@ class CalibrationProblem:
     def mse(self, u: FloatArray) -> FloatArray:
         """Return the mean squared error, infinite where a row failed. Shape (n,). [unit squared]."""
         return self.evaluate(u).mse
+
+    def objective(self, u: FloatArray) -> FloatArray:
+        """Return what is minimized, infinite where a row failed. Shape (n,). [unit squared]."""
+        return self.evaluate(u).objective

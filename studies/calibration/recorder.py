@@ -18,7 +18,7 @@ class Progress:
         phase: "screen", "polish" or "adaptive".
         n_done: Model rows asked so far in this phase.
         n_total: Most rows that this phase may ask, or None without a limit.
-        best_mse: Best MSE so far. [first output's unit squared]
+        best_mse: MSE of the best row so far. [first output's unit squared]
     """
 
     phase: str
@@ -36,7 +36,8 @@ class History:
 
     Attributes:
         n_calls: Rows asked when the entry was made, rising. Shape (h,). [1]
-        best_mse: Best MSE of all rows until then, falling. Shape (h,). [first output's unit squared]
+        best_mse: MSE of the best row until then; it falls, but with a prior the best row need not have the
+            lowest MSE. Shape (h,). [first output's unit squared]
     """
 
     n_calls: IntArray
@@ -91,7 +92,7 @@ class Recorder:
 
     @property
     def best_mse(self) -> float:
-        """Best MSE so far, infinite before anything succeeded."""
+        """MSE of the best row so far, infinite before anything succeeded."""
         return float(self.best.mse[0]) if self.best is not None else float("inf")
 
     @property
@@ -122,7 +123,7 @@ class Recorder:
         return evaluation
 
     def _note(self, evaluation: Evaluation) -> None:
-        index = int(np.argmin(evaluation.mse))
-        if self.best is None or evaluation.mse[index] < self.best_mse:
+        index = int(np.argmin(evaluation.objective))
+        if self.best is None or evaluation.objective[index] < self.best.objective[0]:
             self.best = evaluation.take(index)
         self._entries.append((self.n_calls, self.best_mse))

@@ -23,7 +23,7 @@ class ScreenResult:
         y: The screened model's trajectory there. Shape (t, k). [output's unit]
         mse: The screened model's error there, infinite when every row failed. [first output's unit squared]
         population_u: Last population, best first. Shape (s, p). [1]
-        population_mse: Its errors, rising. Shape (s,). [first output's unit squared]
+        population_objective: Its errors, a prior's penalty included, rising. Shape (s,). [same]
         n_evaluations: Rows asked of the model.
         n_generations: Generations after the first population.
         history: Best MSE over rows asked, an entry per generation.
@@ -36,7 +36,7 @@ class ScreenResult:
     y: FloatArray
     mse: float
     population_u: FloatArray
-    population_mse: FloatArray
+    population_objective: FloatArray
     n_evaluations: int
     n_generations: int
     history: History
@@ -110,11 +110,11 @@ class DifferentialEvolution:
         )
         search = _Search(recorder)
         # SciPy's stubs describe the function of one point only, not the vectorized one.
-        mse: Any = search.mse
+        objective: Any = search.objective
         converged = False
         try:
             found = differential_evolution(
-                mse,
+                objective,
                 bounds=Bounds(np.full(p, self.margin), np.full(p, 1.0 - self.margin)),
                 strategy=self.strategy,
                 maxiter=self.maxiter,
@@ -136,14 +136,14 @@ class DifferentialEvolution:
             reason = f"the budget of {self.max_calls} calls is spent"
         best = recorder.best
         assert best is not None, "the budget holds the first population"
-        order = np.argsort(search.population_mse, kind="stable")
+        order = np.argsort(search.population_objective, kind="stable")
         return ScreenResult(
             u=best.u[0],
             theta=best.theta[0],
             y=best.y[0],
             mse=float(best.mse[0]),
             population_u=search.population_u[order],
-            population_mse=search.population_mse[order],
+            population_objective=search.population_objective[order],
             n_evaluations=recorder.n_calls,
             n_generations=recorder.history.n_calls.size - 1,
             history=recorder.history,
@@ -158,16 +158,16 @@ class _Search:
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
         self.population_u: FloatArray = np.empty((0, 0))
-        self.population_mse: FloatArray = np.empty(0)
+        self.population_objective: FloatArray = np.empty(0)
 
-    def mse(self, columns: FloatArray) -> FloatArray:
-        """Return the errors of a generation, which SciPy hands over as (p, S). Shape (S,)."""
+    def objective(self, columns: FloatArray) -> FloatArray:
+        """Return the objectives of a generation, which SciPy hands over as (p, S). Shape (S,)."""
         evaluation = self._recorder.evaluate(columns.T)
-        if not self.population_mse.size:
-            self.population_u, self.population_mse = evaluation.u.copy(), evaluation.mse.copy()
-        return evaluation.mse
+        if not self.population_objective.size:
+            self.population_u, self.population_objective = evaluation.u.copy(), evaluation.objective.copy()
+        return evaluation.objective
 
     def keep_population(self, intermediate_result: OptimizeResult) -> None:
         """Remember the points that a generation has ended with, and their errors."""
         self.population_u = np.array(intermediate_result.population)
-        self.population_mse = np.array(intermediate_result.population_energies)
+        self.population_objective = np.array(intermediate_result.population_energies)

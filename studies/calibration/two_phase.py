@@ -12,6 +12,7 @@ from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress
 from studies.calibration.screen import DifferentialEvolution, ScreenResult
@@ -119,6 +120,7 @@ def calibrate_two_phase(
     n_train: int,
     n_validation: int = 0,
     n_test: int = 0,
+    prior: Prior | None = None,
     on_progress: OnProgress | None = None,
 ) -> CalibrationResult:
     """Calibrate a physical model with a surrogate of it (Aka et al. 2023, sec. 2.4; 10.3384/ecp204107).
@@ -133,13 +135,14 @@ def calibrate_two_phase(
         n_train: Physical simulations that trained the surrogate, for the ledger.
         n_validation: The same for validation.
         n_test: The same for testing.
+        prior: What is known about the parameters beforehand, or None; both phases heed it.
         on_progress: Called during both phases.
 
     Returns:
         The calibrated parameters, the errors on the way and the ledger.
     """
     started = time.perf_counter()
-    problem = CalibrationProblem(surrogate_model, measurement)
+    problem = CalibrationProblem(surrogate_model, measurement, prior)
     physical_problem = problem.on(physical_model)
 
     screened = screening.minimize(problem, seed=seed, on_progress=on_progress)

@@ -36,9 +36,9 @@ def test_other_seeds_search_otherwise_and_find_the_same() -> None:
 def test_the_population_is_sorted_and_its_errors_are_true() -> None:
     problem = product_problem()
     result = DifferentialEvolution(maxiter=10).minimize(problem, seed=0)
-    assert (np.diff(result.population_mse) >= 0).all()
-    np.testing.assert_allclose(problem.mse(result.population_u), result.population_mse, rtol=1e-12)
-    assert result.population_mse[0] == result.mse
+    assert (np.diff(result.population_objective) >= 0).all()
+    np.testing.assert_allclose(problem.mse(result.population_u), result.population_objective, rtol=1e-12)
+    assert result.population_objective[0] == result.mse
 
 
 def test_the_first_population_counts_when_no_generation_follows() -> None:
