@@ -5,23 +5,15 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from simulation.case_parameter import ParameterTable, PriorTable
+from simulation.case_table import Finite, Name, Pair, Positive, Table
 from simulation.errors import InputError
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Name = Annotated[str, Field(min_length=1)]
-# TOML arrays arrive as lists; strict mode would take no list for a tuple.
-Pair = Annotated[tuple[Finite, Finite], Field(strict=False)]
 
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class TimeTable(_Table):
+class TimeTable(Table):
     """Key [time]: periods in days or, all of them, in seconds; steps in seconds.
 
     They count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
@@ -85,7 +77,7 @@ def _in_days(
     return days if seconds is None else (SECONDS.to_days(seconds[0]), SECONDS.to_days(seconds[1]))
 
 
-class InputTable(_Table):
+class InputTable(Table):
     """Key [[inputs]]: where an FMU input comes from; gaps up to `max_gap_s` are bridged.
 
     `fmu_unit` is the unit that its equations count in, where the FMU declares none.
@@ -112,11 +104,12 @@ class InputTable(_Table):
         return {self.column: 1.0} if self.column is not None else dict(self.sum or {})
 
 
-class OutputTable(_Table):
+class OutputTable(Table):
     """Key [[outputs]]: an FMU output and its measurement, which may have times of its own and gaps.
 
     `weight` is the share of the error that it has relative to the others (see Measurement), `accepted` the
-    band outside of which a simulation has failed; `fmu_unit` as for inputs.
+    band outside of which a simulation has failed, `error_lasts_s` how long an error of it lasts (see
+    calibration.prior); `fmu_unit` as for inputs.
     """
 
     name: Name
@@ -125,29 +118,18 @@ class OutputTable(_Table):
     file: Name
     column: Name
     uncertainty: Positive
+    error_lasts_s: Positive | None = None
     weight: Positive = 1.0
     accepted: Pair | None = None
 
 
-class ParameterTable(_Table):
-    """Key [[parameters]]: a parameter to calibrate."""
-
-    name: Name
-    estimate: Finite | None = None
-    lower: Finite
-    upper: Finite
-    unit: str = "1"
-    scale: Literal["linear", "log"] = "linear"
-    description: str = ""
-
-
-class FirstMeasured(_Table):
+class FirstMeasured(Table):
     """Value of [fixed]: the measured value of an output at the start of the simulation."""
 
     first_measured: Name
 
 
-class ValueWithUnit(_Table):
+class ValueWithUnit(Table):
     """Value of [fixed]: a number with its unit, converted to the FMU's."""
 
     value: Finite
@@ -157,7 +139,7 @@ class ValueWithUnit(_Table):
 FixedValue = bool | int | Finite | str | FirstMeasured | ValueWithUnit
 
 
-class SimulationTable(_Table):
+class SimulationTable(Table):
     """Key [simulation]: how patiently simulations are run; changes no answer. See ExecutionPolicy."""
 
     timeout_s: Positive | None = None
@@ -166,7 +148,7 @@ class SimulationTable(_Table):
     max_workers: Annotated[int, Field(ge=1)] | None = None
 
 
-class ReferenceTable(_Table):
+class ReferenceTable(Table):
     """Key [[references]]: a mean squared error that is known for a window, to judge results by."""
 
     label: Name
@@ -186,7 +168,7 @@ class ReferenceTable(_Table):
         return _in_days(self.window_d, self.window_s)
 
 
-class CaseFile(_Table):
+class CaseFile(Table):
     """A whole case.toml."""
 
     # Later schemas must say so, else an old program would read a new file wrongly.
@@ -202,12 +184,12 @@ class CaseFile(_Table):
     time_column: Name | None = None
     timezone: Name | None = None
     time: TimeTable
-    inputs: list[InputTable] = []
+    inputs: list[InputTable] = Field(default_factory=list)
     outputs: Annotated[list[OutputTable], Field(min_length=1)]
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
-    fixed: dict[str, FixedValue] = {}
+    fixed: dict[str, FixedValue] = Field(default_factory=dict)
     simulation: SimulationTable = SimulationTable()
-    references: list[ReferenceTable] = []
+    references: list[ReferenceTable] = Field(default_factory=list)
 
 
 def read_case_file(path: Path) -> CaseFile:
@@ -285,7 +267,7 @@ def _holds(content: Any, part: int | str) -> bool:
 
 
 def _suggestion(location: tuple[int | str, ...]) -> str:
-    tables: dict[str, type[_Table]] = {
+    tables: dict[str, type[Table]] = {
         "time": TimeTable,
         "inputs": InputTable,
         "outputs": OutputTable,
@@ -294,6 +276,8 @@ def _suggestion(location: tuple[int | str, ...]) -> str:
         "references": ReferenceTable,
     }
     table = tables.get(str(location[0]), CaseFile) if len(location) > 1 else CaseFile
+    if "prior" in location[:-1]:
+        table = PriorTable
     known = [field.alias or name for name, field in table.model_fields.items()]
     close = difflib.get_close_matches(str(location[-1]), known, n=1)
     return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known)})"

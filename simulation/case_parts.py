@@ -10,7 +10,7 @@ from simulation.case_file import CaseFile, FirstMeasured, FixedValue, OutputTabl
 from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
-from simulation.parameters import Parameter, ParameterSpace
+from simulation.parameters import ParameterSpace
 from simulation.scenario import values_over_steps
 from simulation.units import Conversion, conversion
 
@@ -20,7 +20,7 @@ Value = float | int | bool | str
 def parameter_space(path: Path, file: CaseFile) -> ParameterSpace:
     """Return the box of the parameters, in the units of the case file."""
     try:
-        return ParameterSpace(tuple(Parameter(**table.model_dump()) for table in file.parameters))
+        return ParameterSpace(tuple(table.to_parameter() for table in file.parameters))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
