@@ -10,8 +10,9 @@ from simulation.case import Case
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import ParameterSpace
 from simulation.time_unit import told_period
+from studies.calibration.prior import Prior
 from studies.doctor.finding import Finding
-from studies.report.wording import count
+from studies.report.wording import count, difference_unit, quantity, squared
 
 COLDEST_K, COLDEST_DEGC = 150.0, -100.0
 LIKE_KELVIN = (200.0, 400.0)
@@ -27,6 +28,7 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     yield from _left_alone(case)
     yield from _no_unit(case)
     yield from _outside_the_fmus_bounds(case)
+    yield from _priors(case)
 
 
 def look_at_data(case: Case) -> Iterator[Finding]:
@@ -117,6 +119,21 @@ def _fmu(case: Case) -> Finding:
             "it is used as it is; have its exporter corrected if names or units look wrong",
         )
     return Finding("FMU", "ok", found)
+
+
+def _priors(case: Case) -> Iterator[Finding]:
+    space = case.parameter_space
+    known = [one.name for one in space.parameters if one.prior is not None]
+    if known:
+        prior = Prior.of(space, case.measurement)
+        assert prior is not None, "some parameter declares one"
+        unit = squared(difference_unit(case.outputs[0].unit))
+        yield Finding(
+            "priors",
+            "ok",
+            f"{_listed(known)} of {count(space.n_parameters, 'parameter')}; one standard deviation weighs as "
+            f"much as {quantity(prior.weight, unit)} of MSE",
+        )
 
 
 def _left_alone(case: Case) -> Iterator[Finding]:

@@ -59,7 +59,7 @@ def case_text(case: NewCase) -> str:
     parts += [_input(variable) for variable in case.inputs]
     parts += [_output(variable) for variable in case.outputs.used]
     parts += _shown(case, case.outputs.others, "output", lambda v: _commented(_output(v)))
-    parts += [_parameter(variable) for variable in case.parameters.used]
+    parts += [_PRIOR, *(_parameter(variable) for variable in case.parameters.used)]
     parts += _shown(case, case.parameters.others, "parameter", lambda v: _commented(_parameter(v)))
     parts += [_fixed(case), _SIMULATION]
     return "\n\n".join(parts) + "\n"
@@ -169,6 +169,7 @@ file = "{MEASURED_FILE}"
 column = {toml_string(variable.name)}
 unit = {_unit(variable.unit, "its unit in the CSV")}
 uncertainty = {uncertainty}   # {EDIT}: how far the sensor may be off, in this unit
+# error_lasts_s = 3600        # how long its error lasts, which priors are weighed by
 # weight = 1                  # share of the error that this output has, relative to the others
 # accepted = [0, 100]         # a simulation that leaves this band has failed"""
 
@@ -239,10 +240,13 @@ def _fixed(case: NewCase) -> str:
     for variable in shown:
         meaning = one_line(f"{variable.kind} {variable.description}")
         lines.append(f"# {_key(variable.name)} = {_start(variable)}   # {meaning}")
-    if n_hidden:
-        lines.append(f"# ... and {n_hidden} more: studies new {case.fmu.path.name} --list")
+    lines += [f"# ... and {n_hidden} more: studies new {case.fmu.path.name} --list"] * bool(n_hidden)
     return "\n".join(lines)
 
+
+_PRIOR = """\
+# What is known of a parameter, two thirds surely: prior = { about = 0.7, within_factor = 1.5 } for scale log,
+# prior = { about = 21, within = 2 } in its unit for linear; around the estimate where about is left out."""
 
 _SIMULATION = """\
 [simulation]   # patience; nothing here changes a result

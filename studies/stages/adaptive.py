@@ -21,6 +21,7 @@ from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 from studies.stages.calibrate import write_arrays
 from studies.stages.calibrated_values import show_parameters
+from studies.stages.knowledge import prior_inputs, prior_numbers, prior_of, show_prior
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import ADAPTIVE, StoredCalibration, adaptive_files, read_arrays
 from studies.stages.simulate import say_reused
@@ -90,6 +91,7 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
         "settings": asdict(settings),
         "seed": study.profile.seed,
         **validation_inputs(case),
+        **prior_inputs(case),
     }
     files = adaptive_files(study)
 
@@ -140,7 +142,9 @@ def calibrate_adaptively(study: Study, settings: Adaptive) -> tuple[dict[str, An
     case, seed = study.case, study.profile.seed
     with open_physical_model(study) as physical, study.console.bars() as bars:
         result = settings.minimize(
-            CalibrationProblem(physical, case.measurement), seed=seed, on_progress=_teller(study, bars)
+            CalibrationProblem(physical, case.measurement, prior_of(case)),
+            seed=seed,
+            on_progress=_teller(study, bars),
         )
     if not np.isfinite(result.mse):
         raise _hopeless(study, result.n_calls)
@@ -165,6 +169,7 @@ def calibrate_adaptively(study: Study, settings: Adaptive) -> tuple[dict[str, An
         "converged": result.converged,
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,
         **validated,
+        **prior_numbers(case, result.theta),
     }
     return numbers, _arrays(case, result) | simulated, physical.n_simulated
 
@@ -242,6 +247,7 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
             calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
             console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
     show_parameters(study, found["theta"], ADAPTIVE)
+    show_prior(study, found, ADAPTIVE)
     show_validation(study, [outcome])
     if study.case.note:
         console.result(f"Note: {study.case.note}")

@@ -15,6 +15,7 @@ from studies.paths import size_name
 from studies.physical_model import open_physical_model
 from studies.recipe import Recipe, recipe_of
 from studies.report.wording import difference_unit, squared
+from studies.stages.knowledge import prior_inputs, prior_numbers, prior_of
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import StoredCalibration, calibration_files, read_arrays
 from studies.stages.simulate import datasets_of, say_reused
@@ -87,6 +88,7 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         "n_test": profile.data.n_test,
         "seed": profile.seed,
         **validation_inputs(study.case),
+        **prior_inputs(study.case),
     }
     files = calibration_files(study, n_train)
     stage = f"calibrate-{size_name(n_train)}"
@@ -151,13 +153,14 @@ def calibrate(
             n_train=n_train,
             n_validation=profile.data.n_validation,
             n_test=profile.data.n_test,
+            prior=prior_of(study.case),
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
     validated, simulated = validate_calibration(
         study, {"screened": result.theta_screened, "polished": result.theta}
     )
-    numbers = result.to_dict() | validated
+    numbers = result.to_dict() | validated | prior_numbers(study.case, result.theta)
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
     arrays = {
         "time": measurement.time,

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from studies.console import Column
+from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
 
 AT_BOUND = 0.01
@@ -19,6 +20,7 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
         return
     best = min(finished, key=lambda summary: float(summary["mse_polished"]))
     show_parameters(study, best["theta"], f"n_train = {best['n_train']}")
+    show_prior(study, best, f"n_train = {best['n_train']}")
 
 
 def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
