@@ -22,12 +22,14 @@ class SurrogateModel:
         parameter_space: Parameters in the order of the training set's columns.
         output_names: Outputs in the order of the training set's.
         time: Output times of the training set. Shape (t,). [s]
+        n_jobs: CPU cores that share the rows of a prediction.
     """
 
     surrogate: Surrogate
     parameter_space: ParameterSpace
     output_names: tuple[str, ...]
     time: FloatArray
+    n_jobs: int = 1
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Predict every row.
@@ -44,7 +46,7 @@ class SurrogateModel:
         usable = np.isfinite(theta).all(axis=1) & ~no_logarithm
         y = np.full((len(theta), len(self.time), len(self.output_names)), np.nan)
         if usable.any():
-            predicted = self.surrogate.predict(theta[usable])
+            predicted = self.surrogate.predict(theta[usable], n_jobs=self.n_jobs)
             if predicted.shape[1:] != y.shape[1:]:
                 raise InputError(
                     f"the surrogate predicts {predicted.shape[1]} times of {predicted.shape[2]} outputs, the "

@@ -144,7 +144,13 @@ def calibrate(
     measurement, profile = study.case.measurement, study.profile
     with open_physical_model(study) as physical, study.console.bars() as bars:
         result = calibrate_two_phase(
-            SurrogateModel(surrogate, study.case.parameter_space, measurement.output_names, measurement.time),
+            SurrogateModel(
+                surrogate,
+                study.case.parameter_space,
+                measurement.output_names,
+                measurement.time,
+                n_jobs=study.n_jobs,
+            ),
             physical,
             measurement,
             screening=DifferentialEvolution(**asdict(profile.screening)),

@@ -56,6 +56,11 @@ def test_rows_are_independent_of_order_and_chunk(surrogate: Surrogate, order: li
     assert (np.abs(alone - together[order[:5]]) <= FLOAT32_TOL * scale).all()
 
 
+def test_sharing_the_rows_among_cores_changes_no_bit(surrogate: Surrogate) -> None:
+    theta, _ = rc_step(600, seed=4)
+    np.testing.assert_array_equal(surrogate.predict(theta, n_jobs=3), surrogate.predict(theta))
+
+
 def test_nan_row_stays_a_nan_row(surrogate: Surrogate) -> None:
     theta, _ = rc_step(4, seed=3)
     theta[1, 0] = np.nan
