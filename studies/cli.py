@@ -28,6 +28,7 @@ COMMANDS = (
     "sensitivity",
     "tune",
     "calibrate",
+    "uncertainty",
     "report",
     "status",
     "best",
@@ -55,6 +56,8 @@ measurement, window), the profile how much may be spent on it. `studies run` doe
   tune          one Optuna study per training-set size, every trial an MLflow run
   calibrate     screen the box on the surrogate, polish on the FMU; or neither: calibrate --method adaptive
   report        tables and figures on one page
+
+After it, `studies uncertainty` says how sure the calibration is.
 """
 EPILOG = """\
 examples:

@@ -32,7 +32,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
 
     Args:
         study: the study.
-        kind: "training", "calibration", "adaptive" or "sensitivity".
+        kind: "training", "calibration", "adaptive", "sensitivity" or "uncertainty".
         command: the command that makes it, up to the words that name the study.
         more: what this kind needs beyond case, profile and seed, as JSON values.
     """

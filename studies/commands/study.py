@@ -31,7 +31,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         label_end += f"-seed{chosen.seed}"
         profile = replace(profile, seed=chosen.seed)
     given = vars(chosen)
-    if given.get("n_train") and chosen.command != "calibrate":
+    if given.get("n_train") and chosen.command not in ("calibrate", "uncertainty"):
         profile = replace(profile, data=replace(profile.data, n_train=tuple(sorted(set(given["n_train"])))))
     if given.get("trials"):
         profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
@@ -39,7 +39,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, tuning=replace(profile.tuning, warm_start=True))
     if given.get("parallel"):
         profile = replace(profile, tuning=replace(profile.tuning, n_parallel=given["parallel"]))
-    if given.get("max_calls"):
+    if given.get("max_calls") and chosen.command != "uncertainty":
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
     # Heavy imports wait until the words of the command line are known to be good.

@@ -15,7 +15,7 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
 
-ROLES = ("study", "trial", "calibration", "sensitivity", "report", "overview")
+ROLES = ("study", "trial", "calibration", "sensitivity", "uncertainty", "report", "overview")
 _TAGS = ("role", "trial_key", "study_key", "stage_key", "state", "whole", "owner", "label", "told")
 _PLACES = (
     ("experiments", "artifact_location"),

@@ -9,7 +9,7 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.stages.pipeline import Study, read_json
 
-TOLD_STAGES = ("sensitivity.json", "calibrate-*.json", "report.json", "paper/*.json")
+TOLD_STAGES = ("sensitivity.json", "calibrate-*.json", "uncertainty-*.json", "report.json", "paper/*.json")
 """Manifests of the stages that MLflow is told of."""
 
 REPORT = "report"
@@ -45,6 +45,8 @@ def write_stages(paths: ProjectPaths, label: str) -> list[str]:
                 _write_item(paths, manifest, when)
             elif file.stem == "sensitivity":
                 _write_sensitivity(paths, file, manifest, when)
+            elif file.stem.startswith("uncertainty-"):
+                _write_uncertainty(paths, file, manifest, when)
             elif file.stem == REPORT:
                 _write_report(paths, file, manifest, when)
             else:
@@ -88,6 +90,22 @@ def _write_sensitivity(
         made_with=manifest["environment"],
         **when,
     )
+
+
+def _write_uncertainty(
+    paths: ProjectPaths, file: Path, manifest: Mapping[str, Any], when: Mapping[str, float]
+) -> None:
+    from studies.stages.uncertainty_results import log_posterior, stored_posteriors
+
+    told = file.with_name(f"posterior-{file.stem.removeprefix('uncertainty-')}.json")
+    numbers = read_json(told)
+    if numbers is None:
+        raise InputError(f"{paths.show(told)} cannot be read; type: studies uncertainty")
+    study = _study(paths, file, numbers.get("recipe", {}))
+    stored = {one.files.numbers: one for one in stored_posteriors(study)}.get(told)
+    if stored is None:
+        raise InputError("its calibration has changed since")
+    log_posterior(study, stored, manifest["digest"], started_s=when["started_s"], wall_s=when["wall_s"])
 
 
 def _write_report(

@@ -13,10 +13,10 @@ from simulation.errors import InputError
 from studies.paper.direct import direct_folder, run_direct_row
 from studies.paper.direct_crew import OnDirectProgress
 from studies.paper.direct_row import TOLERANCE_TRF, DirectRow
-from studies.uncertainty.identifiability import Identifiability, correlated_pairs, identifiability
 from studies.stages.calibrate import write_arrays
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
 from studies.stages.results import read_arrays
+from studies.uncertainty.identifiability import Identifiability, correlated_pairs, identifiability
 
 N_STARTS = 256
 N_CLUSTERS = 10

@@ -17,6 +17,7 @@ from studies.report.findings import residual_of
 from studies.report.page import Card, PlacedPicture, Section, page
 from studies.report.records import CalibrationRecord
 from studies.report.tables import Table
+from studies.report.uncertainty import sentences
 from studies.report.wording import count, difference_unit, percent, quantity, significant
 
 OnProgress = Callable[[int, int], None]
@@ -80,6 +81,16 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
     )
     return [
         Section("calibration", "Calibration", place(contents.calibration), of_headline),
+        *(
+            Section(
+                f"uncertainty-{record.calibration}",
+                f"How sure the {record.calibration} calibration is",
+                place(pictures),
+                tables(f"uncertainty-{record.calibration}"),
+                paragraphs=sentences(record, data.measurement.units),
+            )
+            for record, pictures in contents.uncertainty
+        ),
         Section("sizes", "All calibrations", place(contents.overview), tables("calibrations"), folded),
         Section("surrogate", "Surrogates", place(contents.surrogate), tables("tuning")),
         Section("model", "The model and its parameters", place(contents.model), tables("sensitivity")),

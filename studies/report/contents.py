@@ -13,6 +13,7 @@ from studies.report.figures_convergence import convergence_figure
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
+from studies.report.figures_uncertainty import band_figure, interval_figure, pairs_figure, shown_pairs
 from studies.report.records import CalibrationRecord
 from studies.report.records_tuning import LearningCurves
 from studies.report.tables import (
@@ -22,6 +23,13 @@ from studies.report.tables import (
     sensitivity_table,
     tuning_table,
     validation_table,
+)
+from studies.report.uncertainty import UncertaintyRecord
+from studies.report.uncertainty_told import (
+    band_caption,
+    interval_caption,
+    intervals_table,
+    pairs_caption,
 )
 from studies.report.validation import validation_caption
 from studies.report.wording import difference_unit
@@ -49,6 +57,7 @@ class Contents:
     calibration: tuple[Picture, ...]
     overview: tuple[Picture, ...]
     others: tuple[tuple[CalibrationRecord, tuple[Picture, ...]], ...]
+    uncertainty: tuple[tuple[UncertaintyRecord, tuple[Picture, ...]], ...]
     surrogate: tuple[Picture, ...]
     model: tuple[Picture, ...]
     tables: dict[str, Table]
@@ -57,7 +66,8 @@ class Contents:
     def pictures(self) -> tuple[Picture, ...]:
         """All pictures in the order of the page."""
         others = tuple(picture for _, pictures in self.others for picture in pictures)
-        return self.calibration + self.overview + self.surrogate + self.model + others
+        uncertainty = tuple(picture for _, pictures in self.uncertainty for picture in pictures)
+        return self.calibration + uncertainty + self.overview + self.surrogate + self.model + others
 
 
 def contents_of(data: ReportData) -> Contents:
@@ -73,6 +83,7 @@ def contents_of(data: ReportData) -> Contents:
             calibrations_table(data) if data.calibrations else None,
             *(parameters_table(data.parameters, c) for c in data.by_size),
             *(validation_table(c, v) for c in data.by_size for v in (data.validation_of(c),) if v),
+            *(intervals_table(data.parameters, record) for record in data.uncertainties),
             tuning_table(data),
             sensitivity_table(data),
         )
@@ -94,6 +105,9 @@ def contents_of(data: ReportData) -> Contents:
         calibration=_pictures_of(data, headline, foot) if headline else (),
         overview=overview,
         others=tuple((c, _pictures_of(data, c, foot)) for c in others),
+        uncertainty=tuple(
+            (record, _uncertainty_pictures(data, record, foot)) for record in data.uncertainties
+        ),
         surrogate=_surrogate_pictures(data, unit, foot),
         model=_model_pictures(data, foot),
         tables=tables,
@@ -137,6 +151,34 @@ def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Pic
         ),
         *validated,
     )
+
+
+def _uncertainty_pictures(data: ReportData, record: UncertaintyRecord, foot: str) -> tuple[Picture, ...]:
+    name, box = record.calibration, data.parameters
+    pictures = [
+        Picture(
+            f"bands-{name}",
+            f"Equally good parameter sets over the measurement ({name})",
+            band_caption(data.measurement, record),
+            lambda path: band_figure(data.measurement, record, path, footnote=foot),
+        ),
+        Picture(
+            f"intervals-{name}",
+            f"What is known of each parameter ({name})",
+            interval_caption(record),
+            lambda path: interval_figure(box, record, path, footnote=foot),
+        ),
+    ]
+    if shown_pairs(record):
+        pictures.append(
+            Picture(
+                f"pairs-{name}",
+                f"Parameters that compensate each other ({name})",
+                pairs_caption(record),
+                lambda path: pairs_figure(box, record, path, footnote=foot),
+            )
+        )
+    return tuple(pictures)
 
 
 def _surrogate_pictures(data: ReportData, unit: str, foot: str) -> tuple[Picture, ...]:

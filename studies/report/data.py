@@ -13,6 +13,7 @@ from studies.report.records import (
     require_shape,
 )
 from studies.report.records_tuning import LearningCurves, TrialsRecord
+from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 
 
@@ -66,6 +67,7 @@ class ReportData:
         trials: Every trial of the studies.
         learning_curves: One per training worth showing.
         validations: The calibrations on the validation period, one per training-set size; empty without one.
+        uncertainties: How sure the calibrations are, as far as that was asked.
         references: Known MSEs.
         provenance: How to do it again.
         headline_n_train: The size the headline speaks of; None takes the lowest final MSE.
@@ -82,6 +84,7 @@ class ReportData:
     trials: TrialsRecord | None = None
     learning_curves: tuple[LearningCurves, ...] = ()
     validations: tuple[ValidationRecord, ...] = ()
+    uncertainties: tuple[UncertaintyRecord, ...] = ()
     references: tuple[Reference, ...] = ()
     provenance: Provenance = Provenance()
     headline_n_train: int | None = None

@@ -9,6 +9,7 @@ from typing import Any
 from simulation.errors import InputError
 from simulation.time_unit import told_period
 from studies.report import Provenance, Reference, ReportData, build
+from studies.report.uncertainty import uncertainty_record
 from studies.stages.pipeline import Outcome, Study, Summary, run_stage
 from studies.stages.results import (
     ADAPTIVE,
@@ -21,6 +22,7 @@ from studies.stages.results import (
     validation_record,
 )
 from studies.stages.tracking import log_report
+from studies.stages.uncertainty_results import stored_posteriors
 from studies.tracking.origin import versions
 from studies.tuning.tuned_trials import learning_curves, trials_record, tuned_trials
 
@@ -94,6 +96,9 @@ def _report_data(study: Study) -> ReportData:
             for stored in stored_calibrations(study)
             if (record := validation_record(case, stored)) is not None
         ),
+        uncertainties=tuple(
+            uncertainty_record(stored.numbers, stored.arrays) for stored in stored_posteriors(study)
+        ),
         trials=trials_record(trials),
         learning_curves=learning_curves(trials),
         references=tuple(Reference(**vars(known)) for known in case.references),
@@ -150,6 +155,7 @@ def _told(settings: dict[str, Any]) -> str:
 
 def _source_files(study: Study) -> list[Path]:
     files = [file for stored in stored_calibrations(study) for file in (stored.files.numbers,)]
+    files += [stored.files.numbers for stored in stored_posteriors(study)]
     files += [study.results / name for name in ("simulate.json", "sensitivity.json", "tune.json")]
     return [file for file in files if file.is_file()]
 

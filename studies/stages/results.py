@@ -63,6 +63,21 @@ class StoredCalibration:
     arrays: dict[str, NDArray[Any]]
     wall_s: float
 
+    @property
+    def name(self) -> str:
+        """What its stage and files are called: "adaptive" or the size of the training set."""
+        return self.files.numbers.stem.removeprefix("calibration-")
+
+    @property
+    def mse(self) -> float:
+        """Its final error, infinite where it failed. [first output's unit squared]."""
+        return _number(self.numbers["mse" if self.name == ADAPTIVE else "mse_polished"])
+
+    @property
+    def point(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The calibrated parameters, shape (p,), and what the model answered there, shape (t, k)."""
+        return self.arrays["theta"], self.arrays["y" if self.name == ADAPTIVE else "y_polished"]
+
 
 def calibration_files(study: Study, n_train: int) -> CalibrationFiles:
     """Return the files of a calibration."""

@@ -1,1 +1,1 @@
-"""How sure a calibration is: identifiability, noise, a posterior sample corrected by the physical model, bands."""
+"""How sure a calibration is: noise, identifiability, and a posterior sample that the model has simulated."""

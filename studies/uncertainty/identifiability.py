@@ -7,7 +7,7 @@ of a room follow each other, so s is raised by the root of how many samples stan
 Bounds are looked away from: at one of them a parameter would go on if it might.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,9 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
-from studies.calibration.problem import CalibrationProblem
+from studies.calibration.prior import Prior
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.uncertainty.noise import independent_samples
 
 STEP = 1e-4
 """Step of the differences, as a share of the range."""
@@ -30,7 +32,7 @@ A_PAIR = 0.7
 ON_BOUND = 1e-3
 """Share of the range within which a parameter lies on its bound."""
 
-NULL = 1e-6
+NULL, NULL_PER_STEP = 1e-6, 5e-3
 """Singular values below this share of the largest are none: the differences are no more exact."""
 
 BOX_VARIANCE = 1.0 / 12.0
@@ -88,6 +90,7 @@ class Identifiability:
         n_samples: Residuals.
         n_independent: Independent samples that they are worth.
         n_calls: Rows asked of the model.
+        null: Share of the largest singular value below which the others are none. [1]
     """
 
     names: tuple[str, ...]
@@ -103,6 +106,7 @@ class Identifiability:
     n_samples: int
     n_independent: float
     n_calls: int
+    null: float = NULL
 
     @property
     def determined(self) -> tuple[str, ...]:
@@ -117,7 +121,7 @@ class Identifiability:
     @property
     def n_null_directions(self) -> int:
         """Combinations of parameters that change no output at all, whatever is measured."""
-        return int(np.sum(self.singular_values < NULL * self.singular_values[0]))
+        return int(np.sum(self.singular_values < self.null * self.singular_values[0]))
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -175,50 +179,76 @@ def identifiability(model: ForwardModel, measurement: Measurement, theta: FloatA
     counter = CountingModel(model)
     problem = CalibrationProblem(counter, measurement)
     u = np.clip(problem.space.to_unit(theta), 0.0, 1.0)
-    p = len(u)
-    ahead, behind = np.minimum(u + STEP, 1.0), np.maximum(u - STEP, 0.0)
-    rows = np.concatenate([u[None], _moved(u, ahead), _moved(u, behind)])
-    answer = problem.evaluate(rows)
-    residuals = answer.residuals[0]
-    slopes = (answer.residuals[1 : p + 1] - answer.residuals[p + 1 :]) / (ahead - behind)[:, None]
-    jacobian = np.where(np.isfinite(slopes), slopes, 0.0).T
+    answer = problem.evaluate(difference_rows(u, STEP))
+    residuals, m = answer.residuals[0], answer.residuals.shape[1]
     n_independent = independent_samples(residuals)
-    m = len(residuals)
-    noise = float(np.sqrt(np.sum(residuals**2) / max(m - p, 1) * m / n_independent))
+    raised = float(np.sqrt(np.sum(residuals**2) / max(m - len(u), 1) * m / n_independent))
+    found = judged(problem.space.names, answer, raised, n_independent, STEP)
+    return replace(found, theta=np.array(theta, dtype=np.float64))
+
+
+def difference_rows(u: FloatArray, step: float) -> FloatArray:
+    """Return a point, then one row per parameter moved up, then one per parameter moved down.
+
+    Args:
+        u: The point in the unit cube. Shape (p,). [1]
+        step: How far; a bound cuts it. [1]
+
+    Returns:
+        Shape (2 p + 1, p). [1]
+    """
+    ahead, behind = np.minimum(u + step, 1.0), np.maximum(u - step, 0.0)
+    return np.concatenate([u[None], _moved(u, ahead), _moved(u, behind)])
+
+
+def judged(
+    names: tuple[str, ...],
+    answer: Evaluation,
+    raised: float,
+    n_independent: float,
+    step: float,
+    *,
+    prior: Prior | None = None,
+) -> Identifiability:
+    """Read off what residuals around a point determine.
+
+    Args:
+        names: Names of the p parameters.
+        answer: The model at `difference_rows`.
+        raised: Noise, raised for residuals that follow each other. [first output's unit]
+        n_independent: Independent samples that the residuals are worth.
+        step: The step of the differences. [1]
+        prior: What is known beforehand, or None.
+    """
+    u, p = answer.u[0], answer.u.shape[1]
+    m = answer.residuals.shape[1]
+    width = (np.diag(answer.u[1 : p + 1]) - np.diag(answer.u[p + 1 :]))[:, None]
+    slopes = (answer.residuals[1 : p + 1] - answer.residuals[p + 1 :]) / width
+    jacobian = np.where(np.isfinite(slopes), slopes, 0.0).T
     _, values, directions = np.linalg.svd(jacobian, full_matrices=len(jacobian) < p)
     values = np.pad(values, (0, p - len(values)))
-    known = (values / noise) ** 2 if noise > 0.0 else np.where(values > NULL * values[0], np.inf, 0.0)
+    null = max(NULL, NULL_PER_STEP * step)
+    known = (values / raised) ** 2 if raised > 0.0 else np.where(values > null * values[0], np.inf, 0.0)
     covariance = (directions.T / (known + 1.0 / BOX_VARIANCE)) @ directions
+    if prior is not None:
+        covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(prior.width**-2.0))
     lengths = np.linalg.norm(jacobian, axis=0)
     return Identifiability(
-        names=problem.space.names,
-        theta=np.array(theta, dtype=np.float64),
+        names=names,
+        theta=answer.theta[0],
         mse=float(answer.mse[0]),
         on_bound=(u < ON_BOUND) | (u > 1.0 - ON_BOUND),
         singular_values=values,
         directions=directions,
-        noise=noise,
+        noise=raised,
         spread=np.sqrt(np.diag(covariance)),
         correlation=_normed(covariance, np.sqrt(np.diag(covariance))),
         alignment=_normed(jacobian.T @ jacobian, lengths),
         n_samples=m,
         n_independent=n_independent,
-        n_calls=counter.n_calls,
+        n_calls=len(answer.u),
+        null=null,
     )
-
-
-def independent_samples(residuals: FloatArray) -> float:
-    """Return how many independent samples residuals are worth, by their correlation from one to the next.
-
-    Args:
-        residuals: In the order of time. Shape (m,).
-    """
-    centered = residuals - residuals.mean()
-    power = float(centered @ centered)
-    if power <= 0.0 or len(residuals) < 3:
-        return float(len(residuals))
-    rho = min(max(float(centered[1:] @ centered[:-1]) / power, 0.0), 0.999)
-    return max(len(residuals) * (1.0 - rho) / (1.0 + rho), 1.0)
 
 
 def correlated_pairs(names: tuple[str, ...], correlation: FloatArray, least: float) -> tuple[Pair, ...]:

@@ -1,0 +1,59 @@
+"""`studies uncertainty`: say how sure a calibration is."""
+
+import argparse
+
+from studies.commands import options, values
+from studies.commands.study import hand_over, open_study
+from studies.console import Console
+
+HELP = "say how sure a calibration is: intervals, equally good parameter sets, bands"
+MORE = """\
+what happens: the residuals are differentiated at the calibrated point (two calls per parameter): which
+parameters the data determine, which compensate each other, linearised intervals. Then equally good parameter
+sets are drawn: a Markov chain on a Gaussian process of the residuals, which all stored simulations near the
+optimum teach; the FMU simulates a sample of it and reweights it. Their 5 to 95 % bands are shown over the
+measurement. Every simulation is stored at once: interrupted, the same command goes on. Lands in
+mlruns/results/<label>/posterior-<calibration>.json and .npz, in MLflow and, with studies report, on a page.
+
+--noise says what residuals are: correlated (default: as large as they are, and following each other, so that
+many samples are worth few), white (as large as they are, all independent), sensor (the declared uncertainty).
+
+examples:
+  studies uncertainty                         of the adaptive calibration, else of the best other one
+  studies uncertainty --method paper --n-train 64
+  studies uncertainty --noise sensor --max-calls 200
+"""
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Say what may be typed after the command."""
+    options.add_case(command)
+    options.add_simulation(command)
+    command.add_argument(
+        "--method", choices=("paper", "adaptive"), help="whose calibration; default: adaptive if there is one"
+    )
+    options.add_sizes(command, "the calibration with this training-set size; default: the best")
+    command.add_argument(
+        "--noise",
+        choices=("correlated", "white", "sensor"),
+        default="correlated",
+        help="what residuals are; default: correlated",
+    )
+    command.add_argument(
+        "--max-calls", type=values.whole(1), metavar="N", help="most FMU calls; default: 100"
+    )
+    command.add_argument("--again", action="store_true", help="do it once more though it is finished")
+
+
+def run(chosen: argparse.Namespace, console: Console) -> int:
+    """Do it and return the exit code."""
+    from studies.stages.uncertainty import MAX_CALLS, UncertaintySettings, uncertainty_stage
+    from studies.stages.uncertainty_results import calibration_to_judge
+    from studies.stages.uncertainty_shown import show_uncertainty
+
+    study = open_study(chosen, console)
+    calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
+    settings = UncertaintySettings(noise=chosen.noise, max_calls=chosen.max_calls or MAX_CALLS)
+    outcome = uncertainty_stage(study, calibration, settings, again=chosen.again)
+    show_uncertainty(study, outcome)
+    return hand_over(study, "uncertainty", [outcome])

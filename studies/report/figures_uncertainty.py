@@ -1,0 +1,241 @@
+"""Pictures of uncertainty: bands over the measurement, intervals of parameters, pairs that compensate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from studies.report.drawing import (
+    INK,
+    MEASURED,
+    MUTED,
+    POLISHED,
+    SCREENED,
+    SIMULATED,
+    TRAINING,
+    EndLabel,
+    drawing,
+    end_labels,
+    shortened,
+    time_axis,
+)
+from studies.report.records import Floats, MeasuredSeries, ParameterBox
+from studies.report.uncertainty import UncertaintyRecord
+from studies.report.wording import (
+    axis_label,
+    count,
+    difference_unit,
+    percent,
+    quantity,
+    shown_unit,
+    significant,
+)
+
+N_BINS = 40
+MOST_PAIRS = 4
+N_DOTS = 1200
+
+
+def band_figure(
+    measured: MeasuredSeries, record: UncertaintyRecord, path: Path, *, footnote: str = ""
+) -> Path:
+    """Draw the bands of a posterior sample over the measurement, and below around their middle.
+
+    Args:
+        measured: What was calibrated against.
+        record: The uncertainty.
+        path: Where the PNG goes.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    n_outputs = len(measured.output_names)
+    unit = difference_unit(measured.units[0])
+    width = float(np.mean(record.simulated[1, :, 0] - record.simulated[0, :, 0]))
+    name, held = measured.output_names[0], percent(record.share_predictive[0])
+    title = (
+        f"What the data leave open moves {name} by {quantity(width, unit, 2)} on average; "
+        f"with noise the {percent(record.level)} band holds {held} of the measurement"
+    )
+    with drawing(path, title=title, height_in=0.7 + 3.9 * n_outputs, footnote=footnote) as figure:
+        panels = figure.subplots(
+            2 * n_outputs, 1, sharex=True, height_ratios=[1.6, 1.2] * n_outputs, squeeze=False
+        )
+        for k in range(n_outputs):
+            _draw_band(panels[2 * k, 0], measured, record, k, is_around_middle=False)
+            _draw_band(panels[2 * k + 1, 0], measured, record, k, is_around_middle=True)
+        for axes in panels[:-1, 0]:
+            axes.set_xlabel("")
+    return path
+
+
+def _draw_band(
+    axes: Axes, measured: MeasuredSeries, record: UncertaintyRecord, k: int, *, is_around_middle: bool
+) -> None:
+    unit_of_time = time_axis(axes, measured.time)
+    at = unit_of_time.of_seconds(measured.time)
+    middle = record.simulated[:, :, k].mean(axis=0)
+    base = middle if is_around_middle else np.zeros_like(middle)
+    samples = measured.samples[k]
+    values = samples.values
+    if is_around_middle:
+        trajectory = np.repeat(middle[:, None], len(measured.output_names), axis=1)
+        values = -measured.residual(trajectory, k)
+    axes.fill_between(
+        at, record.predictive[0, :, k] - base, record.predictive[1, :, k] - base, color=TRAINING, linewidth=0
+    )
+    axes.fill_between(
+        at, record.simulated[0, :, k] - base, record.simulated[1, :, k] - base, color=SIMULATED, linewidth=0
+    )
+    axes.plot(
+        unit_of_time.of_seconds(samples.time), values, linestyle="none", marker=".", markersize=3.5,
+        color=MEASURED if not is_around_middle else INK, alpha=0.8, zorder=3,
+    )  # fmt: skip
+    name, unit = measured.output_names[k], measured.units[k]
+    if is_around_middle:
+        axes.set_ylabel(axis_label("around the middle", shortened(difference_unit(unit), 10)))
+        ends = record.predictive[1, :, k] - middle
+        labels = [
+            EndLabel(float(ends[-1]), "with noise", MUTED),
+            EndLabel(0.0, "simulated", POLISHED),
+        ]
+    else:
+        axes.set_ylabel(axis_label(shortened(name), shortened(shown_unit(unit))))
+        labels = [EndLabel(float(values[-1]), "measured", INK)]
+    axes.set_ylim(*axes.get_ylim())
+    end_labels(axes, labels)
+
+
+def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, footnote: str = "") -> Path:
+    """Draw density and interval of every parameter between its bounds.
+
+    Args:
+        box: The parameters.
+        record: The uncertainty.
+        path: Where the PNG goes.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    p = len(record.names)
+    n_determined = len(record.called("determined"))
+    title = f"Of {count(p, 'parameter')} the data determine {count(n_determined) if n_determined else 'none'}"
+    u, point = box.to_unit(record.chain), box.to_unit(record.calibrated)
+    low, high = box.to_unit(record.interval)
+    linear_low, linear_high = box.to_unit(record.linear)
+    with drawing(path, title=title, height_in=0.9 + 0.42 * p, footnote=footnote) as figure:
+        axes = figure.subplots()
+        for j in range(p):
+            density, edges = np.histogram(u[:, j], bins=N_BINS, range=(0.0, 1.0))
+            heights = 0.78 * density / max(density.max(), 1)
+            axes.stairs(j - heights, edges, baseline=j, fill=True, color=TRAINING, zorder=1)
+            axes.plot([low[j], high[j]], [j, j], color=POLISHED, linewidth=4.0, zorder=3)
+            axes.plot(
+                [linear_low[j], linear_high[j]], [j + 0.13] * 2, color=SCREENED, linewidth=1.2, zorder=3
+            )
+            axes.plot([point[j]], [j], marker="o", markersize=4.5, color=INK, zorder=4, clip_on=False)
+        axes.set_yticks(range(p), [shortened(name, 14) for name in record.names])
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        axes.set_ylim(p - 0.6, -1.0)
+        axes.set_xlim(0.0, 1.0)
+        axes.set_xticks([0.0, 0.5, 1.0], ["lower bound", "", "upper bound"])
+        _name_lines(axes, record)
+        right = axes.secondary_yaxis("right")
+        units = (shown_unit(unit) for unit in box.units)
+        right.set_yticks(
+            range(p),
+            [
+                f"{_short(a)} to {_short(b)} {unit}".strip()
+                for (a, b), unit in zip(record.interval.T, units, strict=True)
+            ],
+            fontsize=8,
+        )
+        right.tick_params(axis="y", length=0, pad=8)
+        right.spines["right"].set_visible(False)
+    return path
+
+
+def _name_lines(axes: Axes, record: UncertaintyRecord) -> None:
+    words = (
+        (f"▬ {percent(record.level)} interval", POLISHED, 0.0),
+        ("— linearised", SCREENED, 0.24),
+        ("● calibrated", INK, 0.42),
+    )
+    for text, color, place in words:
+        axes.annotate(
+            text, (place, 1.0), (0, 3), xycoords="axes fraction", textcoords="offset points", fontsize=8.5,
+            color=color,
+        )  # fmt: skip
+
+
+def pairs_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, footnote: str = "") -> Path:
+    """Draw the pairs of parameters that compensate each other most.
+
+    Args:
+        box: The parameters.
+        record: The uncertainty.
+        path: Where the PNG goes.
+        footnote: Small print.
+
+    Returns:
+        The path.
+    """
+    shown = shown_pairs(record)
+    first = shown[0]
+    title = f"{record.names[first[0]]} and {record.names[first[1]]}: equally good parameter sets"
+    if record.pairs:
+        title = record.pairs[0].sentence
+    n_columns = min(2, len(shown))
+    n_rows = -(-len(shown) // n_columns)
+    with drawing(path, title=title, height_in=0.5 + 3.1 * n_rows, footnote=footnote) as figure:
+        panels = figure.subplots(n_rows, n_columns, squeeze=False)
+        for axes, (i, j) in zip(panels.flat, shown, strict=False):
+            _draw_pair(axes, box, record, i, j)
+        for axes in panels.flat[len(shown) :]:
+            axes.set_visible(False)
+    return path
+
+
+def shown_pairs(record: UncertaintyRecord) -> list[tuple[int, int]]:
+    """Return the pairs to draw: those that compensate each other, else the most correlated one."""
+    place = {name: i for i, name in enumerate(record.names)}
+    named = [(place[pair.first], place[pair.second]) for pair in record.pairs[:MOST_PAIRS]]
+    if named or len(record.names) < 2:
+        return named
+    upper = np.abs(np.triu(record.correlation, k=1))
+    i, j = divmod(int(np.argmax(upper)), len(record.names))
+    return [(i, j)]
+
+
+def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int, j: int) -> None:
+    every = max(1, len(record.chain) // N_DOTS)
+    dots: Floats = record.chain[::every]
+    axes.plot(
+        dots[:, i], dots[:, j], linestyle="none", marker=".", markersize=2.5, color=SIMULATED, alpha=0.5
+    )
+    sizes = 12.0 + 60.0 * record.weights / max(float(record.weights.max()), 1e-12)
+    axes.scatter(
+        record.sample[:, i], record.sample[:, j], s=sizes, color=POLISHED, edgecolors="white",
+        linewidths=0.5, zorder=3,
+    )  # fmt: skip
+    axes.plot(*record.calibrated[[i, j]], marker="x", color=SCREENED, markersize=8, mew=2, zorder=4)
+    for axis, k in ((axes.xaxis, i), (axes.yaxis, j)):
+        if box.is_log[k]:
+            (axes.set_xscale if axis is axes.xaxis else axes.set_yscale)("log")
+            axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 3.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+            axis.set_minor_formatter(NullFormatter())
+        axis.set_label_text(axis_label(shortened(box.names[k]), shortened(shown_unit(box.units[k]))))
+    axes.set_xlim(box.lower[i], box.upper[i])
+    axes.set_ylim(box.lower[j], box.upper[j])
+
+
+def _short(value: float) -> str:
+    """Write three digits and no more, e.g. 150,000."""
+    return significant(float(f"{value:.3g}"))

@@ -1,0 +1,204 @@
+"""How sure a calibration is, as figures, tables and sentences want it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from studies.report.records import Floats
+from studies.report.wording import (
+    count,
+    difference_unit,
+    listed,
+    significant,
+    squared,
+)
+
+HOW_KNOWN = {"determined": "determined", "narrowed": "narrowed", "open": "not determined"}
+
+
+@dataclass(frozen=True)
+class PairNote:
+    """Two parameters that compensate each other, and the sentence that says so."""
+
+    first: str
+    second: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class UncertaintyRecord:
+    """The uncertainty of one calibration.
+
+    Attributes:
+        calibration: Name of the calibration: "adaptive" or "n0064".
+        level: Probability of intervals and bands. [1]
+        noise: The noise model in words, but for the unit: see `noise_sentence`.
+        names: One name per parameter.
+        calibrated: Shape (p,). [per parameter]
+        linear: Linearised intervals. Shape (2, p). [per parameter]
+        interval: Intervals of the posterior. Shape (2, p). [per parameter]
+        known: "determined", "narrowed" or "open", one per parameter.
+        pairs: Which parameters compensate each other, the clearest first.
+        singular_values: Falling. Shape (p,). [first output's unit per range]
+        null_directions: Combinations that change no output at all, in words.
+        n_determined_directions: Combinations that the data determine.
+        chain: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
+        sample: The sample that was simulated. Shape (n, p). [per parameter]
+        weights: What each counts; sum 1. Shape (n,). [1]
+        correlation: Of the chain, in the case's scales. Shape (p, p). [1]
+        simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
+        predictive: The same with noise. Shape (2, t, k). [per output]
+        share_predictive: Share of the measured values within it, one per output. [1]
+        n_effective: Parameter sets of equal weight that the sample is worth.
+        is_trusted: Whether that is enough.
+        mse: Error of the calibration. [first output's unit squared]
+        best_mse: Lowest error of all rows that are known. [first output's unit squared]
+        ledger: Calls by what they were for.
+    """
+
+    calibration: str
+    level: float
+    noise: Mapping[str, Any]
+    names: tuple[str, ...]
+    calibrated: Floats
+    linear: Floats
+    interval: Floats
+    known: tuple[str, ...]
+    pairs: tuple[PairNote, ...]
+    singular_values: Floats
+    null_directions: tuple[str, ...]
+    n_determined_directions: int
+    chain: Floats
+    sample: Floats
+    weights: Floats
+    correlation: Floats
+    simulated: Floats
+    predictive: Floats
+    share_predictive: tuple[float, ...]
+    n_effective: float
+    is_trusted: bool
+    mse: float
+    best_mse: float
+    ledger: Mapping[str, int]
+
+    def called(self, how: str) -> tuple[str, ...]:
+        """Return the parameters of a kind."""
+        return tuple(name for name, known in zip(self.names, self.known, strict=True) if known == how)
+
+
+def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) -> UncertaintyRecord:
+    """Return stored results as a record.
+
+    Args:
+        numbers: The numbers of the stage.
+        arrays: Its arrays.
+    """
+    parameters, local = numbers["parameters"], numbers["identifiability"]
+    n_null = local["n_null_directions"]
+    directions = local["directions"]
+    return UncertaintyRecord(
+        calibration=numbers["calibration"],
+        level=numbers["level"],
+        noise=numbers["noise"],
+        names=tuple(parameters),
+        calibrated=np.array([one["calibrated"] for one in parameters.values()]),
+        linear=np.array([one["linear"] for one in parameters.values()]).T,
+        interval=np.array([one["interval"] for one in parameters.values()]).T,
+        known=tuple(one["known"] for one in parameters.values()),
+        pairs=tuple(PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"]),
+        singular_values=arrays["singular_values"],
+        null_directions=tuple(directions[len(directions) - n_null :]),
+        n_determined_directions=local["n_determined_directions"],
+        chain=arrays["chain_theta"],
+        sample=arrays["sample_theta"],
+        weights=arrays["weights"],
+        correlation=arrays["posterior_correlation"],
+        simulated=arrays["simulated"],
+        predictive=arrays["predictive"],
+        share_predictive=tuple(one["share_within_predictive"] for one in numbers["outputs"].values()),
+        n_effective=numbers["sample"]["n_effective"],
+        is_trusted=numbers["sample"]["is_trusted"],
+        mse=numbers["mse"],
+        best_mse=numbers["sample"]["best_mse"],
+        ledger=numbers["ledger"],
+    )
+
+
+def noise_sentence(noise: Mapping[str, Any], unit: str) -> str:
+    """State the noise model.
+
+    Args:
+        noise: Kind and numbers.
+        unit: Unit of a difference of the first output.
+    """
+    m, n = count(noise["n_samples"], "sample"), count(noise["n_independent"])
+    size = f"{significant(noise['deviation'])} {unit}".strip()
+    if noise["kind"] == "sensor":
+        worth = "all independent" if noise["n_independent"] == noise["n_samples"] else f"worth {n}"
+        return (
+            f"Noise model: the sensor's declared uncertainty, {size} as one standard deviation; {m}, {worth}."
+        )
+    if noise["kind"] == "white":
+        return f"Noise model: white, {size} as the residuals scatter; {m}, all independent."
+    return (
+        f"Noise model: {size} as the residuals scatter; they follow each other (first-order autoregressive), "
+        f"so {m} are worth {n} independent."
+    )
+
+
+def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, ...]:
+    """Say plainly what the data determine and what they do not.
+
+    Args:
+        record: The uncertainty.
+        units: Unit of each output as declared.
+    """
+    r, unit = record, difference_unit(units[0])
+    said = [noise_sentence(r.noise, unit)]
+    kinds = (
+        ("determined", "The data determine {names}."),
+        ("narrowed", "They narrow down {names}."),
+        ("open", "They say next to nothing about {names}: any value in the bounds fits as well."),
+    )
+    for kind, text in kinds:
+        if names := r.called(kind):
+            said.append(text.format(names=listed(names)))
+    if not r.called("determined"):
+        said.insert(1, "The data determine no parameter on its own.")
+    said += [f"{pair.sentence}." for pair in r.pairs]
+    for direction in r.null_directions:
+        said.append(
+            f"Moving all of these together changes no output at all: {direction} (shares of the ranges). No "
+            "measurement of these outputs tells their common size; only the bounds do."
+        )
+    if r.best_mse < 0.99 * r.mse:
+        said.append(
+            f"A simulated set fits better than the calibration: MSE {significant(r.best_mse)} instead of "
+            f"{significant(r.mse)} {squared(unit)}; calibrate with more calls."
+        )
+    said.append(sample_sentence(r))
+    return tuple(said)
+
+
+def sample_sentence(record: UncertaintyRecord) -> str:
+    """Say what the sample is worth and what it cost."""
+    r, ledger = record, record.ledger
+    cost = (
+        f"{count(ledger['total'], 'model call')}: {ledger['n_differences']} differences, "
+        f"{ledger['n_taught']} that taught the surrogate, {ledger['n_sample']} of the sample; "
+        f"{count(ledger['n_known'], 'stored simulation')} reused"
+    )
+    worth = (
+        f"The sample of {count(len(r.weights), 'simulated parameter set')} is worth {r.n_effective:.0f} of "
+        f"equal weight ({cost})."
+    )
+    if not r.is_trusted:
+        worth += (
+            " That is too few: the surrogate does not know the posterior yet, so read intervals and bands "
+            "as estimates and go on with more --max-calls."
+        )
+    return worth

@@ -1,0 +1,327 @@
+"""The stage that says how sure a calibration is: identifiability, intervals, a posterior sample, bands.
+
+Every simulated row is stored as it comes, and the rows follow from the calibration, the settings, the seed
+and the list of stored rows that was written when the stage first began: interrupted, it goes on.
+"""
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.store.stored_model import StoredModel
+from simulation.trajectories import Trajectories
+from studies.calibration.prior import Prior
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.physical_model import open_physical_model
+from studies.recipe import recipe_of
+from studies.report.wording import count
+from studies.stages.calibrate import write_arrays
+from studies.stages.knowledge import prior_inputs, prior_of
+from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
+from studies.stages.results import StoredCalibration, read_arrays
+from studies.stages.simulate import say_reused
+from studies.stages.uncertainty_results import (
+    PosteriorFiles,
+    StoredPosterior,
+    log_posterior,
+    posterior_files,
+)
+from studies.tracking.origin import environment
+from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
+from studies.uncertainty.density import Posterior
+from studies.uncertainty.findings import LEVEL, compensations, intervals, knowledge
+from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
+from studies.uncertainty.noise import Noise, NoiseKind, noise_of
+from studies.uncertainty.sample import (
+    PosteriorSample,
+    PosteriorSampler,
+    Sampling,
+    first_walkers,
+    joined,
+    telling_rows,
+)
+
+MAX_CALLS = 100
+STEP = 0.01
+"""Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
+Z = 1.6448536269514722
+"""Quantile of the normal distribution at 0.95."""
+TRUSTED = 0.3
+"""A sample that is worth less than this share of its size is not to be relied upon."""
+WALKERS_PER_PARAMETER = 4
+LEAST_WALKERS = 32
+
+
+@dataclass(frozen=True)
+class UncertaintySettings:
+    """What is asked for.
+
+    Attributes:
+        noise: Model of the noise.
+        max_calls: Most rows that may be asked of the model.
+    """
+
+    noise: NoiseKind = "correlated"
+    max_calls: int = MAX_CALLS
+
+    def sampling(self, n_parameters: int) -> Sampling:
+        """Return how the posterior is sampled with what the differences leave.
+
+        Raises:
+            InputError: They leave too little.
+        """
+        left = self.max_calls - 2 * n_parameters
+        least = 2 * Sampling.n_batch
+        if left < least:
+            raise InputError(
+                f"--max-calls {self.max_calls} does not hold {2 * n_parameters} differences for "
+                f"{count(n_parameters, 'parameter')} and a sample of {least}; "
+                f"give {2 * n_parameters + least} or more"
+            )
+        return Sampling(max_calls=left)
+
+
+def uncertainty_stage(
+    study: Study, calibration: StoredCalibration, settings: UncertaintySettings, *, again: bool = False
+) -> Outcome:
+    """Say how sure a stored calibration is.
+
+    Args:
+        study: The study.
+        calibration: The calibration.
+        settings: What is asked for.
+        again: Do it though it is finished.
+    """
+    case = study.case
+    sampling = settings.sampling(case.parameter_space.n_parameters)
+    inputs = {
+        "case": case.digest,
+        "measurement": case.measurement.digest,
+        "is_log": case.parameter_space.is_log.tolist(),
+        "theta": calibration.numbers["theta"],
+        "settings": asdict(settings),
+        "sampling": asdict(sampling),
+        "step": STEP,
+        "seed": study.profile.seed,
+        **prior_inputs(case),
+    }
+    files = posterior_files(study, calibration.name)
+    stage = f"uncertainty-{calibration.name}"
+
+    def work() -> tuple[Summary, list[Path]]:
+        started_s = time.time()
+        work_of = _Work(study, calibration, settings, sampling, files, digest_of(inputs))
+        numbers, arrays, n_simulated = work_of.done()
+        summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
+        recipe = recipe_of(study, "uncertainty", command="studies uncertainty", settings=asdict(settings))
+        numbers |= {"recipe": recipe, "environment": environment()}
+        write_arrays(files.arrays, arrays)
+        write_json(files.numbers, numbers)
+        wall_s = time.time() - started_s
+        log_posterior(
+            study,
+            StoredPosterior(files, numbers, arrays),
+            digest_of(inputs),
+            started_s=started_s,
+            wall_s=wall_s,
+        )
+        return summary, [files.numbers, files.arrays, files.rows]
+
+    if again:
+        (study.results / f"{stage}.json").unlink(missing_ok=True)
+    return run_stage(
+        study,
+        stage,
+        what=f"differences and a posterior sample, {count(settings.max_calls, 'simulation')} at most",
+        inputs=inputs,
+        work=work,
+        reuse_note=lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets",
+    )
+
+
+@dataclass(frozen=True)
+class _Work:
+    """The stage's work: what it needs, part by part."""
+
+    study: Study
+    calibration: StoredCalibration
+    settings: UncertaintySettings
+    sampling: Sampling
+    files: PosteriorFiles
+    digest: str
+
+    def done(self) -> tuple[dict[str, Any], dict[str, Any], int]:
+        """Do it; return numbers, arrays and how many rows were not stored before."""
+        case, seed = self.study.case, self.study.profile.seed
+        space, prior = case.parameter_space, prior_of(case)
+        theta, y = self.calibration.point
+        noise = noise_of(self.settings.noise, case.measurement, y, space.n_parameters)
+        posterior = Posterior(noise, prior)
+        with open_physical_model(self.study) as model, self.study.console.bars() as bars:
+            problem = CalibrationProblem(model, case.measurement, prior)
+            known = self._known_rows(model, problem, posterior)
+            n_differences = 2 * space.n_parameters
+            bars("differences", 0, n_differences)
+            around = self._differences(problem, theta, y)
+            bars("differences", n_differences, n_differences)
+            local = judged(space.names, around, noise.raised, noise.n_independent, STEP, prior=prior)
+            sampler = PosteriorSampler(
+                problem,
+                posterior,
+                self.sampling,
+                joined([known, around]) if known.n else around,
+                seed=seed,
+                on_calls=lambda n: bars("posterior sample", n, self.sampling.max_calls),
+            )
+            covariance = local.correlation * np.outer(local.spread, local.spread)
+            n_walkers = max(WALKERS_PER_PARAMETER * space.n_parameters, LEAST_WALKERS)
+            walkers = first_walkers(around.u[0], covariance, n_walkers, np.random.default_rng(seed))
+            found = sampler.sample(walkers)
+        if not np.isfinite(found.drawn.mse).any():
+            raise StageError(
+                "no simulation of the sample succeeded; type: studies check " + self.study.command
+            )
+        say_reused(self.study, f"uncertainty-{self.calibration.name}", model)
+        numbers, arrays = self._told(noise, prior, local, around, found)
+        numbers["ledger"] |= {"n_known": known.n}
+        return numbers, arrays, model.n_simulated
+
+    def _differences(self, problem: CalibrationProblem, theta: FloatArray, y: FloatArray) -> Evaluation:
+        """Return the model around the calibrated point; the point itself is known."""
+        names = problem.space.names
+        rows = difference_rows(np.clip(problem.space.to_unit(theta), 0.0, 1.0), STEP)
+        point = Trajectories(
+            theta[None], y[None], problem.model.time, names, problem.model.output_names, ("",)
+        )
+        return joined([problem.judge(rows[:1], point), problem.evaluate(rows[1:])])
+
+    def _known_rows(
+        self, model: StoredModel, problem: CalibrationProblem, posterior: Posterior
+    ) -> Evaluation:
+        """Return the stored rows that tell most of the optimum, the same ones when the stage goes on."""
+        files, space = self.files, problem.space
+        theta = None
+        if files.rows.is_file():
+            kept = read_arrays(files.rows)
+            if str(kept["digest"]) == self.digest and model.store.find(kept["theta"]).all():
+                theta = np.asarray(kept["theta"], dtype=np.float64)
+        if theta is None:
+            theta = _nearest(model, problem, posterior)
+            write_arrays(files.rows, {"digest": self.digest, "theta": theta})
+        return problem.judge(space.to_unit(theta), model.store.read(theta))
+
+    def _told(
+        self,
+        noise: Noise,
+        prior: Prior | None,
+        local: Identifiability,
+        around: Evaluation,
+        found: PosteriorSample,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the results as numbers and arrays."""
+        case, u = self.study.case, found.chain.u
+        space, measurement = case.parameter_space, case.measurement
+        linear = space.from_unit(np.stack([around.u[0] - Z * local.spread, around.u[0] + Z * local.spread]))
+        ends, known = intervals(space, u), knowledge(space, u)
+        good = np.isfinite(found.drawn.mse)
+        bands = bands_of(
+            found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL
+        )
+        n = len(found.weights)
+        numbers = {
+            "label": self.study.label,
+            "note": case.note,
+            "case_sha256": case.digest,
+            "measurement_sha256": measurement.digest,
+            "calibration": self.calibration.name,
+            "mse": float(around.mse[0]),
+            "settings": asdict(self.settings),
+            "seed": self.study.profile.seed,
+            "level": LEVEL,
+            "noise": noise.to_dict(),
+            "has_prior": prior is not None,
+            "parameters": {
+                name: {
+                    "calibrated": float(around.theta[0, j]),
+                    "linear": linear[:, j].tolist(),
+                    "interval": ends[[0, 2], j].tolist(),
+                    "median": float(ends[1, j]),
+                    "known": known[name],
+                }
+                for j, name in enumerate(space.names)
+            },
+            "pairs": [pair.to_dict() for pair in compensations(space, u)],
+            "identifiability": local.to_dict(),
+            "sample": {
+                "n": n,
+                "n_effective": found.n_effective,
+                "is_trusted": found.n_effective >= TRUSTED * n,
+                "chain_effective": found.chain.n_effective,
+                "acceptance": found.chain.acceptance,
+                "best_mse": found.best_mse,
+                "best_theta": dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
+            },
+            "outputs": {
+                name: {
+                    "share_within_simulated": share_within(measurement, bands.simulated, k),
+                    "share_within_predictive": share_within(measurement, bands.predictive, k),
+                    "mean_width": float(np.mean(bands.simulated[1, :, k] - bands.simulated[0, :, k])),
+                }
+                for k, name in enumerate(measurement.output_names)
+            },
+            "ledger": {
+                "n_differences": local.n_calls - 1,
+                "n_taught": found.n_taught,
+                "n_sample": n,
+                "total": local.n_calls - 1 + found.n_calls,
+            },
+        }
+        arrays = {
+            "time": measurement.time,
+            "theta": around.theta[0],
+            "sample_theta": found.drawn.theta,
+            "sample_mse": found.drawn.mse,
+            "weights": found.weights,
+            "log_ratios": found.log_ratios,
+            "chain_theta": space.from_unit(u),
+            "simulated": bands.simulated,
+            "predictive": bands.predictive,
+            "singular_values": local.singular_values,
+            "directions": local.directions,
+            "spread": local.spread,
+            "correlation": local.correlation,
+            "posterior_correlation": _correlation(u),
+        }
+        return numbers, arrays
+
+
+def _nearest(model: StoredModel, problem: CalibrationProblem, posterior: Posterior) -> FloatArray:
+    """Return the stored rows that the surrogate shall know. Shape (n, p). [per parameter]."""
+    thetas, densities = [], []
+    for block in model.store.stream():
+        u = problem.space.to_unit(block.theta)
+        inside = problem.space.contains(block.theta)
+        density = posterior.at(u, problem.judge(u, block).mse)
+        thetas.append(block.theta[inside])
+        densities.append(density[inside])
+    if not thetas:
+        return np.empty((0, problem.space.n_parameters))
+    theta = np.concatenate(thetas)
+    # Rows of one density are told apart by their parameters, not by where they happen to lie in the store.
+    order = np.lexsort((*theta.T[::-1], -np.concatenate(densities)))
+    rows = telling_rows(problem.space.to_unit(theta[order]), np.concatenate(densities)[order])
+    chosen: FloatArray = theta[order][rows]
+    return chosen
+
+
+def _correlation(u: FloatArray) -> FloatArray:
+    """Return the correlation of a sample, 0 for what does not vary. Shape (p, p). [1]."""
+    deviation = u.std(axis=0)
+    normed = (u - u.mean(axis=0)) / np.where(deviation > 0.0, deviation, 1.0)
+    correlation: FloatArray = np.clip(normed.T @ normed / len(u), -1.0, 1.0)
+    return correlation

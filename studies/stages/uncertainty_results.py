@@ -1,0 +1,166 @@
+"""What the uncertainty stage leaves on disk, read back, and told to the tracking product."""
+
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from simulation.errors import InputError
+from studies.paths import size_name
+from studies.recipe import memory_tags
+from studies.stages.pipeline import Study, read_json
+from studies.stages.results import (
+    ADAPTIVE,
+    StoredCalibration,
+    measured_series,
+    parameter_box,
+    read_arrays,
+    stored_calibrations,
+)
+from studies.stages.tracking import tracker_of
+from studies.tracking.tracker import StageRun
+
+
+@dataclass(frozen=True)
+class PosteriorFiles:
+    """Where the uncertainty of a calibration lies.
+
+    Attributes:
+        numbers: All numbers.
+        arrays: Sample, chain and bands.
+        rows: The stored rows that were known when it began.
+    """
+
+    numbers: Path
+    arrays: Path
+    rows: Path
+
+
+@dataclass(frozen=True)
+class StoredPosterior:
+    """The uncertainty of a calibration as it lies on disk.
+
+    Attributes:
+        files: Where.
+        numbers: Content of the JSON file.
+        arrays: Content of the array file.
+    """
+
+    files: PosteriorFiles
+    numbers: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+
+
+def posterior_files(study: Study, name: str) -> PosteriorFiles:
+    """Return the files of a calibration's uncertainty."""
+    stem = study.results / f"posterior-{name}"
+    return PosteriorFiles(
+        stem.with_suffix(".json"), stem.with_suffix(".npz"), study.results / f"posterior-{name}-rows.npz"
+    )
+
+
+def stored_posteriors(study: Study) -> Iterator[StoredPosterior]:
+    """Read what is known of the stored calibrations' uncertainty."""
+    for calibration in stored_calibrations(study):
+        files = posterior_files(study, calibration.name)
+        numbers = read_json(files.numbers)
+        manifest = read_json(study.results / f"uncertainty-{calibration.name}.json")
+        if numbers is None or manifest is None or not files.arrays.is_file():
+            continue
+        told = (numbers["case_sha256"], numbers["measurement_sha256"], manifest["inputs"]["theta"])
+        case = study.case
+        if told == (case.digest, case.measurement.digest, calibration.numbers["theta"]):
+            yield StoredPosterior(files, numbers, read_arrays(files.arrays))
+
+
+def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] | None) -> StoredCalibration:
+    """Return the calibration that was asked for: the adaptive one, else the best of the paper's.
+
+    Args:
+        study: The study.
+        method: "paper" or "adaptive", None for either.
+        sizes: Training-set sizes that were named, at most one; None for any.
+
+    Raises:
+        InputError: There is none.
+    """
+    if sizes and (method == ADAPTIVE or len(sizes) > 1):
+        raise InputError("--n-train names one calibration of --method paper; give one size, or leave it away")
+    stored = [one for one in stored_calibrations(study) if math.isfinite(one.mse)]
+    by_name = {one.name: one for one in stored}
+    if sizes:
+        wanted = by_name.get(size_name(sizes[0]))
+    elif method != "paper" and ADAPTIVE in by_name:
+        wanted = by_name[ADAPTIVE]
+    else:
+        papers = [one for one in stored if one.name != ADAPTIVE] if method != ADAPTIVE else []
+        wanted = min(papers, key=lambda one: one.mse, default=None)
+    if wanted is None:
+        asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
+        how = f"--n-train {sizes[0]}" if sizes else f"--method {method or ADAPTIVE}"
+        raise InputError(
+            f"{study.label} has no calibration of {asked}; type: studies calibrate {study.command} {how}"
+        )
+    return wanted
+
+
+def log_posterior(
+    study: Study, stored: StoredPosterior, digest: str, *, started_s: float, wall_s: float
+) -> None:
+    """Tell of a finished uncertainty, with its figures.
+
+    Args:
+        study: The study.
+        stored: What it left on disk.
+        digest: Digest of the stage's inputs.
+        started_s: Start of the stage. [s since 1970, UTC]
+        wall_s: Its duration. [s]
+    """
+    from studies.report.figures_uncertainty import band_figure, interval_figure
+    from studies.report.uncertainty import uncertainty_record
+
+    numbers = stored.numbers
+    record = uncertainty_record(numbers, stored.arrays)
+    left_out = ("recipe", "environment")
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
+        band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
+        interval_figure(parameter_box(study.case), record, figures[1], footnote=study.label)
+        tracker_of(study.paths).log_stage(
+            StageRun(
+                label=study.label,
+                kind="uncertainty",
+                name=f"{numbers['calibration']} uncertainty",
+                key=digest,
+                params={**numbers["settings"], "seed": numbers["seed"], "level": numbers["level"]},
+                metrics={
+                    "sample/n": numbers["sample"]["n"],
+                    "sample/n_effective": numbers["sample"]["n_effective"],
+                    "calls/all": numbers["ledger"]["total"],
+                    "parameters/determined": sum(
+                        one["known"] == "determined" for one in numbers["parameters"].values()
+                    ),
+                },
+                tags={
+                    "case": study.case.name,
+                    "case_sha256": study.case.digest,
+                    "calibration": numbers["calibration"],
+                    **memory_tags(
+                        recipe=numbers["recipe"],
+                        environment=numbers["environment"],
+                        numbers={name: value for name, value in numbers.items() if name not in left_out},
+                    ),
+                },
+                figures=figures,
+                artifacts=[stored.files.numbers, stored.files.arrays],
+                started_s=started_s,
+                wall_s=wall_s,
+                note=study.case.note,
+                recipe=numbers["recipe"],
+                environment=numbers["environment"],
+            )
+        )

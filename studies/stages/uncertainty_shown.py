@@ -1,0 +1,47 @@
+"""The uncertainty of a calibration on the terminal."""
+
+from studies.console import Column
+from studies.report.uncertainty import HOW_KNOWN, sentences, uncertainty_record
+from studies.report.wording import percent
+from studies.stages.pipeline import Outcome, Study
+from studies.stages.results import read_arrays
+from studies.stages.uncertainty_results import posterior_files
+
+
+def show_uncertainty(study: Study, outcome: Outcome) -> None:
+    """Print intervals, and what the data determine and what not."""
+    found = outcome.summary
+    record = uncertainty_record(found, read_arrays(posterior_files(study, found["calibration"]).arrays))
+    share = percent(found["level"])
+    rows = []
+    for parameter in study.case.parameter_space.parameters:
+        one = found["parameters"][parameter.name]
+        rows.append(
+            [
+                parameter.name,
+                parameter.unit,
+                f"{one['calibrated']:.4g}",
+                f"{one['interval'][0]:.4g} to {one['interval'][1]:.4g}",
+                f"{one['linear'][0]:.4g} to {one['linear'][1]:.4g}",
+                f"{parameter.lower:.4g} to {parameter.upper:.4g}",
+                HOW_KNOWN[one["known"]],
+            ]
+        )
+    study.console.table(
+        f"{study.label}: {share} intervals of the {found['calibration']} calibration",
+        [
+            Column("parameter"),
+            Column("unit", spare=2),
+            Column("calibrated", True),
+            Column(f"{share} interval", True),
+            Column("linearised", True, spare=3),
+            Column("bounds", True, spare=1),
+            Column("by the data"),
+        ],
+        rows,
+    )
+    for sentence in sentences(record, tuple(output.unit for output in study.case.outputs)):
+        study.console.result(sentence)
+    if study.case.note:
+        study.console.result(f"Note: {study.case.note}")
+    study.console.result(f"Pictures: studies report {study.command}")

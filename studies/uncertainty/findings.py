@@ -1,0 +1,131 @@
+"""What a posterior sample says in plain words: which parameters are known, and which only together."""
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.parameters import ParameterSpace
+
+LEVEL = 0.9
+"""Probability of intervals and bands."""
+
+DETERMINED, OPEN = 0.33, 0.7
+"""Widths of an interval, as shares of the range: below the first the data determine a parameter, above the
+second they say next to nothing (0.9 is the width without any data)."""
+
+CLEARLY = 0.5
+"""A combination counts as known where its spread is below this share of that of either of the two."""
+
+NAMED = 0.6
+"""Correlation from which two parameters are said to compensate each other though no product is known."""
+
+MOST_NAMED = 6
+"""Pairs that are told of."""
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """Two parameters of which one makes up for the other.
+
+    Attributes:
+        first: Name of the one.
+        second: Name of the other.
+        correlation: Of their logarithms, or values where the scale is linear. [1]
+        known: "product" or "ratio", and "" where neither is known clearly better than the two.
+        known_within: Half the interval of the known one's logarithm. [1]
+        alone_within: The smaller one of the two parameters'. [1]
+    """
+
+    first: str
+    second: str
+    correlation: float
+    known: str
+    known_within: float
+    alone_within: float
+
+    @property
+    def in_words(self) -> str:
+        """The sentence."""
+        both = f"{self.first} and {self.second}"
+        how = "compensate each other" if self.correlation < 0 else "rise and fall together"
+        if not self.known:
+            return f"{both} {how} (correlation {self.correlation:+.2f})".replace("-", "\N{MINUS SIGN}")
+        return (
+            f"{both} {how}: only their {self.known} is known, {within(self.known_within)}, "
+            f"each alone {within(self.alone_within)} at best"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers as JSON values."""
+        return {**vars(self), "in_words": self.in_words}
+
+
+def within(half: float) -> str:
+    """Write half an interval of a logarithm, e.g. "to 3 %" or "within a factor of 2.1"."""
+    if half < math.log(1.5):
+        percents = 100.0 * math.expm1(half)
+        return f"to {percents:.1f} %" if percents < 1.0 else f"to {percents:.0f} %"
+    return f"within a factor of {math.exp(half):.2g}"
+
+
+def intervals(space: ParameterSpace, u: FloatArray) -> FloatArray:
+    """Return lower end, median and upper end of each parameter over a sample.
+
+    Args:
+        space: The parameters.
+        u: The sample. Shape (n, p). [1]
+
+    Returns:
+        Shape (3, p). [per parameter]
+    """
+    shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
+    return space.from_unit(np.quantile(u, shares, axis=0))
+
+
+def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, ...]:
+    """Return the pairs of parameters that a sample shows to compensate each other, the clearest first.
+
+    Args:
+        space: The parameters.
+        u: The sample. Shape (n, p). [1]
+    """
+    widths = np.ones(space.n_parameters)
+    widths[space.is_log] = np.log(space.upper[space.is_log] / space.lower[space.is_log])
+    x = u * widths
+    found = []
+    for i, j in combinations(range(space.n_parameters), 2):
+        deviations = x[:, i].std(), x[:, j].std()
+        if min(deviations) <= 0.0:
+            continue
+        correlation = float(np.corrcoef(x[:, i], x[:, j])[0, 1])
+        pair = x[:, i] + x[:, j] if correlation < 0 else x[:, i] - x[:, j]
+        both_log = bool(space.is_log[i] and space.is_log[j])
+        is_known = both_log and float(pair.std()) < CLEARLY * min(deviations)
+        if is_known or abs(correlation) >= NAMED:
+            known = ("product" if correlation < 0 else "ratio") if is_known else ""
+            alone = min(_half(x[:, i]), _half(x[:, j]))
+            name_i, name_j = space.names[i], space.names[j]
+            found.append(Compensation(name_i, name_j, correlation, known, _half(pair), alone))
+    found.sort(key=lambda one: (not one.known, -abs(one.correlation)))
+    return tuple(found[:MOST_NAMED])
+
+
+def knowledge(space: ParameterSpace, u: FloatArray) -> dict[str, str]:
+    """Say of each parameter whether the data determine it: "determined", "narrowed" or "open".
+
+    Args:
+        space: The parameters.
+        u: A posterior sample. Shape (n, p). [1]
+    """
+    low, high = np.quantile(u, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
+    words = ["determined" if w < DETERMINED else "open" if w > OPEN else "narrowed" for w in high - low]
+    return dict(zip(space.names, words, strict=True))
+
+
+def _half(x: FloatArray) -> float:
+    low, high = np.quantile(x, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    return 0.5 * float(high - low)

@@ -1,0 +1,256 @@
+"""A sample of equally good parameter sets: drawn on a surrogate, simulated by the model, reweighted by it.
+
+Rounds: a Gaussian process of the residuals is fitted to all rows known near the optimum, a Markov chain
+samples the density that it predicts, and a batch of the chain is simulated. Where the model disagrees with
+the prediction by too much, the batch teaches the process and the next round begins; where it agrees, the same
+chain is simulated further until the sample is large enough. Each of its members then weighs as much as the
+model's density exceeds the predicted one (importance sampling): so the sample is the model's.
+
+Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
+goes on where it stopped.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from simulation.arrays import FloatArray, IntArray
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.residual_process import Features, ResidualProcess
+from studies.uncertainty.chain import Chain, run_chain
+from studies.uncertainty.density import Posterior
+from studies.uncertainty.weights import effective_size, normalized
+
+DECIMALS = 5
+"""Points are rounded to this many decimals of the unit cube, so that a store finds them again."""
+
+AGREEMENT = 0.5
+"""A batch that is worth this share of its size by its weights agrees with the surrogate."""
+
+LOST = 0.4
+"""A sample whose worth falls below this share of its size is given up while calls are left."""
+
+MOST_ROWS = 250
+"""Rows that the process is fitted to, the best ones; its cost grows with their third power."""
+
+SAME_ROW = 1e-3
+"""Rows nearer to a better one than this in the unit cube tell nothing new."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a posterior is sampled.
+
+    Attributes:
+        max_calls: Most rows that may be asked of the model.
+        n_sample: Size of the sample that is simulated.
+        n_batch: Rows per round.
+        caution: Part of the surrogate's variance that counts as error: 0 follows its mean. [1]
+        n_steps: Steps of every walker of a chain.
+    """
+
+    max_calls: int
+    n_sample: int = 48
+    n_batch: int = 8
+    caution: float = 0.1
+    n_steps: int = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorSample:
+    """Equally good parameter sets.
+
+    Attributes:
+        drawn: The sample as the model answered. n rows.
+        weights: What each counts; sum 1. Shape (n,). [1]
+        log_ratios: Logarithm of the model's density over the predicted one. Shape (n,). [1]
+        chain: A chain on the last surrogate, which knows every simulated row.
+        n_calls: Rows asked of the model.
+        n_taught: Those of them that were given up and taught the surrogate.
+        n_known: Rows known before.
+        best_u: The most probable row of all, asked or known before. Shape (p,). [1]
+        best_mse: Its error. [first output's unit squared]
+    """
+
+    drawn: Evaluation
+    weights: FloatArray
+    log_ratios: FloatArray
+    chain: Chain
+    n_calls: int
+    n_taught: int
+    n_known: int
+    best_u: FloatArray
+    best_mse: float
+
+    @property
+    def n_effective(self) -> float:
+        """Members of equal weight that the sample is worth."""
+        return effective_size(self.weights)
+
+
+OnCalls = Callable[[int], None]
+
+
+class PosteriorSampler:
+    """The rows of one sampling."""
+
+    def __init__(
+        self,
+        problem: CalibrationProblem,
+        posterior: Posterior,
+        settings: Sampling,
+        known: Evaluation,
+        *,
+        seed: int,
+        on_calls: OnCalls | None = None,
+    ) -> None:
+        """Begin with what is known.
+
+        Args:
+            problem: The problem, posed to the physical model.
+            posterior: The density.
+            settings: How to sample.
+            known: Rows that are known already.
+            seed: Seed of all draws.
+            on_calls: Told how many rows were asked so far.
+        """
+        self._problem, self._posterior, self._settings = problem, posterior, settings
+        self._features = Features.of(problem.space)
+        self._rng = np.random.default_rng(seed)
+        self._on_calls = on_calls
+        self._u, self._mse, self._residuals = known.u, known.mse, known.residuals
+        self._hyper: FloatArray | None = None
+        self._n_known = known.n
+        self._ensemble: FloatArray | None = None
+        self.n_calls = 0
+
+    def sample(self, first: FloatArray) -> PosteriorSample:
+        """Sample the posterior.
+
+        Args:
+            first: First places of the walkers, inside the cube. Shape (w, p). [1]
+        """
+        settings = self._settings
+        self._ensemble = first
+        n_taught = 0
+        with threadpool_limits(limits=1, user_api="blas"):
+            while True:
+                process, chain = self._round()
+                drawn, ratios = self._simulate(process, chain)
+                left = settings.max_calls - self.n_calls
+                if not self._is_lost(ratios, drawn.n) or left < settings.n_batch:
+                    break
+                n_taught += drawn.n
+            _, last = self._round()
+        density = self._posterior.at(self._u, self._mse)
+        best = int(np.argmax(density))
+        return PosteriorSample(
+            drawn=drawn,
+            weights=normalized(ratios),
+            log_ratios=ratios,
+            chain=last,
+            n_calls=self.n_calls,
+            n_taught=n_taught,
+            n_known=self._n_known,
+            best_u=self._u[best],
+            best_mse=float(self._mse[best]),
+        )
+
+    def _round(self) -> tuple[ResidualProcess, Chain]:
+        """Fit the process to what is known and sample the density that it predicts."""
+        rows = telling_rows(self._u, self._posterior.at(self._u, self._mse))
+        process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
+        self._hyper = process.hyper
+        assert self._ensemble is not None, "sample() places the walkers"
+        chain = run_chain(
+            lambda u: self._posterior.by(process, u, self._settings.caution),
+            self._ensemble,
+            seed=int(self._rng.integers(2**31)),
+            n_steps=self._settings.n_steps,
+        )
+        self._ensemble = chain.ensemble
+        return process, chain
+
+    def _simulate(self, process: ResidualProcess, chain: Chain) -> tuple[Evaluation, FloatArray]:
+        """Simulate members of a chain as long as the model agrees; return them and their log ratios."""
+        settings = self._settings
+        order = self._rng.permutation(len(chain.u))
+        parts: list[Evaluation] = []
+        ratios = np.empty(0)
+        while True:
+            n = min(settings.n_batch, settings.max_calls - self.n_calls, settings.n_sample - len(ratios))
+            if n <= 0:
+                break
+            u = np.round(chain.u[order[len(ratios) : len(ratios) + n]], DECIMALS)
+            answer = self._ask(u)
+            predicted = self._posterior.by(process, u, settings.caution)
+            parts.append(answer)
+            ratios = np.append(ratios, self._posterior.at(u, answer.mse) - predicted)
+            left = settings.max_calls - self.n_calls
+            if self._is_lost(ratios, len(ratios)) and left >= 2 * settings.n_batch:
+                break
+        return joined(parts), ratios
+
+    def _is_lost(self, ratios: FloatArray, n: int) -> bool:
+        """Whether model and surrogate differ by too much for a sample."""
+        share = effective_size(normalized(ratios)) / max(n, 1)
+        return share < (AGREEMENT if n <= self._settings.n_batch else LOST)
+
+    def _ask(self, u: FloatArray) -> Evaluation:
+        answer = self._problem.evaluate(u)
+        self.n_calls += len(u)
+        self._u = np.concatenate([self._u, answer.u])
+        self._mse = np.concatenate([self._mse, answer.mse])
+        self._residuals = np.concatenate([self._residuals, answer.residuals])
+        if self._on_calls is not None:
+            self._on_calls(self.n_calls)
+        return answer
+
+
+def telling_rows(u: FloatArray, log_density: FloatArray) -> IntArray:
+    """Return the most probable rows without those that repeat a better one. Shape (r,).
+
+    Args:
+        u: Points. Shape (n, p). [1]
+        log_density: Minus infinity where a simulation failed. Shape (n,). [1]
+    """
+    kept: list[int] = []
+    for row in np.argsort(-log_density, kind="stable"):
+        if len(kept) == MOST_ROWS or not np.isfinite(log_density[row]):
+            break
+        if not kept or float(np.abs(u[kept] - u[row]).max(axis=1).min()) > SAME_ROW:
+            kept.append(int(row))
+    return np.array(kept, dtype=np.int64)
+
+
+def joined(parts: list[Evaluation]) -> Evaluation:
+    """Return evaluations as one."""
+    return Evaluation(
+        u=np.concatenate([part.u for part in parts]),
+        theta=np.concatenate([part.theta for part in parts]),
+        y=np.concatenate([part.y for part in parts]),
+        residuals=np.concatenate([part.residuals for part in parts]),
+        mse=np.concatenate([part.mse for part in parts]),
+        objective=np.concatenate([part.objective for part in parts]),
+        failures=tuple(failure for part in parts for failure in part.failures),
+    )
+
+
+def first_walkers(centre: FloatArray, covariance: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return places in the cube, normal around a point; what falls outside is thrown back.
+
+    Args:
+        centre: Shape (p,). [1]
+        covariance: Shape (p, p). [1]
+        n: How many.
+        rng: Source of the draws.
+
+    Returns:
+        Shape (n, p). [1]
+    """
+    drawn = rng.multivariate_normal(centre, covariance, size=n)
+    folded = np.abs(drawn) % 2.0
+    inside: FloatArray = np.where(folded > 1.0, 2.0 - folded, folded)
+    return inside
