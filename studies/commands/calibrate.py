@@ -58,16 +58,21 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     if chosen.parallel is not None:
         raise InputError("--parallel belongs to --method adaptive; add that or leave --parallel away")
     from studies.stages.calibrate import calibrate_stage, calls_to, show_calibrations, sizes_with_champion
-    from studies.stages.calibrated_values import show_values
+    from studies.stages.calibrated_values import judged_values, show_values
+    from studies.stages.guideline import guideline_numbers
 
     study = open_study(chosen, console)
     sizes = sizes_with_champion(study, chosen.n_train)
     outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
     show_calibrations(study, outcomes, chosen.target)
     show_values(study, outcomes)
-    extra: dict[str, Any] = {}
+    judged = {
+        outcome.summary["n_train"]: guideline_numbers(judged_values(study, outcome.summary))
+        for outcome in outcomes
+    }
+    extra: dict[str, Any] = {"guideline14": judged}
     if chosen.target is not None:
-        extra = {
+        extra |= {
             "target": chosen.target,
             "calls_to_target": {n: calls_to(study, n, chosen.target) for n in sizes},
         }
@@ -79,7 +84,14 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         raise InputError(
             "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
         )
-    from studies.stages.adaptive import adaptive_settings, adaptive_stage, calls_to, show_adaptive
+    from studies.stages.adaptive import (
+        adaptive_settings,
+        adaptive_stage,
+        calls_to,
+        judged_adaptive,
+        show_adaptive,
+    )
+    from studies.stages.guideline import guideline_numbers
 
     study = open_study(chosen, console)
     settings = adaptive_settings(
@@ -93,5 +105,6 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         "calibrate",
         [outcome],
         method="adaptive",
+        guideline14=guideline_numbers(judged_adaptive(study, outcome)),
         calls_to_target={f"{target:g}": calls_to(study, target) for target in sorted(targets)},
     )

@@ -19,6 +19,7 @@ from studies.report.findings import (
     residual_of,
     strongest_correlation,
 )
+from studies.report.guideline14 import guideline_sentence, judge
 from studies.report.records import (
     CalibrationRecord,
     CoverageSet,
@@ -108,7 +109,11 @@ def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRec
             sensor = f"±{float(measurement.uncertainty[k]):g} {unit}".strip()
             part += f", and {percent(residual.within)} of the values lie within the sensor's {sensor}"
         parts.append(part)
-    return f"After the {'calibration' if calibration.is_adaptive else 'polish'} {'; '.join(parts)}."
+    caption = f"After the {'calibration' if calibration.is_adaptive else 'polish'} {'; '.join(parts)}."
+    if not np.isfinite(calibration.y_polished).all():
+        return caption
+    found = judge(measurement.measurement, measurement.units, calibration.y_polished)
+    return f"{caption} {guideline_sentence(found)}"
 
 
 def polish_caption(calibration: CalibrationRecord, unit: str) -> str:

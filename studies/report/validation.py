@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from simulation.time_unit import told_period
+from studies.report.guideline14 import Judged, guideline_sentence, judged
 from studies.report.records import CalibrationRecord, Floats, MeasuredSeries, require_shape
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 
@@ -83,6 +84,19 @@ class ValidationRecord:
             mse_polished=self.points[-1].mse,
         )
 
+    def judged(self, point: PointRecord) -> tuple[Judged, ...]:
+        """Return a parameter set beside the limits of ASHRAE guideline 14."""
+        return tuple(
+            judged(
+                self.measurement.measurement,
+                k,
+                self.measurement.units[k],
+                fit.cv_rmse if math.isfinite(fit.cv_rmse) else None,
+                fit.nmbe if math.isfinite(fit.nmbe) else None,
+            )
+            for k, fit in enumerate(point.fits)
+        )
+
     @property
     def sentence(self) -> str:
         """Say what the calibrated parameters do on the period."""
@@ -115,6 +129,7 @@ def validation_caption(record: ValidationRecord) -> str:
         fits.append(said)
     if fits:
         parts.append(f"{'; '.join(fits)}.")
+        parts.append(guideline_sentence(record.judged(record.points[-1])))
     simulated = count(len(record.points), "simulation")
     parts.append(f"The validation took {simulated}, which no count of calls includes.")
     return " ".join(parts)

@@ -21,6 +21,7 @@ from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 from studies.stages.calibrate import write_arrays
 from studies.stages.calibrated_values import show_parameters
+from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import prior_inputs, prior_numbers, prior_of, show_prior
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import ADAPTIVE, StoredCalibration, adaptive_files, read_arrays
@@ -249,9 +250,16 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     show_parameters(study, found["theta"], ADAPTIVE)
     show_prior(study, found, ADAPTIVE)
     show_validation(study, [outcome])
+    show_guideline(study, judged_adaptive(study, outcome))
     if study.case.note:
         console.result(f"Note: {study.case.note}")
     console.result(f"Pictures: studies report {study.command}")
+
+
+def judged_adaptive(study: Study, outcome: Outcome) -> Periods:
+    """Judge the calibration by ASHRAE guideline 14."""
+    y = read_arrays(adaptive_files(study).arrays)["y"]
+    return judge_calibration(study.case, y, outcome.summary)
 
 
 def calls_to(study: Study, target: float) -> int | None:

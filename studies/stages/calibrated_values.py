@@ -2,12 +2,15 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from studies.console import Column
+from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
+from studies.stages.results import calibration_files, read_arrays
 
 AT_BOUND = 0.01
 """Closer to a bound than this share of the range, in the calibration's coordinates, is at the bound."""
@@ -21,6 +24,18 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
     best = min(finished, key=lambda summary: float(summary["mse_polished"]))
     show_parameters(study, best["theta"], f"n_train = {best['n_train']}")
     show_prior(study, best, f"n_train = {best['n_train']}")
+    show_guideline(study, judged_values(study, best))
+
+
+def judged_values(study: Study, found: Mapping[str, Any]) -> Periods:
+    """Judge a calibration from a surrogate by ASHRAE guideline 14.
+
+    Args:
+        study: the study.
+        found: its numbers.
+    """
+    y = read_arrays(calibration_files(study, found["n_train"]).arrays)["y_polished"]
+    return judge_calibration(study.case, y, found) if np.isfinite(y).all() else {}
 
 
 def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:

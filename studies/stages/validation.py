@@ -16,6 +16,7 @@ from simulation.measurement import Measurement
 from simulation.time_unit import told_period
 from studies.console import Column
 from studies.physical_model import open_physical_model
+from studies.report.guideline14 import relative
 from studies.report.wording import difference_unit, quantity, squared
 from studies.stages.pipeline import Outcome, Study
 
@@ -127,15 +128,14 @@ def _fits(case: Case, measurement: Measurement, y: FloatArray) -> dict[str, Outp
     fits = {}
     for k, output in enumerate(case.outputs):
         difference = measurement.differences(y[None], k)[0]
-        mean = float(np.mean(measurement.samples[k].values))
         rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
-        is_relative = difference_unit(output.unit) != "K" and output.unit != "degF" and mean != 0.0
+        cv_rmse, nmbe = relative(rmse, bias, measurement, k, output.unit)
         fits[output.name] = OutputFit(
             n_samples=len(difference),
             rmse=rmse,
             bias=bias,
-            cv_rmse=rmse / abs(mean) if is_relative else None,
-            nmbe=bias / mean if is_relative else None,
+            cv_rmse=cv_rmse,
+            nmbe=nmbe,
         )
     return fits
 

@@ -1,0 +1,174 @@
+"""ASHRAE guideline 14 (2014): how far a calibrated building model may be off, and whether one is.
+
+CV(RMSE), the root mean square difference over the mean measured value, and NMBE, the mean difference over it,
+are limited for energy and power by the interval at which they were measured. The guideline divides by n - 1,
+here it is n. Samples closer than an hour are judged as they are by the hourly limits: means differ less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from simulation.measurement import Measurement
+from simulation.units import in_si
+from studies.report.records import Floats
+from studies.report.wording import difference_unit, percent
+
+HOUR_S, DAY_S = 3600.0, 86400.0
+ENERGY_OR_POWER = (
+    (("kg", 1), ("m", 2), ("s", -2)),
+    (("kg", 1), ("m", 2), ("s", -3)),
+    (("kg", 1), ("s", -2)),
+    (("kg", 1), ("s", -3)),
+)
+"""Energy and power, also per area: powers of the SI's base units."""
+ON_TIME = 1.01
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the guideline allows at an interval of measurement.
+
+    Attributes:
+        interval: The interval, in a word.
+        cv_rmse: Largest CV(RMSE). [1]
+        nmbe: Largest absolute NMBE. [1]
+    """
+
+    interval: str
+    cv_rmse: float
+    nmbe: float
+
+
+HOURLY = Limits("hourly", 0.30, 0.10)
+MONTHLY = Limits("monthly", 0.15, 0.05)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One output on one period, beside the guideline's limits.
+
+    Attributes:
+        output: Name of the output.
+        cv_rmse: CV(RMSE), None where a share of the mean says nothing. [1]
+        nmbe: NMBE, None likewise. [1]
+        limits: The limits, None where the guideline has none.
+        reason: Why there is no verdict, "" where there is one.
+    """
+
+    output: str
+    cv_rmse: float | None
+    nmbe: float | None
+    limits: Limits | None
+    reason: str = ""
+
+    @property
+    def is_met(self) -> bool | None:
+        """Whether both measures are within their limits, None without a verdict."""
+        if self.limits is None or self.cv_rmse is None or self.nmbe is None:
+            return None
+        return self.cv_rmse <= self.limits.cv_rmse and abs(self.nmbe) <= self.limits.nmbe
+
+    @property
+    def sentence(self) -> str:
+        """The verdict, or why there is none."""
+        if self.limits is None or self.cv_rmse is None or self.nmbe is None:
+            return f"{self.output}: no limits, {self.reason}"
+        limits, verdict = self.limits, "met" if self.is_met else "not met"
+        return (
+            f"{self.output}: {limits.interval} limits {verdict}, CV(RMSE) {_tenths(self.cv_rmse)} (at most "
+            f"{percent(limits.cv_rmse)}), NMBE {_tenths(self.nmbe)} (within ±{percent(limits.nmbe)})"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {**asdict(self), "is_met": self.is_met}
+
+
+def judge(measurement: Measurement, units: Iterable[str], y: Floats) -> tuple[Judged, ...]:
+    """Judge every output of a trajectory.
+
+    Args:
+        measurement: What it is compared with.
+        units: Unit of each output.
+        y: The trajectory, finite. Shape (t, k). [units]
+    """
+    found = []
+    for k, unit in enumerate(units):
+        difference = measurement.differences(y[None], k)[0]
+        rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
+        cv_rmse, nmbe = relative(rmse, bias, measurement, k, unit)
+        found.append(judged(measurement, k, unit, cv_rmse, nmbe))
+    return tuple(found)
+
+
+def guideline_sentence(found: Iterable[Judged]) -> str:
+    """Say how a trajectory stands beside the guideline's limits."""
+    return f"ASHRAE guideline 14: {'; '.join(one.sentence for one in found)}."
+
+
+def relative(
+    rmse: float, bias: float, measurement: Measurement, output: int, unit: str
+) -> tuple[float | None, float | None]:
+    """Return CV(RMSE) and NMBE, None where a share of the mean measured value says nothing. [1].
+
+    Args:
+        rmse: Root mean square difference. [unit]
+        bias: Mean of simulated minus measured. [unit]
+        measurement: What was measured.
+        output: Position of the output.
+        unit: Unit of the output.
+    """
+    mean = float(np.mean(measurement.samples[output].values))
+    if _is_temperature(unit) or mean == 0.0:
+        return None, None
+    return rmse / abs(mean), bias / mean
+
+
+def judged(
+    measurement: Measurement, output: int, unit: str, cv_rmse: float | None, nmbe: float | None
+) -> Judged:
+    """Put the limits beside measures that are known.
+
+    Args:
+        measurement: What was measured.
+        output: Position of the output.
+        unit: Unit of the output.
+        cv_rmse: CV(RMSE), None where it says nothing. [1]
+        nmbe: NMBE, None likewise. [1]
+    """
+    name, time = measurement.output_names[output], measurement.samples[output].time
+    step_s = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
+    if _is_temperature(unit):
+        reason = "the zero of a temperature is a convention, so a share of its mean says nothing"
+        return Judged(name, None, None, None, reason)
+    if cv_rmse is None or nmbe is None:
+        return Judged(name, None, None, None, "the mean measured value is zero, of which nothing is a share")
+    if not _is_energy_or_power(unit):
+        reason = f"they are for energy and power, and its unit is {unit or '1'}"
+        return Judged(name, cv_rmse, nmbe, None, reason)
+    if step_s <= HOUR_S * ON_TIME:
+        return Judged(name, cv_rmse, nmbe, HOURLY)
+    if 28.0 * DAY_S / ON_TIME <= step_s <= 31.0 * DAY_S * ON_TIME:
+        return Judged(name, cv_rmse, nmbe, MONTHLY)
+    reason = f"they are for hourly and monthly values, and a value is measured every {step_s / HOUR_S:.3g} h"
+    return Judged(name, cv_rmse, nmbe, None, reason)
+
+
+def _is_temperature(unit: str) -> bool:
+    return difference_unit(unit) == "K" or unit == "degF"
+
+
+def _is_energy_or_power(unit: str) -> bool:
+    known = in_si(unit)
+    return known is not None and known.exponents in ENERGY_OR_POWER
+
+
+def _tenths(share: float) -> str:
+    """Write a share with a tenth of a percent: limits are near."""
+    return f"{100.0 * share:.1f} %"
