@@ -1,20 +1,18 @@
-"""Seeded calibration problems of the office: a truth that the grey box cannot fit exactly, read by a sensor.
+"""Seeded instances of the office: a truth of ten states that the grey box of four cannot fit exactly."""
 
-A fresh seed gives a fresh instance, so that no method can be tuned to the ones in a table.
-"""
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
 
+from fewest_calls.instances import Instance
+from fewest_calls.noise import red_noise
 from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
 from simulation.measurement import Measurement
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 WINDOWS_D = ((0.0, 10.0), (8.0, 16.0), (0.0, 21.0))
 SWITCH_ON = 0.1
 # Air, furniture, masses (2), wall (3), ceiling and its core, sensor.
@@ -22,22 +20,7 @@ N_STATES = 10
 SENSOR = 9
 
 
-@dataclass(frozen=True)
-class Instance:
-    """A calibration problem and what it was made of.
-
-    Attributes:
-        name: Seed and window.
-        case: The office with this instance's measurement.
-        theta: Parameters of the grey box that the truth was built around. Shape (p,). [per parameter]
-    """
-
-    name: str
-    case: Case
-    theta: FloatArray
-
-
-def make_instance(seed: int) -> Instance:
+def office_instance(seed: int) -> Instance:
     """Draw parameters, structure, disturbances and sensor from a seed.
 
     The truth has ten states where the grey box has four, other gains, occupants and weather than the grey
@@ -46,22 +29,15 @@ def make_instance(seed: int) -> Instance:
     rng = np.random.default_rng([2023, seed])
     window_d = WINDOWS_D[int(rng.integers(len(WINDOWS_D)))]
     case = load_case(ROOT / "fmus" / "office", window_d=window_d)
-    theta = case.parameter_space.from_unit(rng.uniform(0.15, 0.85, case.parameter_space.n_parameters))
+    u = rng.uniform(0.15, 0.85, case.parameter_space.n_parameters)
+    theta = case.parameter_space.from_unit(u)
     room = _truth(case, dict(zip(case.parameter_space.names, theta, strict=True)), rng)
-    noise = _red_noise(rng, room.size, rng.uniform(3.0, 24.0)) * rng.uniform(0.02, 0.06)
+    noise = red_noise(rng, room.size, rng.uniform(3.0, 24.0)) * rng.uniform(0.02, 0.06)
     y = room + noise + rng.uniform(0.01, 0.04) * rng.standard_normal(room.size)
     measurement = Measurement.on_grid(
         case.measurement.time, y[:, None], case.measurement.output_names, case.measurement.uncertainty
     )
-    name = f"instance {seed}, days {window_d[0]:g}-{window_d[1]:g}"
-    return Instance(name, replace(case, measurement=measurement), theta)
-
-
-def _red_noise(rng: np.random.Generator, n: int, n_correlated: float) -> FloatArray:
-    """Return AR(1) noise of unit variance. Shape (n,)."""
-    a = float(np.exp(-1.0 / n_correlated))
-    series = lfilter([np.sqrt(1.0 - a * a)], [1.0, -a], rng.standard_normal(n + 200))[200:]
-    return np.asarray(series, dtype=np.float64)
+    return Instance(replace(case, measurement=measurement), u)
 
 
 def _truth(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
@@ -72,11 +48,11 @@ def _truth(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatAr
     signal = dict(zip(scenario.input_names, scenario.inputs.T, strict=True))
     n = hour.size
     start = float(case.settings.fixed["TAirInit"])
-    outdoor = signal["TAmb"] + rng.uniform(0.2, 0.6) * _red_noise(rng, n, 60.0)
+    outdoor = signal["TAmb"] + rng.uniform(0.2, 0.6) * red_noise(rng, n, 60.0)
     sun = signal["HGlo"] * (1.0 + rng.uniform(-0.35, 0.35) * np.cos(np.pi * (hour - 12.0) / 6.0))
-    people = signal["occ"] * np.clip(1.0 + rng.uniform(0.1, 0.3) * _red_noise(rng, n, 36.0), 0.0, None)
+    people = signal["occ"] * np.clip(1.0 + rng.uniform(0.1, 0.3) * red_noise(rng, n, 36.0), 0.0, None)
     devices = rng.uniform(0.0, 25.0) * np.exp(-0.5 * ((hour - 13.0) / 3.0) ** 2)
-    leak = rng.uniform(0.5, 2.0) * (1.0 + 0.5 * _red_noise(rng, n, 36.0))
+    leak = rng.uniform(0.5, 2.0) * (1.0 + 0.5 * red_noise(rng, n, 36.0))
     # Heat flows that the switches do not touch, and temperatures around. [W], [K]
     solar, gain = p["fSol"] * sun, p["qIntOcc"] * 12.72 * people + devices
     to_air, to_masses = rng.uniform(0.05, 0.3), rng.uniform(0.2, 0.5)

@@ -1,0 +1,75 @@
+"""The methods that are compared, each at its best settings, none with an initial guess."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from fewest_calls import peers_bayesian, peers_least_squares, peers_scalar
+from studies.calibration import Adaptive, CalibrationProblem
+
+Search = Callable[[CalibrationProblem, int, int], None]
+"""Problem, seed and most calls; asks the problem's model and returns nothing."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to calibrate.
+
+    Attributes:
+        search: How.
+        max_calls: Budget of a run unless the command line says otherwise.
+        seeds: Runs per problem unless the command line says otherwise: fewer where a run costs minutes.
+        needs: Packages, as Python imports them.
+        is_ours: Whether it is this project's.
+        in_rounds: Whether it asks several rows at once, so that rounds count beside calls.
+    """
+
+    search: Search
+    max_calls: int = 1000
+    seeds: int = 10
+    needs: tuple[str, ...] = ()
+    is_ours: bool = False
+    in_rounds: bool = False
+
+    @property
+    def missing(self) -> list[str]:
+        """Packages that are not installed."""
+        return [name for name in self.needs if find_spec(name) is None]
+
+
+def adaptive(**settings: int | float) -> Search:
+    """Return the adaptive method; it goes on until the benchmark ends it."""
+
+    def search(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
+        chosen = Adaptive(**{"ftol": 0.0, "max_calls": max_calls, **settings})  # type: ignore[arg-type]
+        chosen.minimize(problem, seed=seed)
+
+    return search
+
+
+def adaptive_as_shipped(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
+    """The adaptive method with the end that it finds by itself."""
+    Adaptive(max_calls=max_calls).minimize(problem, seed=seed)
+
+
+METHODS: dict[str, Method] = {
+    "adaptive": Method(adaptive(), max_calls=300, is_ours=True),
+    "adaptive, own end": Method(adaptive_as_shipped, max_calls=300, is_ours=True),
+    "adaptive, 2 parallel": Method(adaptive(n_parallel=2), max_calls=300, is_ours=True, in_rounds=True),
+    "adaptive, 4 parallel": Method(adaptive(n_parallel=4), max_calls=300, is_ours=True, in_rounds=True),
+    "adaptive, 8 parallel": Method(adaptive(n_parallel=8), max_calls=300, is_ours=True, in_rounds=True),
+    "broyden": Method(peers_least_squares.broyden),
+    "dfols": Method(peers_least_squares.dfols, needs=("dfols",)),
+    "trf": Method(peers_least_squares.trf),
+    "trf, paper": Method(peers_least_squares.trf_as_in_the_paper, max_calls=5000),
+    "botorch": Method(
+        peers_bayesian.botorch_composite, max_calls=100, seeds=2, needs=("botorch", "gpytorch")
+    ),
+    "bobyqa": Method(peers_scalar.bobyqa, max_calls=5000, seeds=5, needs=("pybobyqa",)),
+    "nelder-mead": Method(peers_scalar.nelder_mead, max_calls=5000),
+    "cma-es": Method(peers_scalar.cma_es, max_calls=5000, needs=("cma",)),
+    "differential evolution": Method(peers_scalar.differential_evolution, max_calls=5000),
+    "optuna tpe": Method(peers_scalar.optuna_tpe, max_calls=500, seeds=3),
+    "optuna gp": Method(peers_scalar.optuna_gp, max_calls=100, seeds=2),
+    "optuna cma-es": Method(peers_scalar.optuna_cma_es, max_calls=2000, seeds=5, needs=("cmaes",)),
+}

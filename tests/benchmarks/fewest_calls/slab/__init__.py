@@ -1,0 +1,1 @@
+"""The problem with two basins: model, recordings and their source."""
