@@ -13,6 +13,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
@@ -36,6 +37,8 @@ def say(text: str) -> None:
 
 def measure(kept: Kept, entry: Problem, options: argparse.Namespace) -> None:
     """Run what is missing of one problem."""
+    if options.brute_force is not None:
+        entry = replace(entry, n_starts=options.brute_force)
     made = entry.make()
     with posed(made.case) as problem:
         if entry.name not in kept.problems:
@@ -77,9 +80,8 @@ def with_packages(names: Sequence[str]) -> list[str]:
     """Return the methods that can run; say what the others want."""
     for name in names:
         if METHODS[name].missing:
-            say(
-                f"without {name}: {', '.join(METHODS[name].missing)} not installed: pip install -e '.[benchmark]'"
-            )
+            missing = ", ".join(METHODS[name].missing)
+            say(f"without {name}: {missing} not installed: pip install -e '.[benchmark]'")
     return [name for name in names if not METHODS[name].missing]
 
 
@@ -94,6 +96,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--first-seed", type=int, default=0)
     made.add_argument("--instances", type=int, nargs="*", default=[0, 1, 2, 3, 4], metavar="SEED")
     made.add_argument("--max-calls", type=int, help="budget of each run; default: each method's own")
+    made.add_argument(
+        "--brute-force", type=int, metavar="N", help="starts for the best error; default: its own"
+    )
     made.add_argument("--json", type=Path, default=ROOT / "mlruns" / "benchmarks" / "fewest_calls.json")
     made.add_argument("--from", dest="sources", type=Path, nargs="+", metavar="FILE", help="measure nothing")
     made.add_argument("--plot", type=Path, metavar="FILE", help="picture of the best error over calls")

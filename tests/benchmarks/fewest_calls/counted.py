@@ -74,7 +74,8 @@ class WatchedModel(WrappedModel):
 class Asked:
     """A problem as a peer sees it: functions of one point of the unit cube that never fail.
 
-    A row that cannot be simulated is as bad as the worst that could, and finite: most peers stop at anything else.
+    A row that cannot be simulated is worse than the worst that could, and finite: most peers stop at anything
+    else.
     """
 
     def __init__(self, problem: CalibrationProblem) -> None:

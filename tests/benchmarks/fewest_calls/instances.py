@@ -1,8 +1,8 @@
-"""Seeded instances of every family: a truth inside the box that the model cannot fit exactly, read by sensors.
+"""Seeded instances of a family: a truth inside the box that the model cannot fit exactly, read by sensors.
 
 A fresh seed gives a fresh instance, so that no method can be tuned to the ones in a table. What the truth
 has and the model lacks: nodes where the model lumps (wall, slab, thermostat), other terms (oscillator),
-other weather and use than the model is told (white box, thermostat, wall), sensors that lag, drift and make noise.
+other weather and use than the model is told (white box, thermostat, wall), sensors that lag and drift.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class Instance:
 
 
 Truth = Callable[[Case, dict[str, float], np.random.Generator], FloatArray]
-"""Case, parameters and draws to true outputs with all but white noise, on the case's output grid, shape (t, k)."""
+"""Case, parameters and draws to true outputs with all but white noise. Shape (t, k)."""
 
 
 def make_instance(case: Case, truth: Truth, white: tuple[float, ...], seed: int) -> Instance:
@@ -82,7 +82,7 @@ def white_box(case: Case, p: dict[str, float], rng: np.random.Generator) -> Floa
 
 
 def wall(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
-    """Each layer of three temperatures, the outer surface's conductance another one, weather measured elsewhere."""
+    """Each layer of three temperatures, another conductance of the outer surface, weather from elsewhere."""
     scenario = case.scenario
     inputs = scenario.inputs.copy()
     # By the hour or so.
@@ -130,7 +130,7 @@ def oscillator(case: Case, p: dict[str, float], rng: np.random.Generator) -> Flo
 
 
 def thermostat(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
-    """Walls of two temperatures, a controller that looks every ten seconds at a sensor that lags, other weather."""
+    """Walls of two temperatures, a controller whose sensor lags and is read every ten seconds."""
     step_s, fixed = 10.0, case.settings.fixed
     per_input = round(case.communication_step_s / step_s)
     weather = case.scenario.inputs[:, 0]

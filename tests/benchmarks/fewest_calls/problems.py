@@ -1,6 +1,6 @@
-"""The problems by family: what is calibrated, its seeded instances, and the best error that brute force finds."""
+"""The problems by family, their seeded instances, and the best error that brute force finds."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -75,7 +75,7 @@ _ONE_CASE = {
 }
 
 
-def problems(instances: list[int]) -> Iterator[Problem]:
+def problems(instances: Sequence[int]) -> Iterator[Problem]:
     """Yield all problems for which there are data.
 
     Args:
@@ -123,7 +123,7 @@ def posed(case: Case) -> Iterator[CalibrationProblem]:
 
 
 def brute_force(problem: CalibrationProblem, posed_as: Problem, made: Instance) -> Best:
-    """Find the best error known: many starts of least squares, evolutions, the truth, and what the case knows.
+    """Find the best error known: least squares, evolutions, the truth, and what the case knows.
 
     Args:
         problem: The problem.

@@ -1,6 +1,6 @@
 """Make the recordings of the slab: `python tests/benchmarks/fewest_calls/slab/generate.py` writes them anew.
 
-The truth has nine temperatures over the thickness where the model has three, and no answer of the FMU is in it.
+The truth has nine temperatures over the thickness where the model has three, and is no answer of the FMU.
 """
 
 from pathlib import Path
@@ -55,7 +55,7 @@ def answer(rooms: Array, step_s: float, theta: dict[str, float]) -> Array:
 
 
 def used_alike(rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draw the temperatures of two rooms on one schedule. Time [s], shape (m,), values, shape (m, 2). [degC]."""
+    """Draw two rooms on one schedule. Time, shape (m,) [s], and temperatures, shape (m, 2) [degC]."""
     time = STEP_S * np.arange(DAYS * 86400 / STEP_S + 1)
     day = (time / 86400.0) % 1.0
     heated = np.where((day > 0.25) & (day < 0.85), 21.5, 17.0)
