@@ -12,10 +12,7 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
-from simulation.trajectories import Trajectories
-from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.physical_model import open_physical_model
 from studies.recipe import recipe_of
@@ -32,29 +29,16 @@ from studies.stages.uncertainty_results import (
     posterior_files,
 )
 from studies.tracking.origin import environment
+from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
-from studies.uncertainty.findings import LEVEL, compensations, intervals, knowledge
-from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
-from studies.uncertainty.noise import Noise, NoiseKind, noise_of
-from studies.uncertainty.sample import (
-    PosteriorSample,
-    PosteriorSampler,
-    Sampling,
-    first_walkers,
-    joined,
-    telling_rows,
-)
+from studies.uncertainty.findings import LEVEL, compensations, knowledge
+from studies.uncertainty.noise import NoiseKind, noise_of
+from studies.uncertainty.sample import Sampling, telling_rows
 
 MAX_CALLS = 100
-STEP = 0.01
-"""Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
-Z = 1.6448536269514722
-"""Quantile of the normal distribution at 0.95."""
 TRUSTED = 0.3
 """A sample that is worth less than this share of its size is not to be relied upon."""
-WALKERS_PER_PARAMETER = 4
-LEAST_WALKERS = 32
 
 
 @dataclass(frozen=True)
@@ -69,22 +53,6 @@ class UncertaintySettings:
     noise: NoiseKind = "correlated"
     max_calls: int = MAX_CALLS
 
-    def sampling(self, n_parameters: int) -> Sampling:
-        """Return how the posterior is sampled with what the differences leave.
-
-        Raises:
-            InputError: They leave too little.
-        """
-        left = self.max_calls - 2 * n_parameters
-        least = 2 * Sampling.n_batch
-        if left < least:
-            raise InputError(
-                f"--max-calls {self.max_calls} does not hold {2 * n_parameters} differences for "
-                f"{count(n_parameters, 'parameter')} and a sample of {least}; "
-                f"give {2 * n_parameters + least} or more"
-            )
-        return Sampling(max_calls=left)
-
 
 def uncertainty_stage(
     study: Study, calibration: StoredCalibration, settings: UncertaintySettings, *, again: bool = False
@@ -98,7 +66,7 @@ def uncertainty_stage(
         again: Do it though it is finished.
     """
     case = study.case
-    sampling = settings.sampling(case.parameter_space.n_parameters)
+    sampling = sampling_within(settings.max_calls, case.parameter_space.n_parameters)
     inputs = {
         "case": case.digest,
         "measurement": case.measurement.digest,
@@ -157,48 +125,31 @@ class _Work:
 
     def done(self) -> tuple[dict[str, Any], dict[str, Any], int]:
         """Do it; return numbers, arrays and how many rows were not stored before."""
-        case, seed = self.study.case, self.study.profile.seed
-        space, prior = case.parameter_space, prior_of(case)
+        case = self.study.case
         theta, y = self.calibration.point
-        noise = noise_of(self.settings.noise, case.measurement, y, space.n_parameters)
-        posterior = Posterior(noise, prior)
+        n_parameters = case.parameter_space.n_parameters
+        noise = noise_of(self.settings.noise, case.measurement, y, n_parameters)
         with open_physical_model(self.study) as model, self.study.console.bars() as bars:
-            problem = CalibrationProblem(model, case.measurement, prior)
-            known = self._known_rows(model, problem, posterior)
-            n_differences = 2 * space.n_parameters
-            bars("differences", 0, n_differences)
-            around = self._differences(problem, theta, y)
-            bars("differences", n_differences, n_differences)
-            local = judged(space.names, around, noise.raised, noise.n_independent, STEP, prior=prior)
-            sampler = PosteriorSampler(
+            problem = CalibrationProblem(model, case.measurement, prior_of(case))
+            known = self._known_rows(model, problem, Posterior(noise, problem.prior))
+            found = assess(
                 problem,
-                posterior,
-                self.sampling,
-                joined([known, around]) if known.n else around,
-                seed=seed,
-                on_calls=lambda n: bars("posterior sample", n, self.sampling.max_calls),
+                theta,
+                y,
+                noise=noise,
+                known=known,
+                sampling=self.sampling,
+                seed=self.study.profile.seed,
+                on_phase=bars,
             )
-            covariance = local.correlation * np.outer(local.spread, local.spread)
-            n_walkers = max(WALKERS_PER_PARAMETER * space.n_parameters, LEAST_WALKERS)
-            walkers = first_walkers(around.u[0], covariance, n_walkers, np.random.default_rng(seed))
-            found = sampler.sample(walkers)
-        if not np.isfinite(found.drawn.mse).any():
+        if not np.isfinite(found.sample.drawn.mse).any():
             raise StageError(
-                "no simulation of the sample succeeded; type: studies check " + self.study.command
+                f"no simulation of the sample succeeded; type: studies check {self.study.command}"
             )
         say_reused(self.study, f"uncertainty-{self.calibration.name}", model)
-        numbers, arrays = self._told(noise, prior, local, around, found)
+        numbers, arrays = self._told(found)
         numbers["ledger"] |= {"n_known": known.n}
         return numbers, arrays, model.n_simulated
-
-    def _differences(self, problem: CalibrationProblem, theta: FloatArray, y: FloatArray) -> Evaluation:
-        """Return the model around the calibrated point; the point itself is known."""
-        names = problem.space.names
-        rows = difference_rows(np.clip(problem.space.to_unit(theta), 0.0, 1.0), STEP)
-        point = Trajectories(
-            theta[None], y[None], problem.model.time, names, problem.model.output_names, ("",)
-        )
-        return joined([problem.judge(rows[:1], point), problem.evaluate(rows[1:])])
 
     def _known_rows(
         self, model: StoredModel, problem: CalibrationProblem, posterior: Posterior
@@ -215,19 +166,12 @@ class _Work:
             write_arrays(files.rows, {"digest": self.digest, "theta": theta})
         return problem.judge(space.to_unit(theta), model.store.read(theta))
 
-    def _told(
-        self,
-        noise: Noise,
-        prior: Prior | None,
-        local: Identifiability,
-        around: Evaluation,
-        found: PosteriorSample,
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _told(self, assessed: Assessment) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the results as numbers and arrays."""
-        case, u = self.study.case, found.chain.u
-        space, measurement = case.parameter_space, case.measurement
-        linear = space.from_unit(np.stack([around.u[0] - Z * local.spread, around.u[0] + Z * local.spread]))
-        ends, known = intervals(space, u), knowledge(space, u)
+        case, found, local, noise = self.study.case, assessed.sample, assessed.local, assessed.noise
+        space, measurement, u = case.parameter_space, case.measurement, assessed.sample.chain.u
+        linear = space.from_unit(assessed.linear)
+        ends, known = space.from_unit(assessed.interval), knowledge(space, u)
         good = np.isfinite(found.drawn.mse)
         bands = bands_of(
             found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL
@@ -239,15 +183,15 @@ class _Work:
             "case_sha256": case.digest,
             "measurement_sha256": measurement.digest,
             "calibration": self.calibration.name,
-            "mse": float(around.mse[0]),
+            "mse": float(assessed.point.mse[0]),
             "settings": asdict(self.settings),
             "seed": self.study.profile.seed,
             "level": LEVEL,
             "noise": noise.to_dict(),
-            "has_prior": prior is not None,
+            "has_prior": prior_of(case) is not None,
             "parameters": {
                 name: {
-                    "calibrated": float(around.theta[0, j]),
+                    "calibrated": float(assessed.point.theta[0, j]),
                     "linear": linear[:, j].tolist(),
                     "interval": ends[[0, 2], j].tolist(),
                     "median": float(ends[1, j]),
@@ -275,15 +219,15 @@ class _Work:
                 for k, name in enumerate(measurement.output_names)
             },
             "ledger": {
-                "n_differences": local.n_calls - 1,
+                "n_differences": assessed.n_differences,
                 "n_taught": found.n_taught,
                 "n_sample": n,
-                "total": local.n_calls - 1 + found.n_calls,
+                "total": assessed.n_calls,
             },
         }
         arrays = {
             "time": measurement.time,
-            "theta": around.theta[0],
+            "theta": assessed.point.theta[0],
             "sample_theta": found.drawn.theta,
             "sample_mse": found.drawn.mse,
             "weights": found.weights,

@@ -1,4 +1,13 @@
-"""How probable parameters are, by a Gaussian process of the residuals instead of the model itself."""
+"""How probable parameters are: by the model, and as a Gaussian process of its residuals expects it.
+
+A process predicts a mean residual vector r and a covariance v(u) S of it: one variance v at a point, shared by
+all residuals, times how these vary together. The likelihood that is expected of it is, in S's eigenvectors,
+
+    E[exp(-|r|² / (2 s²))] = prod_i (1 + v S_i / s²)^(-1/2) exp(-r_i² / (2 (s² + v S_i))),
+
+which is the likelihood of the mean where the process is sure, and wider where it is not: a sample of it goes
+where the model may turn out well, and so can be reweighted by the model.
+"""
 
 from dataclasses import dataclass
 
@@ -35,49 +44,75 @@ class Posterior:
         Returns:
             Shape (n,). [1]
         """
-        value = self.noise.log_likelihood(mse)
+        return self._with_prior(u, self.noise.log_likelihood(mse))
+
+    def by(self, predicted: "Predicted", u: FloatArray) -> FloatArray:
+        """Return the density's logarithm as a process expects it.
+
+        Args:
+            predicted: What it predicts.
+            u: Points. Shape (n, p). [1]
+
+        Returns:
+            Shape (n,). [1]
+        """
+        return self._with_prior(u, predicted.log_likelihood(np.clip(u, 0.0, 1.0), self.noise.raised))
+
+    def _with_prior(self, u: FloatArray, value: FloatArray) -> FloatArray:
         if self.prior is not None:
             value = value - 0.5 * np.sum(self.prior.deviations(u) ** 2, axis=1)
         inside = np.all((u >= 0.0) & (u <= 1.0), axis=1)
         return np.where(inside, value, -np.inf)
 
-    def by(self, process: ResidualProcess, u: FloatArray, caution: float) -> FloatArray:
-        """Return the density's logarithm as a process expects it.
+
+class Predicted:
+    """What a process predicts at many points at once."""
+
+    def __init__(self, process: ResidualProcess) -> None:
+        """Prepare what does not depend on the points."""
+        self._process = process
+        self._weights = np.exp(-2.0 * process.hyper[:-2])
+        self._slope = float(np.exp(2.0 * process.hyper[-2]))
+        self._known = process.x * np.sqrt(self._weights)
+        self._known_squares = np.sum(self._known**2, axis=1)
+        whitened = np.linalg.solve(process.inverse_factor.T, process.coefficients)
+        shared, directions = np.linalg.eigh(whitened.T @ whitened / len(process.x))
+        self._shared = np.maximum(shared, 0.0)
+        self._level = process.level @ directions
+        self._coefficients = process.coefficients @ directions
+
+    def residuals(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Predict the residuals of points.
 
         Args:
-            process: Predicts residuals.
             u: Points. Shape (n, p). [1]
-            caution: Part of the predictive variance that counts as error. [1]
+
+        Returns:
+            Their mean in the eigenvectors of S, and the variance v. Shape (n, r) and (n,). [unit], [1]
+        """
+        process = self._process
+        x = process.features.at(u) * np.sqrt(self._weights)
+        products, squares = x @ self._known.T, np.sum(x**2, axis=1)
+        distances = np.maximum(squares[:, None] + self._known_squares - 2.0 * products, 0.0)
+        k = CONSTANT + np.exp(-0.5 * distances) + self._slope * products
+        explained = np.sum((k @ process.inverse_factor.T) ** 2, axis=1)
+        variance = np.maximum(CONSTANT + 1.0 + self._slope * squares - explained, 0.0)
+        return self._level + k @ self._coefficients, variance
+
+    def log_likelihood(self, u: FloatArray, deviation: float) -> FloatArray:
+        """Return the logarithm of the expected likelihood, but for the model's constant.
+
+        Args:
+            u: Points. Shape (n, p). [1]
+            deviation: Of white noise, s. [unit]
 
         Returns:
             Shape (n,). [1]
         """
-        return self.at(u, expected_mse(process, np.clip(u, 0.0, 1.0), caution))
-
-
-def expected_mse(process: ResidualProcess, u: FloatArray, caution: float) -> FloatArray:
-    """Return what `ResidualProcess.expand` does, its value alone and at many points.
-
-    Args:
-        process: Predicts residuals.
-        u: Points. Shape (n, p). [1]
-        caution: Part of the predictive variance that counts as error. [1]
-
-    Returns:
-        Shape (n,). [unit squared]
-    """
-    weights, slope = np.exp(-2.0 * process.hyper[:-2]), float(np.exp(2.0 * process.hyper[-2]))
-    known = process.x * np.sqrt(weights)
-    known_squares = np.sum(known**2, axis=1)
-    parts = []
-    for start in range(0, len(u), BLOCK):
-        x = process.features.at(u[start : start + BLOCK]) * np.sqrt(weights)
-        products, squares = x @ known.T, np.sum(x**2, axis=1)
-        distances = np.maximum(squares[:, None] + known_squares - 2.0 * products, 0.0)
-        k = CONSTANT + np.exp(-0.5 * distances) + slope * products
-        residuals = process.level + k @ process.coefficients
-        explained = k @ process.inverse_factor.T
-        variance = CONSTANT + 1.0 + slope * squares - np.sum(explained**2, axis=1)
-        mse = (process.outside + np.sum(residuals**2, axis=1)) / process.n_residuals
-        parts.append(mse + caution * process.variance * np.maximum(variance, 0.0))
-    return np.concatenate(parts) if parts else np.empty(0)
+        parts = []
+        for start in range(0, len(u), BLOCK):
+            residuals, variance = self.residuals(u[start : start + BLOCK])
+            total = deviation**2 + variance[:, None] * self._shared
+            parts.append(-0.5 * np.sum(residuals**2 / total + np.log(total / deviation**2), axis=1))
+        outside = self._process.outside / deviation**2
+        return np.concatenate(parts) - 0.5 * outside if parts else np.empty(0)

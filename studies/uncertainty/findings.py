@@ -72,20 +72,6 @@ def within(half: float) -> str:
     return f"within a factor of {math.exp(half):.2g}"
 
 
-def intervals(space: ParameterSpace, u: FloatArray) -> FloatArray:
-    """Return lower end, median and upper end of each parameter over a sample.
-
-    Args:
-        space: The parameters.
-        u: The sample. Shape (n, p). [1]
-
-    Returns:
-        Shape (3, p). [per parameter]
-    """
-    shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
-    return space.from_unit(np.quantile(u, shares, axis=0))
-
-
 def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, ...]:
     """Return the pairs of parameters that a sample shows to compensate each other, the clearest first.
 

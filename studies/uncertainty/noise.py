@@ -79,16 +79,11 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
         n_parameters: Parameters that were fitted to it.
 
     Raises:
-        InputError: The sensor's uncertainty is not declared, or the residuals vanish.
+        InputError: The residuals vanish.
     """
     m = measurement.n_samples
     if kind == "sensor":
         deviation = float(measurement.uncertainty[0])
-        if not np.isfinite(measurement.uncertainty).all():
-            raise InputError(
-                "--noise sensor needs the sensor's uncertainty of every output; declare uncertainty in the "
-                "case file, or use --noise correlated"
-            )
         return Noise(kind, deviation, m, declared_independent_samples(measurement))
     parts = [measurement.differences(y[None], k)[0] * s for k, s in enumerate(measurement.scales)]
     squares = sum(float(part @ part) for part in parts)

@@ -20,7 +20,7 @@ from simulation.arrays import FloatArray, IntArray
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.chain import Chain, run_chain
-from studies.uncertainty.density import Posterior
+from studies.uncertainty.density import Posterior, Predicted
 from studies.uncertainty.weights import effective_size, normalized
 
 DECIMALS = 5
@@ -47,14 +47,12 @@ class Sampling:
         max_calls: Most rows that may be asked of the model.
         n_sample: Size of the sample that is simulated.
         n_batch: Rows per round.
-        caution: Part of the surrogate's variance that counts as error: 0 follows its mean. [1]
         n_steps: Steps of every walker of a chain.
     """
 
     max_calls: int
     n_sample: int = 48
     n_batch: int = 8
-    caution: float = 0.1
     n_steps: int = 1500
 
 
@@ -137,8 +135,8 @@ class PosteriorSampler:
         n_taught = 0
         with threadpool_limits(limits=1, user_api="blas"):
             while True:
-                process, chain = self._round()
-                drawn, ratios = self._simulate(process, chain)
+                predicted, chain = self._round()
+                drawn, ratios = self._simulate(predicted, chain)
                 left = settings.max_calls - self.n_calls
                 if not self._is_lost(ratios, drawn.n) or left < settings.n_batch:
                     break
@@ -158,22 +156,23 @@ class PosteriorSampler:
             best_mse=float(self._mse[best]),
         )
 
-    def _round(self) -> tuple[ResidualProcess, Chain]:
+    def _round(self) -> tuple[Predicted, Chain]:
         """Fit the process to what is known and sample the density that it predicts."""
         rows = telling_rows(self._u, self._posterior.at(self._u, self._mse))
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
         self._hyper = process.hyper
         assert self._ensemble is not None, "sample() places the walkers"
+        predicted = Predicted(process)
         chain = run_chain(
-            lambda u: self._posterior.by(process, u, self._settings.caution),
+            lambda u: self._posterior.by(predicted, u),
             self._ensemble,
             seed=int(self._rng.integers(2**31)),
             n_steps=self._settings.n_steps,
         )
         self._ensemble = chain.ensemble
-        return process, chain
+        return predicted, chain
 
-    def _simulate(self, process: ResidualProcess, chain: Chain) -> tuple[Evaluation, FloatArray]:
+    def _simulate(self, predicted: Predicted, chain: Chain) -> tuple[Evaluation, FloatArray]:
         """Simulate members of a chain as long as the model agrees; return them and their log ratios."""
         settings = self._settings
         order = self._rng.permutation(len(chain.u))
@@ -185,9 +184,9 @@ class PosteriorSampler:
                 break
             u = np.round(chain.u[order[len(ratios) : len(ratios) + n]], DECIMALS)
             answer = self._ask(u)
-            predicted = self._posterior.by(process, u, settings.caution)
             parts.append(answer)
-            ratios = np.append(ratios, self._posterior.at(u, answer.mse) - predicted)
+            expected = self._posterior.by(predicted, u)
+            ratios = np.append(ratios, self._posterior.at(u, answer.mse) - expected)
             left = settings.max_calls - self.n_calls
             if self._is_lost(ratios, len(ratios)) and left >= 2 * settings.n_batch:
                 break

@@ -1,0 +1,132 @@
+"""How sure a calibration is: differences at its point, then a posterior sample around it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.trajectories import Trajectories
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.uncertainty.density import Posterior
+from studies.uncertainty.findings import LEVEL
+from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
+from studies.uncertainty.noise import Noise
+from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling, first_walkers, joined
+
+STEP = 0.01
+"""Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
+
+Z = 1.6448536269514722
+"""Quantile of the normal distribution at the upper end of an interval of `LEVEL`."""
+
+WALKERS_PER_PARAMETER, LEAST_WALKERS = 4, 32
+
+OnPhase = Callable[[str, int, int], None]
+"""Told the name of a phase, the rows asked in it and the most that it may ask."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """How sure a calibration is.
+
+    Attributes:
+        noise: What the residuals are taken for.
+        point: The calibrated point as the model answered. One row.
+        local: What the residuals around it determine.
+        sample: Equally good parameter sets.
+    """
+
+    noise: Noise
+    point: Evaluation
+    local: Identifiability
+    sample: PosteriorSample
+
+    @property
+    def n_differences(self) -> int:
+        """Rows asked for the differences; the point itself was known."""
+        return self.local.n_calls - 1
+
+    @property
+    def n_calls(self) -> int:
+        """Rows asked of the model."""
+        return self.n_differences + self.sample.n_calls
+
+    @property
+    def linear(self) -> FloatArray:
+        """Ends of the linearised intervals; beyond 0 and 1 the box cuts them. Shape (2, p). [1]."""
+        half = Z * self.local.spread
+        ends = np.stack([self.point.u[0] - half, self.point.u[0] + half])
+        return np.asarray(np.clip(ends, 0.0, 1.0), dtype=np.float64)
+
+    @property
+    def interval(self) -> FloatArray:
+        """Ends and median of the posterior's intervals: low, median, high. Shape (3, p). [1]."""
+        shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
+        return np.asarray(np.quantile(self.sample.chain.u, shares, axis=0), dtype=np.float64)
+
+
+def sampling_within(max_calls: int, n_parameters: int) -> Sampling:
+    """Return how a posterior is sampled with the calls that the differences leave.
+
+    Args:
+        max_calls: Most rows that may be asked of the model.
+        n_parameters: Number of parameters.
+
+    Raises:
+        InputError: They leave too few.
+    """
+    n_differences, least = 2 * n_parameters, 2 * Sampling.n_batch
+    if max_calls < n_differences + least:
+        raise InputError(
+            f"--max-calls {max_calls} does not hold {n_differences} differences ({n_parameters} parameters) "
+            f"and a sample of {least}; give {n_differences + least} or more"
+        )
+    return Sampling(max_calls=max_calls - n_differences)
+
+
+def assess(
+    problem: CalibrationProblem,
+    theta: FloatArray,
+    y: FloatArray,
+    *,
+    noise: Noise,
+    known: Evaluation | None,
+    sampling: Sampling,
+    seed: int,
+    on_phase: OnPhase | None = None,
+) -> Assessment:
+    """Say how sure a calibration is.
+
+    Args:
+        problem: The problem, posed to the physical model.
+        theta: The calibrated point. Shape (p,). [per parameter]
+        y: What the model answered there. Shape (t, k). [per output]
+        noise: What the residuals are taken for.
+        known: Rows that are known already, or None.
+        sampling: How the posterior is sampled.
+        seed: Seed of all draws.
+        on_phase: Told how far it is.
+    """
+    tell = on_phase or (lambda what, done, total: None)
+    space, model = problem.space, problem.model
+    p = space.n_parameters
+    tell("differences", 0, 2 * p)
+    rows = difference_rows(np.clip(space.to_unit(theta), 0.0, 1.0), STEP)
+    answered = Trajectories(theta[None], y[None], model.time, space.names, model.output_names, ("",))
+    around = joined([problem.judge(rows[:1], answered), problem.evaluate(rows[1:])])
+    tell("differences", 2 * p, 2 * p)
+    local = judged(space.names, around, noise.raised, noise.n_independent, STEP, prior=problem.prior)
+    sampler = PosteriorSampler(
+        problem,
+        Posterior(noise, problem.prior),
+        sampling,
+        around if known is None or not known.n else joined([known, around]),
+        seed=seed,
+        on_calls=lambda n: tell("posterior sample", n, sampling.max_calls),
+    )
+    covariance = local.correlation * np.outer(local.spread, local.spread)
+    n_walkers = max(WALKERS_PER_PARAMETER * p, LEAST_WALKERS)
+    walkers = first_walkers(around.u[0], covariance, n_walkers, np.random.default_rng(seed))
+    return Assessment(noise, around.take(0), local, sampler.sample(walkers))

@@ -1,0 +1,261 @@
+"""How sure a calibration is, on models whose posterior is known."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from simulation.counting import CountingModel
+from simulation.errors import InputError
+from simulation.measurement import Measurement
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.trajectories import Trajectories
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.residual_process import Features, ResidualProcess
+from studies.uncertainty.assess import Assessment, assess, sampling_within
+from studies.uncertainty.bands import bands_of, share_within
+from studies.uncertainty.chain import run_chain
+from studies.uncertainty.density import Predicted
+from studies.uncertainty.findings import compensations, knowledge
+from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.noise import Noise, noise_of
+from studies.uncertainty.weights import effective_size, normalized, quantiles
+
+TIME = np.linspace(0.0, 1.0, 60)
+SIGMA = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """y = f(theta, t)."""
+
+    parameter_space: ParameterSpace
+    f: Callable
+    time: np.ndarray = field(default_factory=lambda: TIME)
+    output_names: tuple[str, ...] = ("y",)
+
+    def simulate(self, theta):
+        y = self.f(theta.T[:, :, None], self.time)[:, :, None]
+        return Trajectories(
+            theta, y, self.time, self.parameter_space.names, self.output_names, ("",) * len(theta)
+        )
+
+
+def line():
+    names = ("offset", "slope")
+    return Formula(
+        ParameterSpace(tuple(Parameter(n, lower=-2.0, upper=2.0) for n in names)),
+        lambda theta, t: theta[0] + theta[1] * t,
+    )
+
+
+def product():
+    """Two parameters that act only through their product, and a third one."""
+    return Formula(
+        ParameterSpace(tuple(Parameter(n, lower=0.2, upper=5.0, scale="log") for n in "abc")),
+        lambda theta, t: theta[0] * theta[1] * t + theta[2] * t**2,
+    )
+
+
+def posed(model, theta, seed=1, sigma=SIGMA, uncertainty=SIGMA):
+    y = model.simulate(np.array([theta])).y[0]
+    y = y + sigma * np.random.default_rng(seed).standard_normal(y.shape)
+    measurement = Measurement.on_grid(model.time, y, model.output_names, np.array([uncertainty]))
+    return CalibrationProblem(model, measurement)
+
+
+def least_squares(problem):
+    """The best parameters of the line, in closed form."""
+    design = np.column_stack([np.ones_like(TIME), TIME])
+    return np.linalg.lstsq(design, problem.measurement.y[:, 0], rcond=None)[0], design
+
+
+def assessed(problem, theta, kind="white", max_calls=60, n_steps=1500) -> Assessment:
+    theta = np.array(theta)
+    y = problem.model.simulate(theta[None]).y[0]
+    noise = noise_of(kind, problem.measurement, y, len(theta))
+    return assess(
+        problem, theta, y, noise=noise, known=None,
+        sampling=replace(sampling_within(max_calls, len(theta)), n_steps=n_steps), seed=0,
+    )  # fmt: skip
+
+
+def test_a_linear_models_posterior_is_the_textbook_one():
+    problem = posed(line(), [0.3, -0.4])
+    best, design = least_squares(problem)
+    found = assessed(problem, best, kind="sensor")
+    expected = SIGMA**2 * np.linalg.inv(design.T @ design)
+    theta = problem.space.from_unit(found.sample.chain.u)
+    deviation = np.sqrt(np.diag(expected))
+    # A chain worth a thousand points knows a mean to 3 % of the deviation, a deviation to 2 %.
+    assert found.sample.chain.n_effective > 1000
+    assert np.abs(theta.mean(axis=0) - best) == pytest.approx(0.0, abs=0.15 * deviation.min())
+    assert np.cov(theta.T) == pytest.approx(expected, rel=0.15)
+    # The linearised interval is exact here.
+    assert problem.space.from_unit(found.linear) == pytest.approx(
+        np.stack([best - 1.645 * deviation, best + 1.645 * deviation]), rel=1e-3, abs=0.02 * deviation.min()
+    )
+    # The surrogate knows a linear model: the sample is simulated at once and counts in full.
+    assert found.sample.n_taught == 0
+    assert found.sample.n_effective > 0.95 * len(found.sample.weights)
+    assert found.n_calls == 2 * 2 + len(found.sample.weights)
+
+
+def test_a_product_is_known_and_its_factors_are_not():
+    problem = posed(product(), [2.0, 0.7, 1.5], sigma=0.02, uncertainty=0.02)
+    found = assessed(problem, [2.0, 0.7, 1.5], kind="sensor", max_calls=100, n_steps=800)
+    space = problem.space
+    assert space.names[2:] == tuple(
+        n for n, k in knowledge(space, found.sample.chain.u).items() if k == "determined"
+    )
+    pair = compensations(space, found.sample.chain.u)[0]
+    assert (pair.first, pair.second, pair.known) == ("a", "b", "product")
+    assert "compensate each other: only their product is known, to " in pair.in_words
+    # The posterior is the hyperbola a b = 1.4 from bound to bound, as even in log a as the bounds allow: a
+    # from 0.28 to 5, so that its 90 % interval leaves 5 % of that logarithm out at both ends.
+    a = space.from_unit(found.sample.chain.u)[:, 0]
+    low, high = np.log(1.4 / 5.0), np.log(5.0)
+    ends = np.log(np.quantile(a, [0.05, 0.95]))
+    assert ends == pytest.approx(
+        [low + 0.05 * (high - low), high - 0.05 * (high - low)], abs=0.06 * (high - low)
+    )
+    simulated = found.sample.drawn.theta
+    products = simulated[:, 0] * simulated[:, 1]
+    heavy = found.sample.weights > 0.2 / len(products)
+    assert products[heavy] == pytest.approx(1.4, rel=0.15)
+    assert simulated[heavy, 0].max() / simulated[heavy, 0].min() > 5.0
+    assert found.sample.n_effective > 0.3 * len(products)
+    assert found.n_calls <= 100
+
+
+def test_the_same_seed_asks_the_same_rows_and_known_rows_are_not_asked():
+    problem = posed(line(), [0.3, -0.4])
+    best, _ = least_squares(problem)
+    counter = CountingModel(problem.model)
+    first = assessed(problem, best, n_steps=60)
+    again = assessed(problem.on(counter), best, n_steps=60)
+    assert np.array_equal(first.sample.drawn.theta, again.sample.drawn.theta)
+    assert counter.n_calls == again.n_calls + 1  # the point itself, asked by the test
+
+
+def test_ninety_percent_intervals_hold_the_truth_nine_times_in_ten():
+    rng = np.random.default_rng(5)
+    n, held = 300, np.zeros(2)
+    model = line()
+    for seed in range(n):
+        truth = rng.uniform(-1.0, 1.0, 2)
+        problem = posed(model, truth, seed=seed)
+        best, _ = least_squares(problem)
+        y = model.simulate(best[None]).y[0]
+        noise = noise_of("white", problem.measurement, y, 2)
+        around = problem.evaluate(difference_rows(problem.space.to_unit(best), 0.01))
+        spread = judged(problem.space.names, around, noise.raised, noise.n_independent, 0.01).spread
+        held += np.abs(problem.space.to_unit(truth) - problem.space.to_unit(best)) <= 1.645 * spread
+    # Three standard deviations of so many coin tosses are 0.05.
+    assert held / n == pytest.approx(0.9, abs=0.05)
+
+
+def test_noise_that_follows_itself_widens_intervals():
+    problem = posed(line(), [0.3, -0.4])
+    slow = np.cumsum(np.random.default_rng(0).standard_normal(60)) * 0.02
+    measurement = Measurement.on_grid(TIME, problem.measurement.y + slow[:, None], ("y",), np.array([0.05]))
+    y = line().simulate(np.array([[0.3, -0.4]])).y[0]
+    white, correlated = (noise_of(kind, measurement, y, 2) for kind in ("white", "correlated"))
+    assert white.n_independent == 60
+    assert correlated.n_independent < 30
+    assert correlated.deviation == white.deviation
+    assert correlated.raised > 1.4 * white.raised
+
+
+def test_a_perfect_fit_shows_no_noise():
+    problem = posed(line(), [0.3, -0.4], sigma=0.0)
+    y = problem.model.simulate(np.array([[0.3, -0.4]])).y[0]
+    with pytest.raises(InputError, match="to the last digit"):
+        noise_of("white", problem.measurement, y, 2)
+    assert noise_of("sensor", problem.measurement, y, 2).deviation == SIGMA
+
+
+def test_the_prediction_of_many_points_is_the_process_own():
+    problem = posed(product(), [2.0, 0.7, 1.5])
+    rng = np.random.default_rng(0)
+    u = rng.random((20, 3))
+    process = ResidualProcess.fit(Features.of(problem.space), u, problem.residuals(u))
+    at = rng.random((7, 3))
+    predicted = Predicted(process)
+    residuals, variance = predicted.residuals(at)
+    own = [process.expand(point, 1.0) for point in at]
+    mse = (np.sum(residuals**2, axis=1) + process.outside) / process.n_residuals
+    assert mse == pytest.approx([one.mse for one in own], rel=1e-9)
+    assert process.variance * variance == pytest.approx(
+        [one.value - one.mse for one in own], rel=1e-6, abs=1e-12
+    )
+    # Where it is sure, the likelihood is that of the mean.
+    there = predicted.log_likelihood(u[:1], 10.0)
+    assert there == pytest.approx(-0.5 * np.sum(problem.residuals(u[:1]) ** 2) / 100.0, rel=1e-2)
+
+
+def test_a_chain_finds_a_curved_valley():
+    """Rosenbrock's density in the unit square: the moments of its first coordinate are known."""
+
+    def log_density(u):
+        x, y = 8.0 * u[:, 0] - 4.0, 24.0 * u[:, 1] - 4.0
+        inside = np.all((u >= 0.0) & (u <= 1.0), axis=1)
+        return np.where(inside, -0.5 * (x**2 + ((y - x**2) / 0.3) ** 2), -np.inf)
+
+    start = np.random.default_rng(0).uniform(0.4, 0.6, (32, 2))
+    chain = run_chain(log_density, start, seed=0, n_steps=2000)
+    x, y = 8.0 * chain.u[:, 0] - 4.0, 24.0 * chain.u[:, 1] - 4.0
+    assert chain.n_effective > 300
+    assert (x.mean(), x.std()) == (pytest.approx(0.0, abs=0.15), pytest.approx(1.0, abs=0.12))
+    assert y.mean() == pytest.approx(1.0, abs=0.25)
+
+
+def test_weights_and_bands():
+    weights = normalized(np.array([0.0, np.log(3.0), -np.inf]))
+    assert weights == pytest.approx([0.25, 0.75, 0.0])
+    assert effective_size(weights) == pytest.approx(1.6)
+    # A row that failed counts for nothing; where all did, all count the same.
+    assert normalized(np.full(4, -np.inf)) == pytest.approx(0.25)
+    values = np.random.default_rng(0).standard_normal((4000, 1))
+    even = np.full(4000, 1 / 4000)
+    assert quantiles(values, even, np.array([0.05, 0.95]))[:, 0] == pytest.approx([-1.645, 1.645], abs=0.08)
+    # Half of a sample of two clouds, weighed so that only one counts.
+    tilted = np.where(values[:, 0] > 0.0, 1.0, 0.0)
+    assert quantiles(values, tilted / tilted.sum(), np.array([0.01]))[0, 0] > 0.0
+
+
+def test_the_predictive_band_holds_the_measured_values():
+    rng = np.random.default_rng(2)
+    n, t = 400, 500
+    y = (0.5 * rng.standard_normal((n, 1, 1))) + np.zeros((1, t, 1))
+    bands = bands_of(y, np.full(n, 1 / n), np.array([1.2]), 0.9)
+    # Parameters and noise together: 1.3 = hypot(0.5, 1.2).
+    assert bands.predictive[:, 0, 0] == pytest.approx([-1.645 * 1.3, 1.645 * 1.3], abs=0.1)
+    assert bands.simulated[:, 0, 0] == pytest.approx([-1.645 * 0.5, 1.645 * 0.5], abs=0.08)
+    time = np.arange(float(t))
+    measured = 1.3 * rng.standard_normal((t, 1))
+    measurement = Measurement.on_grid(time, measured, ("y",), np.array([1.0]))
+    assert share_within(measurement, bands.predictive, 0) == pytest.approx(0.9, abs=0.04)
+
+
+def test_too_few_calls_are_refused_in_one_line():
+    with pytest.raises(InputError, match=r"--max-calls 20 does not hold 28 differences .* give 44 or more"):
+        sampling_within(20, 14)
+
+
+def test_a_parameter_without_effect_is_open():
+    space = ParameterSpace((Parameter("a", lower=0.0, upper=1.0), Parameter("b", lower=0.0, upper=1.0)))
+    rng = np.random.default_rng(0)
+    u = np.column_stack([0.5 + 0.01 * rng.standard_normal(2000), rng.random(2000)])
+    assert knowledge(space, u) == {"a": "determined", "b": "open"}
+    assert compensations(space, u) == ()
+
+
+def test_a_noise_is_worth_its_independent_samples():
+    noise = Noise("correlated", deviation=0.1, n_samples=100, n_independent=25.0)
+    assert noise.raised == pytest.approx(0.2)
+    mse = np.array([0.01, 0.02])
+    gain = np.diff(noise.log_likelihood(mse))
+    assert gain == pytest.approx(-0.5 * 100 * 0.01 / noise.raised**2)
+    assert replace(noise, n_independent=100.0).raised == pytest.approx(0.1)
