@@ -17,6 +17,9 @@ from studies.report.wording import (
     squared,
 )
 
+UNCORRELATED = 0.9
+"""Samples that are worth this share of their number are said not to follow each other."""
+
 HOW_KNOWN = {"determined": "determined", "narrowed": "narrowed", "open": "not determined"}
 
 
@@ -144,6 +147,8 @@ def noise_sentence(noise: Mapping[str, Any], unit: str) -> str:
         )
     if noise["kind"] == "white":
         return f"Noise model: white, {size} as the residuals scatter; {m}, all independent."
+    if noise["n_independent"] > UNCORRELATED * noise["n_samples"]:
+        return f"Noise model: {size} as the residuals scatter; they do not follow each other, {m} count."
     return (
         f"Noise model: {size} as the residuals scatter; they follow each other (first-order autoregressive), "
         f"so {m} are worth {n} independent."

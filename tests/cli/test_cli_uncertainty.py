@@ -1,0 +1,187 @@
+"""`studies uncertainty`: on the terminal and the page, resumed after any call, refused in one line."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet
+import pytest
+from project_for_tests import REPOSITORY, Answer, Run, make_project
+
+from studies.cli import main
+from studies.paths import ProjectPaths
+
+JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
+N_DIFFERENCES = 14
+N_CALIBRATION = 24
+LIMIT_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a calibrated wall."""
+    from studies.tracking.mlflow_tracker import MlflowTracker
+
+    root = make_project(tmp_path_factory.mktemp("template") / "project")
+    for folder in ("fmus/wall", "data/wall"):
+        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
+    MlflowTracker(ProjectPaths(root))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        calls = str(N_CALIBRATION)
+        assert (
+            main(["calibrate", "wall", "--method", "adaptive", "--max-calls", calls, "--jobs", "1", "-q"])
+            == 0
+        )
+    return root
+
+
+@pytest.fixture(scope="module")
+def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same, judged by somebody whom nobody interrupts."""
+    root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        assert main([*JUDGE, "-q"]) == 0
+    return root
+
+
+@pytest.fixture
+def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    root = shutil.copytree(template, tmp_path / "project")
+    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    monkeypatch.chdir(root)
+    return root
+
+
+def stage_of(answer: Answer) -> dict[str, Any]:
+    assert answer.code == 0, answer.err
+    (stage,) = answer.document["stages"]
+    assert isinstance(stage, dict)
+    return stage
+
+
+def results_of(project: Path) -> dict[str, Any]:
+    file = project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    return content
+
+
+def n_stored(project: Path) -> int:
+    parts = project.glob("data/wall/generated/simulations/*/part-*.parquet")
+    return sum(pyarrow.parquet.read_metadata(part).num_rows for part in parts)
+
+
+def test_it_says_how_sure_the_calibration_is_and_is_on_the_page(
+    template: Path, undisturbed: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = shutil.copytree(undisturbed, tmp_path / "project")
+    monkeypatch.setenv("STUDIES_ROOT", str(project))
+    n_before = n_stored(template)
+    stage = stage_of(studies(*JUDGE, "--json"))
+    assert stage["finished_before"]
+    assert set(stage["parameters"]) == {"GIn", "G12", "G23", "C1", "C2", "C3", "T2Start"}
+    for one in stage["parameters"].values():
+        low, high = one["interval"]
+        assert low < one["median"] < high
+    assert stage["parameters"]["T2Start"]["known"] == "determined"
+    calls = stage["ledger"]
+    assert calls["n_differences"] == N_DIFFERENCES
+    assert calls["total"] == N_DIFFERENCES + calls["n_taught"] + calls["n_sample"] <= 34
+    assert stage["n_simulated"] == calls["total"] == n_stored(project) - n_before
+    assert stage["sample"]["n_effective"] <= stage["sample"]["n"] == calls["n_sample"]
+
+    before = results_of(project)
+    again = studies(*JUDGE, "--again")
+    assert f"{calls['total']} of {calls['total']} simulations reused" in again.err
+    told = re.sub(r"\s+", " ", again.out)
+    assert "90 % intervals of the adaptive calibration" in told
+    assert "Noise model: " in told
+    assert f"{calls['total']} model calls: {N_DIFFERENCES} differences" in told
+    assert results_of(project) == before
+
+    page = studies("report", "wall", "--json")
+    assert page.code == 0, page.err
+    folder = (project / page.document["stages"][0]["index"]).parent
+    drawn = {"bands-adaptive.png", "intervals-adaptive.png", "uncertainty-adaptive.csv"}
+    assert drawn <= {file.name for file in folder.iterdir()}
+    html = (folder / "index.html").read_text(encoding="utf-8")
+    assert "How sure the adaptive calibration is" in html
+    assert "The data determine " in html
+
+    # MLflow's view is written again from what lies on disk.
+    from studies.keeping.stage_views import write_stages
+    from studies.stages.tracking import tracker_of
+
+    (project / "mlruns" / "mlflow.db").unlink()
+    tracker_of.cache_clear()
+    assert write_stages(ProjectPaths(project), "wall-quick") == []
+
+
+def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
+    project: Path, undisturbed: Path, studies: Run
+) -> None:
+    whole = results_of(undisturbed)["ledger"]
+    n_before = n_stored(project)
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
+    with (project / "stderr.txt").open("w") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "studies", *JUDGE],
+            env=environment, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
+        )  # fmt: skip
+        deadline = time.monotonic() + LIMIT_S
+        # Some of the sample lies in the store, some does not.
+        while n_stored(project) < n_before + N_DIFFERENCES + 8:
+            assert process.poll() is None, (project / "stderr.txt").read_text()
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait(LIMIT_S)
+    assert not (project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json").exists()
+    n_kept = n_stored(project) - n_before
+    resumed = stage_of(studies(*JUDGE, "--json"))
+    assert resumed["n_simulated"] <= whole["total"] - n_kept
+    assert resumed["ledger"] == whole
+    mine, theirs = results_of(project), results_of(undisturbed)
+    assert mine["parameters"] == theirs["parameters"]
+    assert mine["sample"] == theirs["sample"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--max-calls", "20"), "does not hold 14 differences (7 parameters) and a sample of 16; give 30"),
+        (
+            ("--method", "paper"),
+            "has no calibration of --method paper; type: studies calibrate wall --method",
+        ),
+        (
+            ("--n-train", "64"),
+            "has no calibration of n_train = 64; type: studies calibrate wall --n-train 64",
+        ),
+        (("--method", "adaptive", "--n-train", "64"), "--n-train names one calibration of --method paper"),
+        (("--noise", "pink"), "invalid choice: 'pink'"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(
+    project: Path, studies: Run, arguments: tuple[str, ...], words: str
+) -> None:
+    answer = studies("uncertainty", "wall", *arguments)
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    assert line.startswith("studies: error: ")
+    assert words in line
+
+
+def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run) -> None:
+    answer = studies("uncertainty", "office")
+    assert answer.code == 2
+    assert "no calibration of any kind; type: studies calibrate office --method adaptive" in answer.err
