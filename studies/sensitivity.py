@@ -1,4 +1,4 @@
-"""Sobol indices of every output at every time step; the only module that knows SALib."""
+"""Sobol indices of every output at every time step."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields

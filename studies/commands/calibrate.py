@@ -22,9 +22,17 @@ Every simulation is stored at once: interrupted, even killed, the same command r
 --parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
 mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
 
+--most-relevant 6 calibrates the six parameters that matter most and fixes the others at their priors,
+estimates or middles. Which matter is read from `studies sensitivity` where its result lies, else asked of the
+FMU by Morris' method: four simulations per parameter and four more, counted (and in --max-calls). The result
+says what was fixed at what and what that cost, and lies beside that of all parameters: ...-relevant6.
+
+A parameter's prior (case.toml: prior = { about = 0.7, within_factor = 1.5 }) is heeded by both methods.
+
 examples:
   studies calibrate --method adaptive      the office, 100 FMU calls at most
   studies calibrate my-case --method adaptive --max-calls 60 --parallel 4 --jobs 4
+  studies calibrate my-case --method adaptive --most-relevant 6
   studies calibrate --n-train 64           prints the stored result if nothing changed
   studies calibrate --n-train 64 --again   calibrates once more: the same numbers
   studies calibrate --max-calls 100 --target 0.0121 --json
@@ -47,6 +55,12 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="Q",
         help="adaptive: simulations side by side; default: 1",
     )
+    command.add_argument(
+        "--most-relevant",
+        type=values.whole(1),
+        metavar="K",
+        help="calibrate the K most relevant parameters, fix the others at prior, estimate or middle",
+    )
     options.add_sizes(command, "sizes to calibrate with; default: all that have a surrogate")
     options.add_calibration(command)
 
@@ -57,13 +71,15 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         return _adaptively(chosen, console)
     if chosen.parallel is not None:
         raise InputError("--parallel belongs to --method adaptive; add that or leave --parallel away")
-    from studies.stages.calibrate import calibrate_stage, calls_to, show_calibrations, sizes_with_champion
-    from studies.stages.calibrated_values import judged_values, show_values
+    from studies.stages.calibrate import calibrate_stage, sizes_with_champion
+    from studies.stages.calibrated_values import calls_to, judged_values, show_calibrations, show_values
     from studies.stages.guideline import guideline_numbers
+    from studies.stages.restriction import checked_size
 
     study = open_study(chosen, console)
+    n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
     sizes = sizes_with_champion(study, chosen.n_train)
-    outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
+    outcomes = [calibrate_stage(study, n_train, n_free=n_free, again=chosen.again) for n_train in sizes]
     show_calibrations(study, outcomes, chosen.target)
     show_values(study, outcomes)
     judged = {
@@ -74,7 +90,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     if chosen.target is not None:
         extra |= {
             "target": chosen.target,
-            "calls_to_target": {n: calls_to(study, n, chosen.target) for n in sizes},
+            "calls_to_target": {n: calls_to(study, n, chosen.target, n_free) for n in sizes},
         }
     return hand_over(study, "calibrate", outcomes, **extra)
 
@@ -84,20 +100,22 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         raise InputError(
             "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
         )
-    from studies.stages.adaptive import (
-        adaptive_settings,
-        adaptive_stage,
-        calls_to,
-        judged_adaptive,
-        show_adaptive,
-    )
+    from studies.stages.adaptive import adaptive_settings, adaptive_stage
+    from studies.stages.adaptive_shown import calls_to, judged_adaptive, show_adaptive
     from studies.stages.guideline import guideline_numbers
+    from studies.stages.restriction import calls_for_relevance, checked_size
 
     study = open_study(chosen, console)
+    n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
     settings = adaptive_settings(
-        study.case, max_calls=chosen.max_calls, n_parallel=chosen.parallel, target_mse=chosen.target
+        study.case,
+        max_calls=chosen.max_calls,
+        n_parallel=chosen.parallel,
+        target_mse=chosen.target,
+        n_free=n_free,
+        n_calls_before=0 if n_free is None else calls_for_relevance(study),
     )
-    outcome = adaptive_stage(study, settings, again=chosen.again)
+    outcome = adaptive_stage(study, settings, n_free=n_free, again=chosen.again)
     show_adaptive(study, outcome)
     targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}
     return hand_over(
@@ -106,5 +124,5 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         [outcome],
         method="adaptive",
         guideline14=guideline_numbers(judged_adaptive(study, outcome)),
-        calls_to_target={f"{target:g}": calls_to(study, target) for target in sorted(targets)},
+        calls_to_target={f"{target:g}": calls_to(study, target, n_free) for target in sorted(targets)},
     )

@@ -31,8 +31,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import say_warnings, show_diagnosis
-    from studies.stages.calibrate import calibrate_stage, show_calibrations
-    from studies.stages.calibrated_values import show_values
+    from studies.stages.calibrate import calibrate_stage
+    from studies.stages.calibrated_values import show_calibrations, show_values
     from studies.stages.check import check_stage
     from studies.stages.learn import show_tuning, tune_stage
     from studies.stages.report import report_stage, show_report

@@ -59,7 +59,7 @@ def write_stages(paths: ProjectPaths, label: str) -> list[str]:
 def _write_calibration(
     paths: ProjectPaths, file: Path, manifest: Mapping[str, Any], when: Mapping[str, float]
 ) -> None:
-    from studies.stages.results import ADAPTIVE, stored_calibrations
+    from studies.stages.results import stored_calibrations
     from studies.stages.tracking import log_adaptive, log_calibration
 
     name = file.stem.removeprefix("calibrate-")
@@ -71,7 +71,7 @@ def _write_calibration(
     stored = {one.files.numbers: one for one in stored_calibrations(study)}.get(told)
     if stored is None:
         raise InputError(f"the case {study.case.name} has changed since")
-    log = log_adaptive if name == ADAPTIVE else log_calibration
+    log = log_adaptive if stored.is_adaptive else log_calibration
     log(study, stored, manifest["digest"], started_s=when["started_s"], wall_s=when["wall_s"])
 
 

@@ -61,7 +61,7 @@ class ReportData:
         note: The case's note (what must be known before reading a number), shown first; may be empty.
         measurement: What was calibrated against.
         parameters: What was calibrated.
-        calibrations: One per training-set size and an adaptive one of size 0, any order.
+        calibrations: One per training-set size, an adaptive one of size 0, restricted ones; any order.
         coverage: The training set to draw.
         sensitivity: Sobol indices, if they were asked for.
         trials: Every trial of the studies.
@@ -90,9 +90,10 @@ class ReportData:
     headline_n_train: int | None = None
 
     def __post_init__(self) -> None:
+        names = [calibration.name for calibration in self.calibrations]
+        if len(set(names)) != len(names):
+            raise ValueError(f"more than one calibration of one name in {sorted(names)}")
         sizes = [calibration.n_train for calibration in self.calibrations]
-        if len(set(sizes)) != len(sizes):
-            raise ValueError(f"more than one calibration for one training-set size in {sorted(sizes)}")
         if self.headline_n_train is not None and self.headline_n_train not in sizes:
             raise ValueError(f"headline_n_train is {self.headline_n_train}, the sizes are {sorted(sizes)}")
         for calibration in self.calibrations:
@@ -113,9 +114,16 @@ class ReportData:
 
     def validation_of(self, calibration: CalibrationRecord) -> ValidationRecord | None:
         """Return how a calibration did on the validation period, None where there is none."""
-        return next((v for v in self.validations if v.n_train == calibration.n_train), None)
+        return next(
+            (
+                v
+                for v in self.validations
+                if (v.n_train, v.n_free) == (calibration.n_train, calibration.n_free)
+            ),
+            None,
+        )
 
     @property
     def by_size(self) -> tuple[CalibrationRecord, ...]:
         """The calibrations, the adaptive one first, then by training set."""
-        return tuple(sorted(self.calibrations, key=lambda c: c.n_train))
+        return tuple(sorted(self.calibrations, key=lambda c: (c.n_train, c.n_free or 0)))

@@ -155,6 +155,9 @@ class CalibrationRecord:
         surrogate: Which surrogate it was (trial, alias, folder), in words.
         method: How it was calibrated.
         n_adaptive: Calls of an adaptive calibration.
+        n_relevance: Calls that found, and checked, which parameters matter.
+        n_free: Parameters that were calibrated, the others fixed; None for all.
+        knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
     """
 
     n_train: int
@@ -178,6 +181,9 @@ class CalibrationRecord:
     surrogate: str = ""
     method: Method = "paper"
     n_adaptive: int = 0
+    n_relevance: int = 0
+    n_free: int | None = None
+    knowledge: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_shape("the polish history's MSE", self.history_mse, self.history_calls.shape)
@@ -190,12 +196,14 @@ class CalibrationRecord:
     @property
     def name(self) -> str:
         """What files and anchors of this calibration are called."""
-        return "adaptive" if self.is_adaptive else f"n{self.n_train:04d}"
+        part = "" if self.n_free is None else f"-relevant{self.n_free}"
+        return ("adaptive" if self.is_adaptive else f"n{self.n_train:04d}") + part
 
     @property
     def shown_name(self) -> str:
         """What readers call it."""
-        return "adaptive" if self.is_adaptive else f"n = {self.n_train}"
+        part = "" if self.n_free is None else f", {self.n_free} most relevant parameters"
+        return ("adaptive" if self.is_adaptive else f"n = {self.n_train}") + part
 
     @property
     def final(self) -> str:
@@ -210,7 +218,7 @@ class CalibrationRecord:
     @property
     def calls_paper(self) -> int:
         """Model calls as the paper counts them: all that found the parameters."""
-        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive
+        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive + self.n_relevance
 
     @property
     def calls_honest(self) -> int:

@@ -175,6 +175,7 @@ def _two(value: float) -> str:
 def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -> Table:
     """Tabulate the parameters of one calibration with their bounds."""
     screened = [] if calibration.is_adaptive else [calibration.theta_screened.tolist()]
+    known = [calibration.knowledge] if calibration.knowledge else []
     columns = (
         Column("name", "parameter"),
         Column("unit", "unit"),
@@ -184,11 +185,12 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
         *(Column("screened", "screened", "", _four) for _ in screened),
         Column("polished", calibration.final, "", _four),
         Column("at_bound", "at a bound"),
+        *(Column("knowledge", "known before") for _ in known),
     )
     values = zip(
         parameters.names, map(shown_unit, parameters.units), parameters.estimate.tolist(),
         parameters.lower.tolist(), parameters.upper.tolist(), *screened,
-        calibration.theta_polished.tolist(), at_bound(parameters, calibration), strict=True,
+        calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known, strict=True,
     )  # fmt: skip
     how = f"from {count(calibration.n_train, 'training simulation')}"
     title = f"Parameters, calibrated {'adaptively' if calibration.is_adaptive else how}"

@@ -60,6 +60,7 @@ class ValidationRecord:
         y_screened: The physical model at the screened point, NaN if it failed. Shape (t, k).
         y_polished: The physical model at the polished point. Shape (t, k).
         points: The parameter sets, the one that the calibration ended with last.
+        n_free: Parameters that were calibrated, None for all.
     """
 
     n_train: int
@@ -68,6 +69,7 @@ class ValidationRecord:
     y_screened: Floats
     y_polished: Floats
     points: tuple[PointRecord, ...]
+    n_free: int | None = None
 
     def __post_init__(self) -> None:
         for what in ("y_screened", "y_polished"):

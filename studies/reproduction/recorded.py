@@ -80,8 +80,12 @@ def find_recorded(paths: ProjectPaths, run: str) -> Recorded:
 
 def _as_named(run: str) -> str:
     """Return the name of what people call `office-quick/n0064 calibration` or `office-quick adaptive`."""
-    run = re.sub(r"[/ ]adaptive( calibration)?$", "/calibrate-adaptive", run.strip())
-    return re.sub(r"[/ ]n(\d+) calibration$", lambda found: f"/calibrate-n{int(found[1]):04d}", run)
+    run = re.sub(r"[/ ]adaptive(-relevant\d+)?( calibration)?$", r"/calibrate-adaptive\1", run.strip())
+    return re.sub(
+        r"[/ ]n(\d+)(-relevant\d+)? calibration$",
+        lambda found: f"/calibrate-n{int(found[1]):04d}{found[2] or ''}",
+        run,
+    )
 
 
 def recorded_trial(paths: ProjectPaths, study: StudyLook, record: TrialRecord) -> Recorded:

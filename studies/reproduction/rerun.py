@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
@@ -19,6 +19,9 @@ from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_attempt import failure_reason
 from studies.tuning.trial_record import TrialRecord
 from studies.tuning.trial_training import TrialOutcome, train_trial
+
+if TYPE_CHECKING:
+    from studies.stages.restriction import Restriction
 
 Made = tuple[dict[str, Any], Arrays]
 TIME_LIMIT = "reached its limit of"
@@ -137,7 +140,7 @@ def _calibration(rebuilt: Rebuilt) -> Made:
 
     n_train = rebuilt.recorded.recipe["n_train"]
     surrogate = rebuilt.surrogate(lambda folder: _train_surrogate(rebuilt, folder))
-    numbers, arrays, _ = calibrate(rebuilt.study, surrogate, n_train)
+    numbers, arrays, _ = calibrate(rebuilt.study, surrogate, n_train, _restriction(rebuilt))
     folder = rebuilt.study.paths.root / "surrogate"
     return _case_digests(rebuilt) | {"weights": weights_digest(folder)} | numbers, arrays
 
@@ -165,8 +168,16 @@ def _adaptive(rebuilt: Rebuilt) -> Made:
     from studies.stages.adaptive import calibrate_adaptively
 
     settings = Adaptive(**rebuilt.recorded.recipe["settings"])
-    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings)
+    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, _restriction(rebuilt))
     return numbers, arrays
+
+
+def _restriction(rebuilt: Rebuilt) -> "Restriction | None":
+    """Return the recorded restriction: which parameters are relevant is not found out again."""
+    from studies.stages.restriction import Restriction
+
+    told = rebuilt.recorded.recipe.get("restriction")
+    return None if told is None else Restriction(**told)
 
 
 def _sensitivity(rebuilt: Rebuilt) -> Made:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +11,35 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.time_unit import told_period
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.ledger import Ledger
-from studies.calibration.recorder import History, Progress
-from studies.console import OnBar, format_seconds
+from studies.calibration.prior import Prior
+from studies.calibration.recorder import Progress
+from studies.console import OnBar
 from studies.physical_model import open_physical_model
 from studies.recipe import recipe_of
-from studies.report.wording import count, difference_unit, percent, quantity, squared
+from studies.report.wording import count, difference_unit, quantity, squared
 from studies.stages.calibrate import write_arrays
-from studies.stages.calibrated_values import show_parameters
-from studies.stages.guideline import Periods, judge_calibration, show_guideline
-from studies.stages.knowledge import prior_inputs, prior_numbers, prior_of, show_prior
+from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
-from studies.stages.results import ADAPTIVE, StoredCalibration, adaptive_files, read_arrays
+from studies.stages.restriction import (
+    Restriction,
+    calls_for_check,
+    find_restriction,
+    parts_of,
+    restriction_inputs,
+    restriction_numbers,
+    told_kept,
+)
+from studies.stages.results import (
+    ADAPTIVE,
+    StoredCalibration,
+    adaptive_files,
+    restricted,
+)
 from studies.stages.simulate import say_reused
 from studies.stages.tracking import log_adaptive
-from studies.stages.validation import show_validation, validate_calibration, validation_inputs
+from studies.stages.validation import validate_calibration, validation_inputs
 from studies.tracking.origin import environment
 
 MAX_CALLS = 100
@@ -41,7 +53,13 @@ NEWS_EVERY_S = 30.0
 
 
 def adaptive_settings(
-    case: Case, *, max_calls: int | None, n_parallel: int | None, target_mse: float | None
+    case: Case,
+    *,
+    max_calls: int | None,
+    n_parallel: int | None,
+    target_mse: float | None,
+    n_free: int | None = None,
+    n_calls_before: int = 0,
 ) -> Adaptive:
     """Return what the command line asks for.
 
@@ -50,6 +68,8 @@ def adaptive_settings(
         max_calls: most simulations, None for the usual number.
         n_parallel: rows per round, None for one.
         target_mse: error to stop at, or None. [first output's unit squared]
+        n_free: parameters that are calibrated, None for all.
+        n_calls_before: simulations of the budget that are spent before the search begins.
 
     Raises:
         InputError: the budget does not hold the first design.
@@ -64,16 +84,22 @@ def adaptive_settings(
         doubtful_mse=(DOUBT * sensor) ** 2 if np.isfinite(sensor) else None,
         target_mse=target_mse,
     )
-    n_start = settings.design_size(case.parameter_space.n_parameters)
-    if settings.max_calls < n_start:
+    n_parameters = n_free or case.parameter_space.n_parameters
+    n_start = settings.design_size(n_parameters)
+    if settings.max_calls < n_calls_before + n_start:
+        before = (
+            f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""
+        )
         raise InputError(
-            f"--max-calls {settings.max_calls} does not hold the first design of {n_start} simulations for "
-            f"{count(case.parameter_space.n_parameters, 'parameter')}; give {2 * n_start} or more"
+            f"--max-calls {settings.max_calls} does not hold {before}the first design of {n_start} "
+            f"simulations for {count(n_parameters, 'parameter')}; give {n_calls_before + 2 * n_start} or more"
         )
     return settings
 
 
-def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> Outcome:
+def adaptive_stage(
+    study: Study, settings: Adaptive, *, n_free: int | None = None, again: bool = False
+) -> Outcome:
     """Calibrate with the physical model alone.
 
     Every simulation is stored as soon as it is finished and the rows follow from case, settings and seed: a
@@ -82,6 +108,7 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
     Args:
         study: the study.
         settings: how to search.
+        n_free: how many of the parameters are calibrated, the most relevant; None for all.
         again: calibrate though it is finished.
     """
     case = study.case
@@ -93,14 +120,23 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
         "seed": study.profile.seed,
         **validation_inputs(case),
         **prior_inputs(case),
+        **restriction_inputs(study, n_free),
     }
-    files = adaptive_files(study)
+    files = adaptive_files(study, n_free)
+    stage = STAGE + restricted(n_free)
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        numbers, arrays, n_simulated = calibrate_adaptively(study, settings)
+        restriction = None if n_free is None else find_restriction(study, n_free)
+        numbers, arrays, n_simulated = calibrate_adaptively(study, settings, restriction)
+        more = {} if restriction is None else {"restriction": restriction.to_dict()}
         recipe = recipe_of(
-            study, "adaptive", command="studies calibrate --method adaptive", settings=asdict(settings)
+            study,
+            "adaptive",
+            command="studies calibrate --method adaptive"
+            + ("" if n_free is None else f" --most-relevant {n_free}"),
+            settings=asdict(settings),
+            **more,
         )
         summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
         numbers |= {"recipe": recipe, "environment": environment()}
@@ -117,10 +153,10 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
         return summary, [files.numbers, files.arrays]
 
     if again:
-        (study.results / f"{STAGE}.json").unlink(missing_ok=True)
+        (study.results / f"{stage}.json").unlink(missing_ok=True)
     return run_stage(
         study,
-        STAGE,
+        stage,
         what=f"a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most",
         inputs=inputs,
         work=work,
@@ -128,12 +164,15 @@ def adaptive_stage(study: Study, settings: Adaptive, *, again: bool = False) -> 
     )
 
 
-def calibrate_adaptively(study: Study, settings: Adaptive) -> tuple[dict[str, Any], dict[str, Any], int]:
+def calibrate_adaptively(
+    study: Study, settings: Adaptive, restriction: Restriction | None = None
+) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Calibrate and keep nothing but the simulations.
 
     Args:
         study: the study.
-        settings: how to search.
+        settings: how to search; the budget is of everything, finding the relevant parameters included.
+        restriction: which parameters are held at what, None for none.
 
     Returns:
         The numbers, the arrays and how many rows were not stored before.
@@ -141,17 +180,22 @@ def calibrate_adaptively(study: Study, settings: Adaptive) -> tuple[dict[str, An
     from studies.calibration.problem import CalibrationProblem
 
     case, seed = study.case, study.profile.seed
+    n_before = 0 if restriction is None else restriction.n_calls
     with open_physical_model(study) as physical, study.console.bars() as bars:
-        result = settings.minimize(
-            CalibrationProblem(physical, case.measurement, prior_of(case)),
-            seed=seed,
-            on_progress=_teller(study, bars),
+        model = parts_of(physical, restriction)
+        prior = Prior.of(model.parameter_space, case.measurement)
+        n_kept = n_before + calls_for_check(case, settings, restriction)
+        result = replace(settings, max_calls=settings.max_calls - n_kept).minimize(
+            CalibrationProblem(model, case.measurement, prior), seed=seed, on_progress=_teller(study, bars)
         )
+    theta = model.complete(result.theta)
     if not np.isfinite(result.mse):
         raise _hopeless(study, result.n_calls)
     say_reused(study, STAGE, physical)
-    validated, simulated = validate_calibration(study, {"calibrated": result.theta})
-    ledger = Ledger(n_adaptive=result.n_calls)
+    n_left = settings.max_calls - n_before - result.n_calls
+    told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
+    validated, simulated = validate_calibration(study, {"calibrated": theta})
+    ledger = Ledger(n_adaptive=result.n_calls, n_relevance=n_before + n_checks)
     numbers = {
         "label": study.label,
         "note": case.note,
@@ -161,28 +205,31 @@ def calibrate_adaptively(study: Study, settings: Adaptive) -> tuple[dict[str, An
         "n_train": ledger.n_train,
         "seed": seed,
         "settings": asdict(settings),
-        "theta": dict(zip(case.parameter_space.names, result.theta.tolist(), strict=True)),
+        "theta": dict(zip(case.parameter_space.names, theta.tolist(), strict=True)),
         "mse": result.mse,
         "outputs": _outputs(case, result.y),
         "ledger": ledger.to_dict(),
         "n_rounds": result.n_rounds,
-        "stop_reason": result.stop_reason,
+        "stop_reason": result.stop_reason + told_kept(result.converged, settings.max_calls, n_kept),
         "converged": result.converged,
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,
         **validated,
-        **prior_numbers(case, result.theta),
+        **prior_numbers(case, theta),
+        **told,
     }
-    return numbers, _arrays(case, result) | simulated, physical.n_simulated
+    arrays = _arrays(case, result, theta, n_before)
+    return numbers, arrays | simulated, physical.n_simulated
 
 
-def _arrays(case: Case, result: AdaptiveResult) -> dict[str, Any]:
+def _arrays(case: Case, result: AdaptiveResult, theta: FloatArray, n_calls_before: int) -> dict[str, Any]:
+    history = result.history.after(n_calls_before)
     return {
         "time": case.measurement.time,
         "measured": case.measurement.y,
-        "theta": result.theta,
+        "theta": theta,
         "y": result.y,
-        "history_calls": result.history.n_calls,
-        "history_mse": result.history.best_mse,
+        "history_calls": history.n_calls,
+        "history_mse": history.best_mse,
     }
 
 
@@ -222,59 +269,3 @@ def _hopeless(study: Study, n_calls: int) -> StageError:
     return StageError(
         f"none of {count(n_calls, 'simulation')} succeeded; type: studies check {study.command}"
     )
-
-
-def show_adaptive(study: Study, outcome: Outcome) -> None:
-    """Print what was found, why it ended and what it cost."""
-    found, console = outcome.summary, study.console
-    unit = squared(difference_unit(study.case.outputs[0].unit))
-    n_calls = found["ledger"]["n_adaptive"]
-    is_parallel = found["settings"]["n_parallel"] > 1
-    rounds = "" if not is_parallel else f" in {count(found['n_rounds'], 'round')}"
-    console.result(
-        f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {count(n_calls, 'model call')}{rounds} "
-        f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
-    )
-    console.result(_fit(study, found))
-    doubtful = found["settings"]["doubtful_mse"]
-    if doubtful is not None and found["mse"] > doubtful:
-        console.result(
-            f"That is more than {DOUBT:g} times the sensor's uncertainty: there may be a deeper valley, or "
-            "the model lacks something; try more --max-calls, another --seed, or studies run"
-        )
-    for known in study.case.references:
-        if known.is_target:
-            reached = calls_to(study, known.mse)
-            calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
-            console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
-    show_parameters(study, found["theta"], ADAPTIVE)
-    show_prior(study, found, ADAPTIVE)
-    show_validation(study, [outcome])
-    show_guideline(study, judged_adaptive(study, outcome))
-    if study.case.note:
-        console.result(f"Note: {study.case.note}")
-    console.result(f"Pictures: studies report {study.command}")
-
-
-def judged_adaptive(study: Study, outcome: Outcome) -> Periods:
-    """Judge the calibration by ASHRAE guideline 14."""
-    y = read_arrays(adaptive_files(study).arrays)["y"]
-    return judge_calibration(study.case, y, outcome.summary)
-
-
-def calls_to(study: Study, target: float) -> int | None:
-    """Return the calls after which the error was at most the target. [first output's unit squared]."""
-    arrays = read_arrays(adaptive_files(study).arrays)
-    return History(arrays["history_calls"], arrays["history_mse"]).calls_to(target)
-
-
-def _fit(study: Study, found: Summary) -> str:
-    parts = []
-    for output in study.case.outputs:
-        fit, unit = found["outputs"][output.name], difference_unit(output.unit)
-        part = f"{output.name} differs by {quantity(fit['rmse'], unit)} (RMS)"
-        if fit["uncertainty"] is not None:
-            sensor = f"±{fit['uncertainty']:g} {unit}".strip()
-            part += f", {percent(fit['share_within'])} of it within the sensor's {sensor}"
-        parts.append(part)
-    return f"On {told_period(study.case.window_d)} {'; '.join(parts)}"

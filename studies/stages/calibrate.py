@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,17 +10,22 @@ import numpy as np
 
 from simulation.errors import InputError
 from simulation.whole_file import whole_file
-from studies.console import Column
 from studies.paths import size_name
 from studies.physical_model import open_physical_model
 from studies.recipe import Recipe, recipe_of
-from studies.report.wording import difference_unit, squared
-from studies.stages.knowledge import prior_inputs, prior_numbers, prior_of
+from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
-from studies.stages.results import StoredCalibration, calibration_files, read_arrays
+from studies.stages.restriction import (
+    Restriction,
+    find_restriction,
+    parts_of,
+    restriction_inputs,
+    restriction_numbers,
+)
+from studies.stages.results import StoredCalibration, calibration_files, restricted
 from studies.stages.simulate import datasets_of, say_reused
 from studies.stages.tracking import log_calibration, tracker_of
-from studies.stages.validation import show_validation, validate_calibration, validation_inputs
+from studies.stages.validation import validate_calibration, validation_inputs
 from studies.tracking.origin import environment
 from studies.tuning.champion import (
     CHAMPION_FILE,
@@ -67,12 +72,13 @@ def sizes_with_champion(study: Study, asked: Sequence[int] | None) -> tuple[int,
     return tuple(usable)
 
 
-def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outcome:
+def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, again: bool = False) -> Outcome:
     """Calibrate with the stored surrogate of one training-set size.
 
     Args:
         study: the study.
         n_train: training-set size.
+        n_free: how many of the parameters are calibrated, the most relevant; None for all.
         again: calibrate though it is finished.
     """
     champion = read_champion(study.paths.champion(study.label, n_train), case_digest=study.case.digest)
@@ -89,9 +95,10 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         "seed": profile.seed,
         **validation_inputs(study.case),
         **prior_inputs(study.case),
+        **restriction_inputs(study, n_free),
     }
-    files = calibration_files(study, n_train)
-    stage = f"calibrate-{size_name(n_train)}"
+    files = calibration_files(study, n_train, n_free)
+    stage = f"calibrate-{size_name(n_train)}{restricted(n_free)}"
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
@@ -99,9 +106,10 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         surrogate, _ = load_champion(
             study.paths.champion(study.label, n_train), case_digest=study.case.digest, device="cpu"
         )
-        numbers, arrays, wall = calibrate(study, surrogate, n_train)
+        restriction = None if n_free is None else find_restriction(study, n_free)
+        numbers, arrays, wall = calibrate(study, surrogate, n_train, restriction)
         numbers = _head(study, champion) | numbers
-        numbers |= {"recipe": _recipe(study, champion), "environment": environment()}
+        numbers |= {"recipe": _recipe(study, champion, restriction), "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)
         wall_s = time.time() - started_s
@@ -124,7 +132,7 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
 
 
 def calibrate(
-    study: Study, surrogate: "Surrogate", n_train: int
+    study: Study, surrogate: "Surrogate", n_train: int, restriction: Restriction | None = None
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, float]]:
     """Calibrate and keep nothing but the simulations.
 
@@ -132,26 +140,27 @@ def calibrate(
         study: the study.
         surrogate: what the box is screened with.
         n_train: size of its training set.
+        restriction: which parameters are held at what, None for none.
 
     Returns:
         The numbers, the arrays and the wall times.
     """
     from studies.calibration.polish import LeastSquaresTRF
+    from studies.calibration.prior import Prior
     from studies.calibration.screen import DifferentialEvolution
     from studies.calibration.two_phase import calibrate_two_phase
     from studies.surrogate_model import SurrogateModel
 
     measurement, profile = study.case.measurement, study.profile
+    space = study.case.parameter_space
+    predicting = SurrogateModel(
+        surrogate, space, measurement.output_names, measurement.time, n_jobs=study.n_jobs
+    )
     with open_physical_model(study) as physical, study.console.bars() as bars:
+        model = parts_of(physical, restriction)
         result = calibrate_two_phase(
-            SurrogateModel(
-                surrogate,
-                study.case.parameter_space,
-                measurement.output_names,
-                measurement.time,
-                n_jobs=study.n_jobs,
-            ),
-            physical,
+            parts_of(predicting, restriction),
+            model,
             measurement,
             screening=DifferentialEvolution(**asdict(profile.screening)),
             polishing=LeastSquaresTRF(max_calls=profile.polish.max_calls, ftol=profile.polish.ftol),
@@ -159,24 +168,31 @@ def calibrate(
             n_train=n_train,
             n_validation=profile.data.n_validation,
             n_test=profile.data.n_test,
-            prior=prior_of(study.case),
+            prior=Prior.of(model.parameter_space, measurement),
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
-    validated, simulated = validate_calibration(
-        study, {"screened": result.theta_screened, "polished": result.theta}
-    )
-    numbers = result.to_dict() | validated | prior_numbers(study.case, result.theta)
+    theta, screened = model.complete(result.theta), model.complete(result.theta_screened)
+    n_left = profile.polish.max_calls - result.ledger.n_polish
+    told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
+    n_before = 0 if restriction is None else restriction.n_calls
+    validated, simulated = validate_calibration(study, {"screened": screened, "polished": theta})
+    numbers = result.to_dict() | validated | prior_numbers(study.case, theta) | told
+    numbers |= {
+        "theta": dict(zip(space.names, theta.tolist(), strict=True)),
+        "theta_screened": dict(zip(space.names, screened.tolist(), strict=True)),
+        "ledger": replace(result.ledger, n_relevance=n_before + n_checks).to_dict(),
+    }
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
     arrays = {
         "time": measurement.time,
         "measured": measurement.y,
-        "theta": result.theta,
-        "theta_screened": result.theta_screened,
+        "theta": theta,
+        "theta_screened": screened,
         "y_surrogate": result.y_surrogate,
         "y_screened": result.y_screened,
         "y_polished": result.y_polished,
-        "history_calls": result.polish_history.n_calls,
+        "history_calls": result.polish_history.n_calls + n_before,
         "history_mse": result.polish_history.best_mse,
         **simulated,
     }
@@ -196,12 +212,15 @@ def _head(study: Study, champion: ChampionInfo) -> dict[str, Any]:
     }
 
 
-def _recipe(study: Study, champion: ChampionInfo) -> Recipe:
+def _recipe(study: Study, champion: ChampionInfo, restriction: Restriction | None) -> Recipe:
     """Return what rebuilds a calibration, its surrogate included."""
+    more = {} if restriction is None else {"restriction": restriction.to_dict()}
     return recipe_of(
         study,
         "calibration",
-        command="studies calibrate",
+        command="studies calibrate"
+        + ("" if restriction is None else f" --most-relevant {restriction.n_free}"),
+        **more,
         n_train=champion.n_train,
         datasets=datasets_of(study.profile, champion.n_train, champion.digests),
         surrogate={
@@ -234,55 +253,7 @@ def _is_usable(study: Study, n_train: int) -> bool:
     return True
 
 
-def show_calibrations(study: Study, outcomes: list[Outcome], target: float | None) -> None:
-    """Print one row per training-set size, as the paper's Table 4, and what it cost."""
-    titles = ["n_train", "MAE val", "MAE test", "MSE surrogate", "MSE screened", "gap"]
-    titles += ["polish calls", "final MSE", "calls (paper)", "calls (all)"]
-    columns = [Column(title, True) for title in titles]
-    if target is not None:
-        columns.append(Column(f"calls to {target:g}", True))
-    rows = []
-    for outcome in outcomes:
-        found = outcome.summary
-        errors, ledger = found["surrogate_errors"], found["ledger"]
-        row = [
-            found["n_train"],
-            f"{errors['val/mae']:.3f}",
-            f"{errors['test/mae']:.3f}",
-            _mse(found["mse_surrogate"]),
-            _mse(found["mse_screened"]),
-            _mse(found["screening_gap"]),
-            ledger["n_polish"],
-            _mse(found["mse_polished"]),
-            ledger["total_paper"],
-            ledger["total_honest"],
-        ]
-        if target is not None:
-            row.append(calls_to(study, found["n_train"], target) or "not reached")
-        rows.append(row)
-    unit = difference_unit(study.case.outputs[0].unit)
-    units = f"MAE of the surrogate in {unit}; MSE in {squared(unit)}; " if unit else ""
-    study.console.table(
-        f"{study.label}: calibration ({units}MSE screened and final by the FMU)", columns, rows
-    )
-    show_validation(study, outcomes)
-    if study.case.note:
-        study.console.result(f"Note: {study.case.note}")
-
-
-def calls_to(study: Study, n_train: int, target: float) -> int | None:
-    """Return the calls (training, screening check, polish) after which the error was at most the target."""
-    from studies.calibration import History
-
-    arrays = read_arrays(calibration_files(study, n_train).arrays)
-    return History(arrays["history_calls"], arrays["history_mse"]).calls_to(target)
-
-
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
     """Write an .npz file in one step."""
     with whole_file(file) as stream:
         np.savez_compressed(stream, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
-
-
-def _mse(value: float | None) -> str:
-    return "failed" if value is None else f"{value:.4f}"

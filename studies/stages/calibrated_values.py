@@ -1,4 +1,4 @@
-"""The answer itself on the terminal: what the parameters are after calibration, and which lie at a bound."""
+"""What the terminal says of calibrations from surrogates: errors, costs, and the calibrated parameters."""
 
 import math
 from collections.abc import Mapping
@@ -7,13 +7,60 @@ from typing import Any
 import numpy as np
 
 from studies.console import Column
+from studies.report.wording import difference_unit, squared
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
-from studies.stages.results import calibration_files, read_arrays
+from studies.stages.restriction import show_restriction
+from studies.stages.results import calibration_files, n_free_of, read_arrays
+from studies.stages.validation import show_validation
 
 AT_BOUND = 0.01
 """Closer to a bound than this share of the range, in the calibration's coordinates, is at the bound."""
+
+
+def show_calibrations(study: Study, outcomes: list[Outcome], target: float | None) -> None:
+    """Print one row per training-set size, as the paper's Table 4, and what it cost."""
+    titles = ["n_train", "MAE val", "MAE test", "MSE surrogate", "MSE screened", "gap"]
+    titles += ["polish calls", "final MSE", "calls (paper)", "calls (all)"]
+    columns = [Column(title, True) for title in titles]
+    if target is not None:
+        columns.append(Column(f"calls to {target:g}", True))
+    rows = []
+    for outcome in outcomes:
+        found = outcome.summary
+        errors, ledger = found["surrogate_errors"], found["ledger"]
+        row = [
+            found["n_train"],
+            f"{errors['val/mae']:.3f}",
+            f"{errors['test/mae']:.3f}",
+            _mse(found["mse_surrogate"]),
+            _mse(found["mse_screened"]),
+            _mse(found["screening_gap"]),
+            ledger["n_polish"],
+            _mse(found["mse_polished"]),
+            ledger["total_paper"],
+            ledger["total_honest"],
+        ]
+        if target is not None:
+            row.append(calls_to(study, found["n_train"], target, n_free_of(found)) or "not reached")
+        rows.append(row)
+    unit = difference_unit(study.case.outputs[0].unit)
+    units = f"MAE of the surrogate in {unit}; MSE in {squared(unit)}; " if unit else ""
+    study.console.table(
+        f"{study.label}: calibration ({units}MSE screened and final by the FMU)", columns, rows
+    )
+    show_validation(study, outcomes)
+    if study.case.note:
+        study.console.result(f"Note: {study.case.note}")
+
+
+def calls_to(study: Study, n_train: int, target: float, n_free: int | None = None) -> int | None:
+    """Return the calls (training, screening check, polish) after which the error was at most the target."""
+    from studies.calibration import History
+
+    arrays = read_arrays(calibration_files(study, n_train, n_free).arrays)
+    return History(arrays["history_calls"], arrays["history_mse"]).calls_to(target)
 
 
 def show_values(study: Study, outcomes: list[Outcome]) -> None:
@@ -24,6 +71,7 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
     best = min(finished, key=lambda summary: float(summary["mse_polished"]))
     show_parameters(study, best["theta"], f"n_train = {best['n_train']}")
     show_prior(study, best, f"n_train = {best['n_train']}")
+    show_restriction(study, best, f"n_train = {best['n_train']}")
     show_guideline(study, judged_values(study, best))
 
 
@@ -34,7 +82,7 @@ def judged_values(study: Study, found: Mapping[str, Any]) -> Periods:
         study: the study.
         found: its numbers.
     """
-    y = read_arrays(calibration_files(study, found["n_train"]).arrays)["y_polished"]
+    y = read_arrays(calibration_files(study, found["n_train"], n_free_of(found)).arrays)["y_polished"]
     return judge_calibration(study.case, y, found) if np.isfinite(y).all() else {}
 
 
@@ -78,3 +126,7 @@ def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
 def _error(outcome: Outcome) -> float:
     error = outcome.summary["mse_polished"]
     return math.inf if error is None else float(error)
+
+
+def _mse(value: float | None) -> str:
+    return "failed" if value is None else f"{value:.4f}"

@@ -105,6 +105,22 @@ def show_prior(study: Study, found: Mapping[str, Any], how: str) -> None:
     )
 
 
+def known_before(numbers: Mapping[str, Any]) -> tuple[str, ...]:
+    """Say what was known of each parameter or decided about it, "" for nothing; empty where of none."""
+    held = numbers.get("prior", {}).get("parameters", {})
+    fixed = numbers.get("restriction", {}).get("fixed", {})
+    if not held and not fixed:
+        return ()
+    return tuple(
+        f"fixed at {numbers['restriction']['why'][name]}"
+        if name in fixed
+        else f"prior {told_belief(held[name])}, moved by {held[name]['moved_deviations']:+.2f} of it"
+        if name in held
+        else ""
+        for name in numbers["theta"]
+    )
+
+
 def told_belief(one: Mapping[str, float]) -> str:
     """Say what is known of a parameter, e.g. `0.7 ×/÷ 1.5` or `290 ± 2`."""
     if "within_factor" in one:

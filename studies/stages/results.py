@@ -2,7 +2,7 @@
 
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from studies.report.records import (
     SensitivityRecord,
 )
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
+from studies.stages.knowledge import known_before
 from studies.stages.pipeline import Study, read_json
 
 if TYPE_CHECKING:
@@ -69,24 +70,39 @@ class StoredCalibration:
         return self.files.numbers.stem.removeprefix("calibration-")
 
     @property
+    def is_adaptive(self) -> bool:
+        """Whether it needed no surrogate."""
+        return bool(self.numbers.get("method") == ADAPTIVE)
+
+    @property
     def mse(self) -> float:
         """Its final error, infinite where it failed. [first output's unit squared]."""
-        return _number(self.numbers["mse" if self.name == ADAPTIVE else "mse_polished"])
+        return _number(self.numbers["mse" if self.is_adaptive else "mse_polished"])
 
     @property
     def point(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The calibrated parameters, shape (p,), and what the model answered there, shape (t, k)."""
-        return self.arrays["theta"], self.arrays["y" if self.name == ADAPTIVE else "y_polished"]
+        return self.arrays["theta"], self.arrays["y" if self.is_adaptive else "y_polished"]
 
 
-def calibration_files(study: Study, n_train: int) -> CalibrationFiles:
-    """Return the files of a calibration."""
-    return _files(study, size_name(n_train))
+def calibration_files(study: Study, n_train: int, n_free: int | None = None) -> CalibrationFiles:
+    """Return the files of a calibration, of the `n_free` most relevant parameters or of all."""
+    return _files(study, size_name(n_train) + restricted(n_free))
 
 
-def adaptive_files(study: Study) -> CalibrationFiles:
-    """Return the files of the adaptive calibration."""
-    return _files(study, ADAPTIVE)
+def adaptive_files(study: Study, n_free: int | None = None) -> CalibrationFiles:
+    """Return the files of the adaptive calibration, of the `n_free` most relevant parameters or of all."""
+    return _files(study, ADAPTIVE + restricted(n_free))
+
+
+def restricted(n_free: int | None) -> str:
+    """Return what the names of a restricted calibration end with, "" for one of all parameters."""
+    return "" if n_free is None else f"-relevant{n_free}"
+
+
+def n_free_of(numbers: Mapping[str, Any]) -> int | None:
+    """Return how many parameters a calibration was restricted to, None for all."""
+    return numbers["restriction"]["n_free"] if "restriction" in numbers else None
 
 
 def _files(study: Study, name: str) -> CalibrationFiles:
@@ -143,7 +159,7 @@ def parameter_box(case: Case) -> ParameterBox:
 def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
     """Return a calibration as a record."""
     numbers, arrays = stored.numbers, stored.arrays
-    if numbers.get("method") == ADAPTIVE:
+    if stored.is_adaptive:
         return _adaptive_record(stored)
     ledger, errors = numbers["ledger"], numbers["surrogate_errors"]
     return CalibrationRecord(
@@ -166,6 +182,9 @@ def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
         test_p90=errors["test/p90"],
         stop_reason=numbers["polish_stop_reason"],
         surrogate=f"trial {numbers['surrogate']['trial']} of {numbers['surrogate']['study']}",
+        n_relevance=ledger.get("n_relevance", 0),
+        n_free=n_free_of(numbers),
+        knowledge=known_before(numbers),
     )
 
 
@@ -191,6 +210,9 @@ def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
         stop_reason=numbers["stop_reason"],
         method="adaptive",
         n_adaptive=numbers["ledger"]["n_adaptive"],
+        n_relevance=numbers["ledger"].get("n_relevance", 0),
+        n_free=n_free_of(numbers),
+        knowledge=known_before(numbers),
     )
 
 
@@ -204,6 +226,7 @@ def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord
     measured = replace(measured_series(case), measurement=case.validation.measurement.from_first_sample)
     return ValidationRecord(
         n_train=stored.numbers["n_train"],
+        n_free=n_free_of(stored.numbers),
         period_d=case.validation.window_d,
         measurement=measured,
         y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.paths import ProjectPaths, size_name
+from studies.paths import ProjectPaths
 from studies.recipe import Recipe, memory_tags
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Study, Summary
@@ -40,7 +40,7 @@ def log_calibration(
     run = StageRun(
         label=study.label,
         kind="calibration",
-        name=f"{size_name(n_train)} calibration",
+        name=f"{stored.name} calibration",
         key=digest,
         params={
             "n_train": n_train,
@@ -86,7 +86,7 @@ def log_adaptive(
     run = StageRun(
         label=study.label,
         kind="calibration",
-        name="adaptive calibration",
+        name=f"{stored.name} calibration",
         key=digest,
         params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
         metrics={"mse/calibrated": numbers["mse"], "calls/rounds": numbers["n_rounds"]},

@@ -1,0 +1,72 @@
+"""What the terminal says of an adaptive calibration."""
+
+from simulation.time_unit import told_period
+from studies.calibration.recorder import History
+from studies.console import format_seconds
+from studies.report.wording import count, difference_unit, percent, quantity, squared
+from studies.stages.adaptive import DOUBT
+from studies.stages.calibrated_values import show_parameters
+from studies.stages.guideline import Periods, judge_calibration, show_guideline
+from studies.stages.knowledge import show_prior
+from studies.stages.pipeline import Outcome, Study, Summary
+from studies.stages.restriction import show_restriction
+from studies.stages.results import ADAPTIVE, adaptive_files, n_free_of, read_arrays, restricted
+from studies.stages.validation import show_validation
+
+
+def show_adaptive(study: Study, outcome: Outcome) -> None:
+    """Print what was found, why it ended and what it cost."""
+    found, console = outcome.summary, study.console
+    unit = squared(difference_unit(study.case.outputs[0].unit))
+    n_calls, n_free = found["ledger"]["total_paper"], n_free_of(found)
+    how = ADAPTIVE + restricted(n_free)
+    is_parallel = found["settings"]["n_parallel"] > 1
+    rounds = "" if not is_parallel else f" in {count(found['n_rounds'], 'round')}"
+    console.result(
+        f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {count(n_calls, 'model call')}{rounds} "
+        f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
+    )
+    console.result(_fit(study, found))
+    doubtful = found["settings"]["doubtful_mse"]
+    if doubtful is not None and found["mse"] > doubtful:
+        console.result(
+            f"That is more than {DOUBT:g} times the sensor's uncertainty: there may be a deeper valley, or "
+            "the model lacks something; try more --max-calls, another --seed, or studies run"
+        )
+    for known in study.case.references:
+        if known.is_target:
+            reached = calls_to(study, known.mse, n_free)
+            calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
+            console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
+    show_parameters(study, found["theta"], how)
+    show_prior(study, found, how)
+    show_restriction(study, found, how)
+    show_validation(study, [outcome])
+    show_guideline(study, judged_adaptive(study, outcome))
+    if study.case.note:
+        console.result(f"Note: {study.case.note}")
+    console.result(f"Pictures: studies report {study.command}")
+
+
+def judged_adaptive(study: Study, outcome: Outcome) -> Periods:
+    """Judge the calibration by ASHRAE guideline 14."""
+    y = read_arrays(adaptive_files(study, n_free_of(outcome.summary)).arrays)["y"]
+    return judge_calibration(study.case, y, outcome.summary)
+
+
+def calls_to(study: Study, target: float, n_free: int | None = None) -> int | None:
+    """Return the calls after which the error was at most the target. [first output's unit squared]."""
+    arrays = read_arrays(adaptive_files(study, n_free).arrays)
+    return History(arrays["history_calls"], arrays["history_mse"]).calls_to(target)
+
+
+def _fit(study: Study, found: Summary) -> str:
+    parts = []
+    for output in study.case.outputs:
+        fit, unit = found["outputs"][output.name], difference_unit(output.unit)
+        part = f"{output.name} differs by {quantity(fit['rmse'], unit)} (RMS)"
+        if fit["uncertainty"] is not None:
+            sensor = f"±{fit['uncertainty']:g} {unit}".strip()
+            part += f", {percent(fit['share_within'])} of it within the sensor's {sensor}"
+        parts.append(part)
+    return f"On {told_period(study.case.window_d)} {'; '.join(parts)}"

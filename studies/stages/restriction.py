@@ -1,0 +1,254 @@
+"""Calibrating the most relevant parameters alone: what the others are held at, and what that costs."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.errors import InputError
+from simulation.forward_model import ForwardModel
+from simulation.parameters import Parameter
+from simulation.partly_fixed import PartlyFixedModel
+from studies.calibration.adaptive import Adaptive
+from studies.console import Column
+from studies.physical_model import open_physical_model
+from studies.report.wording import MISSING, count, difference_unit, percent, quantity, squared
+from studies.stages.knowledge import prior_of
+from studies.stages.pipeline import Study, digest_of, read_json
+from studies.stages.results import StoredCalibration, stored_calibrations
+
+N_TRAJECTORIES = 4
+"""Of Morris' method: each costs a simulation per parameter and one more."""
+
+
+@dataclass(frozen=True)
+class Restriction:
+    """Which parameters are held at what, and how that was chosen.
+
+    Attributes:
+        n_free: Parameters that are calibrated.
+        fixed: Values of the others by name. [per parameter]
+        why: Where each of these comes from, in words.
+        shares: Each parameter's share in what varies; None where it is not known. [1]
+        source: "Sobol" or "Morris".
+        n_calls: Rows asked of the model for this calibration to find that out.
+        n_calls_before: Rows that the stored Sobol indices had cost before.
+    """
+
+    n_free: int
+    fixed: Mapping[str, float]
+    why: Mapping[str, str]
+    shares: Mapping[str, float | None]
+    source: str
+    n_calls: int
+    n_calls_before: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values; `Restriction(**values)` is the same again."""
+        return asdict(self)
+
+
+def checked_size(case: Case, n_free: int) -> int:
+    """Return how many parameters are to be calibrated.
+
+    Raises:
+        InputError: Nothing would be fixed.
+    """
+    p = case.parameter_space.n_parameters
+    if n_free >= p:
+        raise InputError(
+            f"--most-relevant {n_free} fixes nothing, {case.name} has {count(p, 'parameter')}; give at most "
+            f"{p - 1}, or leave it away"
+        )
+    return n_free
+
+
+def calls_for_relevance(study: Study) -> int:
+    """Return the rows that finding out the relevance will be counted with: none where Sobol indices lie."""
+    return 0 if _sobol_digest(study) else N_TRAJECTORIES * (study.case.parameter_space.n_parameters + 1)
+
+
+def calls_for_check(case: Case, settings: Adaptive, restriction: Restriction | None) -> int:
+    """Return the rows that are kept back for a check of what the fixing cost: none where few are left."""
+    if restriction is None:
+        return 0
+    n_check = case.parameter_space.n_parameters + 1
+    n_left = settings.max_calls - restriction.n_calls - n_check
+    return n_check if n_left >= 2 * settings.design_size(restriction.n_free) else 0
+
+
+def told_kept(converged: bool, max_calls: int, n_kept: int) -> str:
+    """Say where the rest of a spent budget went; "" where it is not spent or went nowhere else."""
+    if converged or not n_kept:
+        return ""
+    return f" ({n_kept} of {count(max_calls, 'call')} find and check what is relevant)"
+
+
+def restriction_inputs(study: Study, n_free: int | None) -> dict[str, Any]:
+    """Return what a restricted calibration depends on beyond the case; empty without a restriction."""
+    if n_free is None:
+        return {}
+    held = {one.name: held_at(one)[0] for one in study.case.parameter_space.parameters}
+    known = _sobol_digest(study) or digest_of({"n_trajectories": N_TRAJECTORIES})
+    return {"restriction": {"n_free": n_free, "relevance": known, "held_at": held}}
+
+
+def held_at(parameter: Parameter) -> tuple[float, str]:
+    """Return what a parameter is held at, and where that comes from."""
+    if parameter.prior is not None:
+        return parameter.prior.centre, "its prior"
+    if parameter.estimate is not None:
+        return parameter.estimate, "its estimate"
+    is_log = parameter.scale == "log"
+    middle = (
+        np.sqrt(parameter.lower * parameter.upper) if is_log else (parameter.lower + parameter.upper) / 2.0
+    )
+    return float(middle), "the middle of its bounds"
+
+
+def find_restriction(study: Study, n_free: int) -> Restriction:
+    """Find the most relevant parameters, by stored Sobol indices or else by Morris' method on the FMU.
+
+    Args:
+        study: the study.
+        n_free: how many are calibrated.
+    """
+    from studies.calibration.problem import CalibrationProblem
+    from studies.relevance import morris_relevance, sobol_relevance
+    from studies.sensitivity import SobolIndices
+
+    case = study.case
+    if _sobol_digest(study):
+        indices = SobolIndices.load(study.results / "sensitivity.npz")
+        found, n_calls, n_before = sobol_relevance(indices, case.measurement), 0, indices.n_calls
+    else:
+        with open_physical_model(study) as physical:
+            problem = CalibrationProblem(physical, case.measurement)
+            found = morris_relevance(problem, n_trajectories=N_TRAJECTORIES, seed=study.profile.seed)
+        n_calls, n_before = found.n_calls, 0
+    free = found.most(n_free)
+    parameters = [one for one in case.parameter_space.parameters if one.name not in free]
+    return Restriction(
+        n_free=n_free,
+        fixed={one.name: held_at(one)[0] for one in parameters},
+        why={one.name: held_at(one)[1] for one in parameters},
+        shares={
+            name: float(share) if np.isfinite(share) else None
+            for name, share in zip(found.names, found.shares, strict=True)
+        },
+        source=found.source,
+        n_calls=n_calls,
+        n_calls_before=n_before,
+    )
+
+
+def restriction_numbers(
+    study: Study, restriction: Restriction | None, theta: FloatArray, *, n_calls_left: int
+) -> tuple[dict[str, Any], int]:
+    """Return what a restricted calibration's numbers say of it, and the rows that its check asked.
+
+    Args:
+        study: the study.
+        restriction: the restriction, None for none.
+        theta: the calibrated point. Shape (p,). [per parameter]
+        n_calls_left: rows that the budget still holds for a check of what the fixing cost.
+    """
+    if restriction is None:
+        return {}, 0
+    from studies.calibration.freeing import freeing
+    from studies.calibration.problem import CalibrationProblem
+
+    space = study.case.parameter_space
+    check: dict[str, Any] | None = None
+    if n_calls_left > space.n_parameters:
+        is_free = np.array([name not in restriction.fixed for name in space.names])
+        with open_physical_model(study) as physical:
+            problem = CalibrationProblem(physical, study.case.measurement, prior_of(study.case))
+            found = freeing(problem, space.to_unit(theta), is_free)
+        alone = dict(zip(space.names, found.gain_alone.tolist(), strict=True))
+        check = {
+            "gain": found.gain,
+            "gain_alone": {name: alone[name] for name in restriction.fixed},
+            "n_calls": found.n_calls,
+        }
+    content = {**restriction.to_dict(), "check": check}
+    return {"restriction": content}, 0 if check is None else check["n_calls"]
+
+
+def parts_of(model: ForwardModel, restriction: Restriction | None) -> PartlyFixedModel:
+    """Return a model that is asked the free parameters alone: all of them without a restriction."""
+    return PartlyFixedModel(model, restriction.fixed if restriction is not None else {})
+
+
+def unrestricted(study: Study, found: Mapping[str, Any]) -> StoredCalibration | None:
+    """Return the stored calibration of all parameters by the same method, None where there is none."""
+    wanted = found.get("method"), found["n_train"]
+    for stored in stored_calibrations(study):
+        numbers = stored.numbers
+        if "restriction" not in numbers and (numbers.get("method"), numbers["n_train"]) == wanted:
+            return stored
+    return None
+
+
+def show_restriction(study: Study, found: Mapping[str, Any], how: str) -> None:
+    """Print what was fixed and what that cost; nothing for a calibration of all parameters.
+
+    Args:
+        study: the study.
+        found: the calibration's numbers.
+        how: how it was found, in a word.
+    """
+    if "restriction" not in found:
+        return
+    told, console = found["restriction"], study.console
+    check = told["check"]
+    rows = []
+    for one in study.case.parameter_space.parameters:
+        if one.name not in told["fixed"]:
+            continue
+        share = told["shares"][one.name]
+        alone = MISSING if check is None else percent(check["gain_alone"][one.name])
+        shown = MISSING if share is None else percent(share)
+        rows.append(
+            [one.name, one.unit, f"{told['fixed'][one.name]:.6g}", told["why"][one.name], shown, alone]
+        )
+    columns = [Column("parameter"), Column("unit"), Column("fixed at", True), Column("which is")]
+    columns += [Column("share", True), Column("gain if free", True)]
+    console.table(f"{study.label}: parameters fixed as least relevant ({how})", columns, rows)
+    told_cost = (
+        f"counted: {count(told['n_calls'], 'call')} for Morris' elementary effects"
+        if told["source"] == "Morris"
+        else f"not counted: the stored Sobol indices had cost {count(told['n_calls_before'], 'call')}"
+    )
+    console.result(f"Relevance by {told['source']}, {told_cost}")
+    console.result(_cost(study, found, check))
+
+
+def _cost(study: Study, found: Mapping[str, Any], check: Mapping[str, Any] | None) -> str:
+    unit = squared(difference_unit(study.case.outputs[0].unit))
+    whole = unrestricted(study, found)
+    parts = []
+    if whole is not None:
+        mse = found["mse"] if "mse" in found else found["mse_polished"]
+        parts.append(
+            f"the MSE is {mse / whole.mse:.3g} times the {quantity(whole.mse, unit)} of the stored "
+            f"calibration of all parameters ({count(whole.numbers['ledger']['total_paper'], 'call')})"
+        )
+    if check is not None:
+        parts.append(
+            f"freed, they would gain {percent(check['gain'])} of the error within a tenth of their ranges, "
+            f"by differences at the optimum ({count(check['n_calls'], 'call')}, counted)"
+        )
+    return f"What the fixing cost: {'; '.join(parts) or 'not known, the budget held no check of it'}"
+
+
+def _sobol_digest(study: Study) -> str:
+    """Return the digest of stored Sobol indices of this case, "" where there are none."""
+    manifest = read_json(study.results / "sensitivity.json")
+    is_there = manifest is not None and manifest["inputs"]["case"] == study.case.digest
+    if manifest is None or not is_there or not (study.results / "sensitivity.npz").is_file():
+        return ""
+    return str(manifest["digest"])
