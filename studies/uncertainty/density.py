@@ -1,7 +1,7 @@
 """How probable parameters are: by the model, and as a Gaussian process of its residuals expects it.
 
 A process predicts a mean residual vector r and a covariance v(u) S of it: one variance v at a point, shared
-by all residuals, times how these vary together. The likelihood that is expected of it, in S's eigenvectors, is
+by all residuals, times how these vary together. In S's eigenvectors the likelihood that is expected is
 
     E[exp(-|r|² / (2 s²))] = prod_i (1 + v S_i / s²)^(-1/2) exp(-r_i² / (2 (s² + v S_i))),
 

@@ -1,6 +1,6 @@
 """How often 90 % intervals hold the truth: calibrations of synthetic measurements whose truth is known.
 
-Run `python tests/benchmarks/coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every truth is
+Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every truth is
 drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the sensor's
 uncertainty that follows itself with correlation rho from sample to sample, calibrated without an initial
 guess (adaptive), and judged by `assess`. Every run is kept in the JSON file as soon as it ends and not
@@ -101,7 +101,7 @@ def main() -> None:
     parser.add_argument("--noise", choices=NOISE_KINDS, default="correlated", help="what it is taken for")
     parser.add_argument("--max-calls", type=int, default=100, help="of each assessment")
     parser.add_argument("--calibration-calls", type=int, default=100)
-    parser.add_argument("--json", type=Path, default=ROOT / "mlruns" / "benchmarks" / "coverage.json")
+    parser.add_argument("--json", type=Path, default=ROOT / "mlruns" / "benchmarks" / "interval_coverage.json")
     options = parser.parse_args()
     kept: dict[str, Any] = json.loads(options.json.read_text()) if options.json.is_file() else {}
     case = load_case(ROOT / "fmus" / options.case)
