@@ -144,10 +144,12 @@ def convergence_caption(calibration: CalibrationRecord, unit: str) -> str:
     n_start, start = int(c.history_calls[0]), float(c.history_mse[0])
     ended = f"; it ended because {c.stop_reason}" if c.stop_reason else ""
     found = f"found {quantity(start, unit)}" if math.isfinite(start) else "could not be simulated"
-    return (
-        f"The first design of {count(n_start, 'simulation')} {found}; "
-        f"{count(c.n_adaptive - n_start, 'call')} after it ended at {quantity(c.mse_polished, unit)}{ended}."
-    )
+    before = f"The first design of {count(n_start, 'simulation')}"
+    if c.n_free is not None:
+        before = f"The first {count(n_start, 'simulation')}, the search for relevant parameters included,"
+    n_after = int(c.history_calls[-1]) - n_start
+    end = quantity(c.mse_polished, unit)
+    return f"{before} {found}; {count(n_after, 'call')} after it ended at {end}{ended}."
 
 
 def overview_caption(calibrations: tuple[CalibrationRecord, ...], unit: str) -> str:

@@ -16,6 +16,7 @@ from studies.stages.results import (
     calibration_record,
     coverage_set,
     measured_series,
+    n_free_of,
     parameter_box,
     sensitivity_record,
     stored_calibrations,
@@ -109,9 +110,9 @@ def _report_data(study: Study) -> ReportData:
 def _provenance(study: Study) -> Provenance:
     profile, case = study.profile, study.case
     methods = [stored.numbers for stored in stored_calibrations(study)]
-    adaptive = next((found["settings"] for found in methods if found.get("method") == ADAPTIVE), None)
+    adaptive = next((found for found in methods if found.get("method") == ADAPTIVE), None)
     commands = [f"studies ui  # {study.label} in MLflow"]
-    if len(methods) > (adaptive is not None):
+    if any(found.get("method") != ADAPTIVE for found in methods):
         commands.insert(0, f"studies run {study.command}")
     if adaptive is not None:
         commands.insert(0, _adaptive_command(study, adaptive))
@@ -128,7 +129,7 @@ def _provenance(study: Study) -> Provenance:
             ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
             ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
             ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
-            *([("adaptive", _told(adaptive))] if adaptive is not None else []),
+            *([("adaptive", _told(adaptive["settings"]))] if adaptive is not None else []),
         ),
         digests=(
             ("case", case.digest),
@@ -139,12 +140,15 @@ def _provenance(study: Study) -> Provenance:
     )
 
 
-def _adaptive_command(study: Study, settings: dict[str, Any]) -> str:
+def _adaptive_command(study: Study, found: dict[str, Any]) -> str:
+    settings, n_free = found["settings"], n_free_of(found)
     words = f"studies calibrate {study.command} --method adaptive --max-calls {settings['max_calls']}"
     if settings["n_parallel"] > 1:
         words += f" --parallel {settings['n_parallel']}"
     if settings["target_mse"] is not None:
         words += f" --target {settings['target_mse']:g}"
+    if n_free is not None:
+        words += f" --most-relevant {n_free}"
     return words
 
 
