@@ -2,7 +2,8 @@
 
 A few rows fill the box; from then on each round fits a Gaussian process to the residuals of all rows, walks
 downhill on the error that it expects inside a trust region around the best row, and simulates that point. No
-row is spent on differences, validation or a test: the process is its own Jacobian and its own check.
+row is spent on differences, validation or a test: the process is its own Jacobian and its own check. Where
+the rows explain too little, the search looks at the beginning of the trajectories first (horizon.py).
 """
 
 from dataclasses import dataclass

@@ -8,6 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import descend
+from studies.calibration.horizon import LOST, UNDERSTOOD, Horizon
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features, ResidualProcess
@@ -53,6 +54,9 @@ class AdaptiveSearch:
         self._u = np.empty((0, p))
         self._objective = np.empty(0)
         self._residuals = np.empty((0, 0))
+        self._penalty = np.empty(0)
+        self._horizon = Horizon(problem.measurement)
+        self._is_judged = False
         self._hyper: FloatArray | None = None
         self._radius = settings.radius
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
@@ -78,12 +82,47 @@ class AdaptiveSearch:
             if np.isfinite(self._objective).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
+            self._look_as_far_as_understood()
             if self._leg_is_over():
+                if not self._horizon.is_whole and self._is_home and self._n_elsewhere >= settings.n_elsewhere:
+                    self._look_further()
+                    continue
                 is_done = self._n_elsewhere >= settings.n_elsewhere and not self._is_doubtful
                 if self._is_home and is_done and self._idle:
                     return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
                 self._turn()
             self._step()
+
+    def _look_as_far_as_understood(self) -> None:
+        """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
+        n_judged = 2 * self._settings.design_size(self._p)
+        if not self._is_judged and self._objective.size >= n_judged:
+            self._is_judged = True
+            if self._unexplained > LOST:
+                self._horizon.shorten()
+                self._begin_again()
+        while not self._horizon.is_whole and self._unexplained <= UNDERSTOOD:
+            self._look_further()
+
+    def _look_further(self) -> None:
+        """Lengthen the horizon and go on from the row that is best then."""
+        self._horizon.lengthen()
+        self._begin_again()
+
+    def _begin_again(self) -> None:
+        """Judge all rows by the present horizon and begin a leg at the best."""
+        self._judge()
+        self._first, self._leg, self._idle, self._n_elsewhere = 0, [], 0, 0
+        self._radius = self._settings.radius
+
+    def _judge(self) -> None:
+        error = np.mean(self._horizon.seen(self._residuals) ** 2, axis=1)
+        self._objective = np.where(np.isfinite(self._penalty), error + self._penalty, np.inf)
+
+    @property
+    def _unexplained(self) -> float:
+        """Share of a measured variance that the best row leaves unexplained. [1]."""
+        return self._horizon.unexplained(self._residuals[int(np.argmin(self._objective))])
 
     def _step(self) -> None:
         """Make one round of a leg."""
@@ -149,13 +188,19 @@ class AdaptiveSearch:
         answer = self._recorder.evaluate(u[: max(left, 1)])
         self.n_rounds += 1
         self._u = np.concatenate([self._u, answer.u])
-        earlier = self._residuals.reshape(self._objective.size, answer.residuals.shape[1])
+        earlier = self._residuals.reshape(self._penalty.size, answer.residuals.shape[1])
         self._residuals = np.concatenate([earlier, answer.residuals])
-        self._objective = np.concatenate([self._objective, answer.objective])
+        penalty = np.full(answer.n, np.inf)
+        good = np.isfinite(answer.mse)
+        penalty[good] = answer.objective[good] - answer.mse[good]
+        self._penalty = np.concatenate([self._penalty, penalty])
+        self._judge()
 
     def _fit(self) -> ResidualProcess:
         good = np.isfinite(self._objective)
-        process = ResidualProcess.fit(self._features, self._u[good], self._residuals[good], self._hyper)
+        process = ResidualProcess.fit(
+            self._features, self._u[good], self._horizon.seen(self._residuals[good]), self._hyper
+        )
         self._hyper = process.hyper
         return process
 

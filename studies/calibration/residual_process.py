@@ -8,8 +8,9 @@ as in Gauss-Newton's method. All residuals share one kernel over features x of t
 with one length L_i per feature and a linear part <., .>_L in the same lengths: far from the data the process
 goes on as a linear model instead of falling back to its mean. The features are the coordinates of the cube
 and, for logarithmic parameters, the linear coordinate too: some effects are proportional to a parameter,
-others to its logarithm, and the lengths say which. Lengths, slope a and noise are the most probable ones; the
-amplitude is profiled out. Cost: n³ for n points, whatever the number of residuals.
+others to its logarithm, and the lengths say which. A row's noise is relative to its own residuals. Lengths,
+slope a and noise are the most probable ones; the amplitude is profiled out. Cost: n³ for n points,
+whatever the number of residuals.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,10 @@ CONSTANT = 10.0
 # Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
 LENGTH_PRIOR = (np.log(1.5), 1.0)
 SLOPE_PRIOR = (np.log(1.0), 1.0)
-NOISE_PRIOR = (np.log(1e-3), 0.5)
+# Noise of a row relative to its own residuals.
+NOISE_PRIOR = (np.log(1e-2), 0.5)
+# Rows this much closer to the measurement than the rows are to each other count alike. [squared]
+LEAST_LOOSENESS = 1e-8
 LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
 SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
 NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
@@ -145,8 +149,10 @@ class ResidualProcess:
         level = basis.T @ residuals[best]
         outside = max(float((residuals[best] ** 2).sum() - (level**2).sum()), 0.0)
         x = features.at(u)
-        hyper = _most_probable(x, values @ values.T, first_guess)
-        inverse_factor = _inverse_factor(_Kernel.of(x, hyper).matrix)
+        gram = values @ values.T
+        looseness = _looseness(residuals, gram)
+        hyper = _most_probable(x, gram, looseness, first_guess)
+        inverse_factor = _inverse_factor(_Kernel.of(x, hyper, looseness).matrix)
         coefficients = inverse_factor.T @ (inverse_factor @ values)
         variance = float((values * coefficients).sum()) / (n * m)
         return cls(features, x, hyper, inverse_factor, coefficients, level, outside, variance, m)
@@ -188,7 +194,7 @@ class _Kernel:
     linear: FloatArray
 
     @classmethod
-    def of(cls, x: FloatArray, hyper: FloatArray) -> "_Kernel":
+    def of(cls, x: FloatArray, hyper: FloatArray, looseness: FloatArray) -> "_Kernel":
         scaled = x * np.exp(-hyper[:-2])
         products = scaled @ scaled.T
         squares = np.diag(products)
@@ -196,11 +202,26 @@ class _Kernel:
         bumps = np.exp(-0.5 * distances)
         linear = np.exp(2.0 * hyper[-2]) * products
         matrix = CONSTANT + bumps + linear
-        noise = np.exp(2.0 * hyper[-1]) + JITTER * float(np.trace(matrix))
-        return cls(matrix + noise * np.eye(len(x)), bumps, linear)
+        noise = np.exp(2.0 * hyper[-1]) * looseness + JITTER * float(np.trace(matrix))
+        return cls(matrix + np.diag(noise), bumps, linear)
 
 
-def _most_probable(x: FloatArray, gram: FloatArray, first_guess: FloatArray | None) -> FloatArray:
+def _looseness(residuals: FloatArray, gram: FloatArray) -> FloatArray:
+    """Return the factors of the rows' noise variances. Shape (n,). [1].
+
+    Of a row far from the measurement the process need only know that it is far; near it, small differences
+    decide.
+    """
+    squares = (residuals**2).sum(axis=1)
+    size = float(np.trace(gram)) / len(gram)
+    if size <= 0.0:
+        return np.ones(len(gram))
+    return np.asarray(np.maximum(squares / size, LEAST_LOOSENESS), dtype=np.float64)
+
+
+def _most_probable(
+    x: FloatArray, gram: FloatArray, looseness: FloatArray, first_guess: FloatArray | None
+) -> FloatArray:
     """Return the hyperparameters that maximize the profiled likelihood times the priors. Shape (f + 2,)."""
     n, f = x.shape
     mean = np.array([LENGTH_PRIOR[0]] * f + [SLOPE_PRIOR[0], NOISE_PRIOR[0]])
@@ -211,7 +232,7 @@ def _most_probable(x: FloatArray, gram: FloatArray, first_guess: FloatArray | No
     gram = gram * (n / total)
 
     def loss(hyper: FloatArray) -> tuple[float, FloatArray]:
-        value, gradient = _negative_log_likelihood(x, gram, hyper)
+        value, gradient = _negative_log_likelihood(x, gram, looseness, hyper)
         step = (hyper - mean) / deviation
         return value + 0.5 * float(step @ step), gradient + step / deviation
 
@@ -226,10 +247,12 @@ def _most_probable(x: FloatArray, gram: FloatArray, first_guess: FloatArray | No
     return np.asarray(np.round(found.x, FIT_DECIMALS), dtype=np.float64)
 
 
-def _negative_log_likelihood(x: FloatArray, gram: FloatArray, hyper: FloatArray) -> tuple[float, FloatArray]:
+def _negative_log_likelihood(
+    x: FloatArray, gram: FloatArray, looseness: FloatArray, hyper: FloatArray
+) -> tuple[float, FloatArray]:
     """Return -log p of the residuals' Gram matrix, amplitude profiled out, and its gradient."""
     n = len(x)
-    kernel = _Kernel.of(x, hyper)
+    kernel = _Kernel.of(x, hyper, looseness)
     factor = _inverse_factor(kernel.matrix)
     inverse = factor.T @ factor
     explained = inverse @ gram
@@ -242,7 +265,7 @@ def _negative_log_likelihood(x: FloatArray, gram: FloatArray, hyper: FloatArray)
     mixed = (bumps + np.exp(2.0 * hyper[-2]) * slopes) @ x
     gradient[:-2] = 2.0 * np.exp(-2.0 * hyper[:-2]) * (bumps.sum(axis=1) @ (x**2) - (x * mixed).sum(axis=0))
     gradient[-2] = 2.0 * (slopes * kernel.linear).sum()
-    gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * np.trace(slopes)
+    gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * (np.diag(slopes) * looseness).sum()
     return value, gradient
 
 

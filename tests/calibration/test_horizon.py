@@ -1,0 +1,90 @@
+"""The horizon of an adaptive calibration: what is seen, what counts as explained, and a frequency found."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from problems_for_tests import TwoOutputs, problem_on
+
+from simulation.arrays import FloatArray
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.trajectories import Trajectories
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.horizon import SHORTEST, Horizon
+from studies.calibration.problem import CalibrationProblem
+
+TRUE_WAVE = np.array([3.3, 0.7])
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Thirty periods of a sine: its error over the frequency has a valley per period."""
+
+    parameter_space: ParameterSpace = field(
+        default_factory=lambda: ParameterSpace(
+            (Parameter("frequency", 1.0, 6.0), Parameter("amplitude", 0.2, 2.0))
+        )
+    )
+    output_names: tuple[str, ...] = ("wave",)
+    time: FloatArray = field(default_factory=lambda: np.linspace(0.0, 60.0, 400))
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        return Trajectories.checked(
+            theta,
+            (theta[:, 1:] * np.sin(theta[:, :1] * self.time))[:, :, None],
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+        )
+
+
+def wave_problem() -> CalibrationProblem:
+    return problem_on(Wave(), TRUE_WAVE, noise=0.02)
+
+
+def test_all_is_seen_at_first_and_the_beginning_after_shortening() -> None:
+    horizon = Horizon(wave_problem().measurement)
+    residuals = np.arange(800.0).reshape(2, 400)
+    np.testing.assert_array_equal(horizon.seen(residuals), residuals)
+    horizon.shorten()
+    np.testing.assert_array_equal(horizon.seen(residuals), residuals[:, : int(np.ceil(400 * SHORTEST))])
+    n_seen = []
+    while not horizon.is_whole:
+        horizon.lengthen()
+        n_seen.append(horizon.seen(residuals).shape[1])
+    assert n_seen == [25, 50, 100, 200, 400]
+
+
+def test_a_flat_line_at_the_mean_explains_nothing() -> None:
+    problem = wave_problem()
+    measured = problem.measurement.y[:, 0]
+    horizon = Horizon(problem.measurement)
+    assert horizon.unexplained(measured.mean() - measured) == pytest.approx(1.0)
+    assert horizon.unexplained(0.1 * (measured.mean() - measured)) == pytest.approx(0.01)
+
+
+def test_the_worst_explained_output_counts() -> None:
+    problem = problem_on(TwoOutputs(), np.array([0.5, 0.1]), uncertainty=np.array([0.5, 20.0]))
+    y = problem.measurement.y
+    wrong = y.copy()
+    wrong[:, 0] += 2.0 * (y[:, 0].mean() - y[:, 0])
+    residuals = problem.measurement.compared(wrong[None])[0]
+    assert Horizon(problem.measurement).unexplained(residuals) == pytest.approx(4.0)
+    assert Horizon(problem.measurement).unexplained(np.zeros_like(residuals)) == 0.0
+
+
+def test_finds_a_frequency_among_its_many_valleys() -> None:
+    problem = wave_problem()
+    best = problem.mse(problem.space.to_unit(TRUE_WAVE))[0]
+    ends = [Adaptive(max_calls=60).minimize(problem, seed=seed) for seed in range(3)]
+    assert all(found.mse <= 1.1 * best for found in ends), [found.mse / best for found in ends]
+
+
+@pytest.mark.parametrize("n_parallel", [1, 3])
+def test_a_short_horizon_repeats_too(n_parallel: int) -> None:
+    long, short = (
+        Adaptive(max_calls=n, n_parallel=n_parallel, ftol=0.0).minimize(wave_problem(), seed=1)
+        for n in (30, 18)
+    )
+    n = short.history.best_mse.size - 1
+    np.testing.assert_array_equal(long.history.best_mse[:n], short.history.best_mse[:n])
