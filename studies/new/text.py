@@ -59,7 +59,7 @@ def case_text(case: NewCase) -> str:
     parts += [_input(variable) for variable in case.inputs]
     parts += [_output(variable) for variable in case.outputs.used]
     parts += _shown(case, case.outputs.others, "output", lambda v: _commented(_output(v)))
-    parts += [_PRIOR, *(_parameter(variable) for variable in case.parameters.used)]
+    parts += [_parameter(variable) for variable in case.parameters.used]
     parts += _shown(case, case.parameters.others, "parameter", lambda v: _commented(_parameter(v)))
     parts += [_fixed(case), _SIMULATION]
     return "\n\n".join(parts) + "\n"
@@ -178,6 +178,8 @@ def _parameter(variable: FmuVariable) -> str:
     bounds = bounds_for(variable)
     estimate = variable.start if variable.start is not None else (bounds.lower + bounds.upper) / 2.0
     unit = toml_string(variable.unit or "1")
+    is_log, range_width = bounds.scale == "log", bounds.upper - bounds.lower
+    width = "within_factor = 1.5" if is_log else f"within = {_number(0.1 * range_width)}"
     lines = [
         f"[[parameters]]   {_declared(variable)}".rstrip(),
         f"name = {toml_string(variable.name)}",
@@ -188,6 +190,7 @@ def _parameter(variable: FmuVariable) -> str:
         f"upper = {_number(bounds.upper)}",
         f"unit = {unit}",
         f'scale = "{bounds.scale}"',
+        f"# prior = {{ about = {_number(estimate)}, {width} }}   # what is known of it, two thirds surely",
     ]
     if variable.description:
         lines.append(f"description = {toml_string(one_line(variable.description))}")
@@ -243,10 +246,6 @@ def _fixed(case: NewCase) -> str:
     lines += [f"# ... and {n_hidden} more: studies new {case.fmu.path.name} --list"] * bool(n_hidden)
     return "\n".join(lines)
 
-
-_PRIOR = """\
-# What is known of a parameter, two thirds surely: prior = { about = 0.7, within_factor = 1.5 } for scale log,
-# prior = { about = 21, within = 2 } in its unit for linear; around the estimate where about is left out."""
 
 _SIMULATION = """\
 [simulation]   # patience; nothing here changes a result
