@@ -57,7 +57,7 @@ def make_instance(case: Case, truth: Truth, white: tuple[float, ...], seed: int)
     for k, one in enumerate(measured.samples):
         values = np.interp(one.time, measured.time, y[:, k])
         samples.append(Samples(one.time, values + white[k] * rng.standard_normal(values.size)))
-    return Instance(replace(case, measurement=replace(measured, samples=tuple(samples))), u)
+    return Instance(replace(case, measurement=replace(measured, samples=tuple(samples)), references=()), u)
 
 
 def white_box(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:

@@ -37,7 +37,7 @@ def office_instance(seed: int) -> Instance:
     measurement = Measurement.on_grid(
         case.measurement.time, y[:, None], case.measurement.output_names, case.measurement.uncertainty
     )
-    return Instance(replace(case, measurement=measurement), u)
+    return Instance(replace(case, measurement=measurement, references=()), u)
 
 
 def _truth(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:

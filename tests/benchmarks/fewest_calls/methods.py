@@ -77,6 +77,6 @@ METHODS: dict[str, Method] = {
     "cma-es": Method(peers_scalar.cma_es, max_calls=5000, needs=("cma",)),
     "differential evolution": Method(peers_scalar.differential_evolution, max_calls=5000),
     "optuna tpe": Method(peers_scalar.optuna_tpe, max_calls=500, seeds=3),
-    "optuna gp": Method(peers_scalar.optuna_gp, max_calls=100, seeds=2),
+    "optuna gp": Method(peers_scalar.optuna_gp, max_calls=150, seeds=3),
     "optuna cma-es": Method(peers_scalar.optuna_cma_es, max_calls=2000, seeds=5, needs=("cmaes",)),
 }

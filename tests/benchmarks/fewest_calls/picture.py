@@ -18,7 +18,10 @@ from matplotlib.ticker import FuncFormatter
 
 # Excess over the best error known at which lines end: where runs do.
 LEAST_EXCESS, MOST_EXCESS = 0.02, 1e4
+BEYOND = 1e9
 OURS = {"adaptive": "#c1121f", "adaptive, 4 parallel": "#f08a5d"}
+PEERS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf", "#7f7f7f", "#bcbd22")
+STYLES = ("-", "--", ":")
 LEFT_OUT = ("adaptive, own end", "adaptive, 2 parallel", "adaptive, 8 parallel")
 TARGETS = (1.17, 1.02)
 
@@ -33,8 +36,8 @@ def draw(kept: Kept, path: Path) -> None:
     families = [f for f in FAMILIES if any(one.family == f for one in kept.problems.values())]
     methods = [name for name in order(kept) if name not in LEFT_OUT]
     peers = [name for name in methods if name not in OURS]
-    colours = dict(zip(peers, plt.get_cmap("tab20")(np.linspace(0.0, 1.0, max(len(peers), 2))), strict=False))
-    colours |= OURS
+    looks = {name: (PEERS[i % len(PEERS)], STYLES[i // len(PEERS)]) for i, name in enumerate(peers)}
+    looks |= {name: (colour, "-") for name, colour in OURS.items()}
     n_columns = min(len(families) + 1, 3)
     n_rows = -(-(len(families) + 1) // n_columns)
     figure, axes = plt.subplots(
@@ -42,7 +45,7 @@ def draw(kept: Kept, path: Path) -> None:
     )
     flat = list(axes.ravel())
     for ax, family in zip(flat, families, strict=False):
-        _panel(ax, kept, family, methods, colours)
+        _panel(ax, kept, family, methods, looks)
     for ax in flat[len(families) :]:
         ax.axis("off")
     handles = {h.get_label(): h for ax in flat for h in ax.get_legend_handles_labels()[0]}
@@ -59,7 +62,7 @@ def draw(kept: Kept, path: Path) -> None:
     plt.close(figure)
 
 
-def _panel(ax: Axes, kept: Kept, family: str, methods: list[str], colours: dict[str, object]) -> None:
+def _panel(ax: Axes, kept: Kept, family: str, methods: list[str], looks: dict[str, tuple[str, str]]) -> None:
     for method in methods:
         runs = [
             (run, problem.best)
@@ -72,22 +75,21 @@ def _panel(ax: Axes, kept: Kept, family: str, methods: list[str], colours: dict[
         calls = _calls(runs)
         excess = np.array([_excess(run, best, calls) for run, best in runs])
         low, middle, high = _quartiles(excess)
-        is_ours = method in OURS
+        is_ours, (colour, style) = method in OURS, looks[method]
         ax.plot(
             calls,
             middle,
-            color=colours[method],
+            color=colour,
             lw=2.4 if is_ours else 1.1,
             zorder=3 if is_ours else 2,
             label=method,
+            ls=style,
         )
-        ax.fill_between(
-            calls, low, high, color=colours[method], alpha=0.25 if is_ours else 0.08, lw=0, zorder=1
-        )
+        ax.fill_between(calls, low, high, color=colour, alpha=0.25 if is_ours else 0.08, lw=0, zorder=1)
     for target in TARGETS:
         ax.axhline(target - 1.0, color="0.5", lw=0.7, ls=":")
     ax.set(xscale="log", yscale="log", xlim=(5, None), ylim=(LEAST_EXCESS * 0.9, MOST_EXCESS))
-    ax.set_yticks([0.02, 0.05, 0.17, 1.0, 10.0, 100.0, 1000.0])
+    ax.set_yticks([0.02, 0.05, 0.17, 1.0, 9.0, 99.0, 999.0])
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{1.0 + value:.4g}"))
     ax.minorticks_off()
     ax.tick_params(labelsize=7)
@@ -97,7 +99,7 @@ def _panel(ax: Axes, kept: Kept, family: str, methods: list[str], colours: dict[
 
 
 def _calls(runs: list[tuple[Run, float]]) -> FloatArray:
-    """Return where the curves are drawn: until half of the runs have ended short of the target."""
+    """Return where the curves are drawn: until the last run has ended, one that arrived at its arrival."""
     ended = [run.max_calls if run.first(1.02 * best) is None else run.calls[-1] for run, best in runs]
     return np.unique(np.round(np.geomspace(1.0, max(ended), 200)))
 
@@ -110,7 +112,7 @@ def _excess(run: Run, best: float, calls: FloatArray) -> FloatArray:
 
 
 def _quartiles(excess: FloatArray) -> FloatArray:
-    """Return quartiles over the runs that are never between a number and infinity. Shape (3, c)."""
-    return np.asarray(
-        np.quantile(np.minimum(excess, 10.0 * MOST_EXCESS), [0.25, 0.5, 0.75], axis=0, method="nearest")
-    )
+    """Return quartiles over the runs, values of runs each, NaN where there are none yet. Shape (3, c)."""
+    quartiles = np.quantile(np.minimum(excess, BEYOND), [0.25, 0.5, 0.75], axis=0, method="nearest")
+    quartiles[:, quartiles[1] >= BEYOND] = np.nan
+    return np.asarray(quartiles)

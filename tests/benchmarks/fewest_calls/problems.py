@@ -97,7 +97,7 @@ def problems(instances: Sequence[int]) -> Iterator[Problem]:
         yield Problem(name, "white box", partial(_case, path, None), most_calls=400, n_starts=4)
     for seed in instances:
         make = partial(_instance, folder, seed)
-        yield Problem(f"white box, instance {seed}", "white box", make, most_calls=400, n_starts=2)
+        yield Problem(f"white box, instance {seed}", "white box", make, most_calls=400, n_starts=1)
     for family, (path, most_calls, n_starts, n_evolutions) in _ONE_CASE.items():
         yield Problem(family, family, partial(_case, path, None), most_calls, n_starts, n_evolutions)
         for seed in instances:
@@ -131,7 +131,7 @@ def brute_force(problem: CalibrationProblem, posed_as: Problem, made: Instance) 
         made: The case and, of an instance, the point that the truth was built around.
     """
     # A model that answers slowly gets as many calls per start as it takes to see where the start leads.
-    most = 2000 if posed_as.most_calls < 2000 else 20_000
+    most = 1000 if posed_as.most_calls < 1000 else 20_000
     patient = LeastSquaresTRF(ftol=1e-9, xtol=1e-10, max_calls=most)
     runs = multistart(problem, posed_as.n_starts, 0, polishing=patient)
     found = {f"the best of {posed_as.n_starts} starts of least squares": runs.best.mse}
