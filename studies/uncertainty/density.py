@@ -18,6 +18,9 @@ from studies.calibration.prior import Prior
 from studies.calibration.residual_process import CONSTANT, ResidualProcess
 from studies.uncertainty.noise import Noise
 
+BOX_PRECISION = 12.0
+"""Of a coordinate that may be anywhere between 0 and 1."""
+
 BLOCK = 512
 """Points that are predicted at once."""
 
@@ -57,6 +60,21 @@ class Posterior:
             Shape (n,). [1]
         """
         return self._with_prior(u, predicted.log_likelihood(np.clip(u, 0.0, 1.0), self.noise.raised))
+
+    def metric(self, predicted: "Predicted", u: FloatArray) -> FloatArray:
+        """Return the precision of steps that suit the density around points: narrow where it is.
+
+        Args:
+            predicted: What a process predicts.
+            u: Points. Shape (n, p). [1]
+
+        Returns:
+            Shape (n, p, p). [1]
+        """
+        found = predicted.metric(np.clip(u, 0.0, 1.0), self.noise.raised)
+        widths = np.full(u.shape[1], np.inf) if self.prior is None else self.prior.width
+        precision: FloatArray = found + np.diag(BOX_PRECISION + widths**-2.0)
+        return precision
 
     def _with_prior(self, u: FloatArray, value: FloatArray) -> FloatArray:
         if self.prior is not None:
@@ -98,6 +116,29 @@ class Predicted:
         explained = np.sum((k @ process.inverse_factor.T) ** 2, axis=1)
         variance = np.maximum(CONSTANT + 1.0 + self._slope * squares - explained, 0.0)
         return self._level + k @ self._coefficients, variance
+
+    def metric(self, u: FloatArray, deviation: float) -> FloatArray:
+        """Return how fast the residuals change, in noise: J' J / s² with what is not sure left out.
+
+        Args:
+            u: Points. Shape (n, p). [1]
+            deviation: Of white noise, s. [unit]
+
+        Returns:
+            Shape (n, p, p). [1]
+        """
+        process = self._process
+        features = process.features
+        x = features.at(u)
+        away = x[:, None, :] - process.x
+        bumps = np.exp(-0.5 * (away**2) @ self._weights)
+        by_feature = (self._slope * process.x - bumps[:, :, None] * away) * self._weights
+        by_u = np.stack([features.pull_back(point, one) for point, one in zip(u, by_feature, strict=True)])
+        _, variance = self.residuals(u)
+        roots = np.sqrt(deviation**2 + variance[:, None] * self._shared)
+        jacobian = np.swapaxes(by_u, 1, 2) @ self._coefficients / roots[:, None, :]
+        found: FloatArray = jacobian @ np.swapaxes(jacobian, 1, 2)
+        return found
 
     def log_likelihood(self, u: FloatArray, deviation: float) -> FloatArray:
         """Return the logarithm of the expected likelihood, but for the model's constant.

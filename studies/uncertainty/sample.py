@@ -1,9 +1,11 @@
 """A sample of equally good parameter sets: drawn on a surrogate, simulated by the model, reweighted by it.
 
 Rounds: a Gaussian process of the residuals is fitted to all rows known near the optimum, a Markov chain
-samples the density that it predicts, and a batch of the chain is simulated. Where the model disagrees with
-the prediction by too much, the batch teaches the process and the next round begins; where it agrees, the same
-chain is simulated further until the sample is large enough. Each of its members then weighs as much as the
+samples the density that it predicts, and a batch of the chain is simulated. So are some scouts: points of the
+same density, flattened, because a sample never tells of a region that its surrogate holds for bad. Where the
+model disagrees with the prediction by too much, or a scout turns out to be as good as the sample against all
+expectation, the batch teaches the process and the next round begins; where all agree, the same chain is
+simulated further until the sample is large enough. Each of its members then weighs as much as the
 model's density exceeds the predicted one (importance sampling): so the sample is the model's.
 
 Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
@@ -32,6 +34,13 @@ AGREEMENT = 0.5
 LOST = 0.4
 """A sample whose worth falls below this share of its size is given up while calls are left."""
 
+FLATTENED = 4.0
+"""The scouts' density is the predicted one to the power 1 / 4: twice as wide."""
+
+SURPRISE, AS_GOOD = 2.0, 3.0
+"""A scout whose logarithmic density exceeds the prediction by more than the first, beyond what the sample's
+does, and lies no further below the sample's median than the second, is as good against expectation."""
+
 MOST_ROWS = 250
 """Rows that the process is fitted to, the best ones; its cost grows with their third power."""
 
@@ -47,12 +56,14 @@ class Sampling:
         max_calls: Most rows that may be asked of the model.
         n_sample: Size of the sample that is simulated.
         n_batch: Rows per round.
+        n_scouts: Rows per round beside the sample.
         n_steps: Steps of every walker of a chain.
     """
 
     max_calls: int
     n_sample: int = 48
     n_batch: int = 8
+    n_scouts: int = 4
     n_steps: int = 1500
 
 
@@ -66,7 +77,7 @@ class PosteriorSample:
         log_ratios: Logarithm of the model's density over the predicted one. Shape (n,). [1]
         chain: A chain on the last surrogate, which knows every simulated row.
         n_calls: Rows asked of the model.
-        n_taught: Those of them that were given up and taught the surrogate.
+        n_taught: Those of them that are not in the sample: they taught the surrogate.
         n_known: Rows known before.
         best_u: The most probable row of all, asked or known before. Shape (p,). [1]
         best_mse: Its error. [first output's unit squared]
@@ -89,6 +100,23 @@ class PosteriorSample:
 
 
 OnCalls = Callable[[int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Answered:
+    """Logarithmic densities of simulated points: by the model, and as they were predicted. Shape (n,)."""
+
+    density: FloatArray
+    predicted: FloatArray
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Logarithm of the one over the other. Shape (n,). [1]."""
+        return self.density - self.predicted
+
+    def with_more(self, more: "_Answered") -> "_Answered":
+        """Return both together."""
+        return _Answered(np.append(self.density, more.density), np.append(self.predicted, more.predicted))
 
 
 class PosteriorSampler:
@@ -130,17 +158,14 @@ class PosteriorSampler:
         Args:
             first: First places of the walkers, inside the cube. Shape (w, p). [1]
         """
-        settings = self._settings
         self._ensemble = first
-        n_taught = 0
         with threadpool_limits(limits=1, user_api="blas"):
             while True:
                 predicted, chain = self._round()
-                drawn, ratios = self._simulate(predicted, chain)
-                left = settings.max_calls - self.n_calls
-                if not self._is_lost(ratios, drawn.n) or left < settings.n_batch:
+                scouts = self._scout(predicted)
+                drawn, ratios, is_good = self._simulate(predicted, chain, scouts)
+                if is_good or not self._has_another_round:
                     break
-                n_taught += drawn.n
             _, last = self._round()
         density = self._posterior.at(self._u, self._mse)
         best = int(np.argmax(density))
@@ -150,7 +175,7 @@ class PosteriorSampler:
             log_ratios=ratios,
             chain=last,
             n_calls=self.n_calls,
-            n_taught=n_taught,
+            n_taught=self.n_calls - drawn.n,
             n_known=self._n_known,
             best_u=self._u[best],
             best_mse=float(self._mse[best]),
@@ -168,34 +193,74 @@ class PosteriorSampler:
             self._ensemble,
             seed=int(self._rng.integers(2**31)),
             n_steps=self._settings.n_steps,
+            metric=lambda u: self._posterior.metric(predicted, u),
         )
         self._ensemble = chain.ensemble
         return predicted, chain
 
-    def _simulate(self, predicted: Predicted, chain: Chain) -> tuple[Evaluation, FloatArray]:
-        """Simulate members of a chain as long as the model agrees; return them and their log ratios."""
+    @property
+    def _has_another_round(self) -> bool:
+        """Whether the calls that are left allow scouts and a sample of two batches."""
+        left = self._settings.max_calls - self.n_calls
+        return left >= 2 * self._settings.n_batch + self._settings.n_scouts
+
+    def _scout(self, predicted: Predicted) -> "_Answered":
+        """Simulate points of the flattened density, if the calls allow."""
+        settings = self._settings
+        if not settings.n_scouts or not self._has_another_round:
+            return _Answered(np.empty(0), np.empty(0))
+        assert self._ensemble is not None, "sample() places the walkers"
+        wide = run_chain(
+            lambda u: self._posterior.by(predicted, u) / FLATTENED,
+            self._ensemble,
+            seed=int(self._rng.integers(2**31)),
+            n_steps=settings.n_steps // 2,
+            metric=lambda u: self._posterior.metric(predicted, u) / FLATTENED,
+        )
+        u = np.round(self._rng.choice(wide.u, settings.n_scouts, replace=False), DECIMALS)
+        return _Answered(self._posterior.at(u, self._ask(u).mse), self._posterior.by(predicted, u))
+
+    def _simulate(
+        self, predicted: Predicted, chain: Chain, scouts: "_Answered"
+    ) -> tuple[Evaluation, FloatArray, bool]:
+        """Simulate members of a chain as long as the model agrees.
+
+        Args:
+            predicted: What the surrogate predicts.
+            chain: A chain on it.
+            scouts: What the model answered to the scouts.
+
+        Returns:
+            The members, the logarithms of the model's density over the predicted one, and whether they agree.
+        """
         settings = self._settings
         order = self._rng.permutation(len(chain.u))
         parts: list[Evaluation] = []
-        ratios = np.empty(0)
+        answered = _Answered(np.empty(0), np.empty(0))
         while True:
-            n = min(settings.n_batch, settings.max_calls - self.n_calls, settings.n_sample - len(ratios))
+            n_have = len(answered.density)
+            n = min(settings.n_batch, settings.max_calls - self.n_calls, settings.n_sample - n_have)
             if n <= 0:
                 break
-            u = np.round(chain.u[order[len(ratios) : len(ratios) + n]], DECIMALS)
+            u = np.round(chain.u[order[n_have : n_have + n]], DECIMALS)
             answer = self._ask(u)
             parts.append(answer)
-            expected = self._posterior.by(predicted, u)
-            ratios = np.append(ratios, self._posterior.at(u, answer.mse) - expected)
-            left = settings.max_calls - self.n_calls
-            if self._is_lost(ratios, len(ratios)) and left >= 2 * settings.n_batch:
+            new = _Answered(self._posterior.at(u, answer.mse), self._posterior.by(predicted, u))
+            answered = answered.with_more(new)
+            if self._has_another_round and not self._agrees(answered, scouts):
                 break
-        return joined(parts), ratios
+        return joined(parts), answered.ratios, self._agrees(answered, scouts)
 
-    def _is_lost(self, ratios: FloatArray, n: int) -> bool:
-        """Whether model and surrogate differ by too much for a sample."""
-        share = effective_size(normalized(ratios)) / max(n, 1)
-        return share < (AGREEMENT if n <= self._settings.n_batch else LOST)
+    def _agrees(self, sample: "_Answered", scouts: "_Answered") -> bool:
+        """Whether a sample is worth enough, and no scout is as good as it against expectation."""
+        n = len(sample.density)
+        share = effective_size(normalized(sample.ratios)) / n
+        good = np.isfinite(sample.density)
+        if share < (AGREEMENT if n <= self._settings.n_batch else LOST) or not good.any():
+            return False
+        beyond = scouts.ratios - float(np.median(sample.ratios[good]))
+        level = float(np.median(sample.density[good])) - AS_GOOD
+        return not np.any((beyond > SURPRISE) & (scouts.density > level))
 
     def _ask(self, u: FloatArray) -> Evaluation:
         answer = self._problem.evaluate(u)

