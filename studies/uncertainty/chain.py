@@ -5,7 +5,7 @@ scales and correlations from the ensemble itself, whole halves of the ensemble a
 estimate of the autocorrelation time comes with it. It is pure Python and needs NumPy alone.
 
 An ensemble of one shape does not follow a narrow valley round a bend. So a chain begins hot, where valleys
-are wide and walkers spread along them, and cools down before it counts; and half of the steps are drawn from
+are wide and walkers spread along them, and cools down before it counts; a quarter of the steps are drawn from
 a normal density that suits the place where they begin (a metric, as in Girolami and Calderhead,
 doi:10.1111/j.1467-9868.2010.00765.x, without its drift), the way back weighed against the way there.
 """
@@ -132,7 +132,7 @@ def _sampler(
         (emcee.moves.StretchMove(), 0.2),
     ]
     if metric is not None:
-        moves.append((emcee.moves.MHMove(_LocalSteps(lambda u: metric(u) / temperature)), 1.0))
+        moves.append((emcee.moves.MHMove(_LocalSteps(lambda u: metric(u) / temperature)), 0.3))
     return emcee.EnsembleSampler(*shape, lambda u: log_density(u) / temperature, moves=moves, vectorize=True)
 
 
