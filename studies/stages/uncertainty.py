@@ -34,7 +34,8 @@ from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
 from studies.uncertainty.findings import LEVEL, compensations, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
-from studies.uncertainty.sample import Sampling, telling_rows
+from studies.uncertainty.rows import telling_rows
+from studies.uncertainty.sample import Sampling
 
 MAX_CALLS = 100
 TRUSTED = 0.3

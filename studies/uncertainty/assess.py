@@ -13,7 +13,8 @@ from studies.uncertainty.density import Posterior
 from studies.uncertainty.findings import LEVEL
 from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
 from studies.uncertainty.noise import Noise
-from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling, first_walkers, joined
+from studies.uncertainty.rows import joined
+from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling, first_walkers
 
 STEP = 0.01
 """Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""

@@ -18,11 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import FloatArray
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.chain import Chain, run_chain
 from studies.uncertainty.density import Posterior, Predicted
+from studies.uncertainty.rows import joined, telling_rows
 from studies.uncertainty.weights import effective_size, normalized
 
 DECIMALS = 5
@@ -40,12 +41,6 @@ FLATTENED = 4.0
 SURPRISE, AS_GOOD = 2.0, 3.0
 """A scout whose logarithmic density exceeds the prediction by more than the first, beyond what the sample's
 does, and lies no further below the sample's median than the second, is as good against expectation."""
-
-MOST_ROWS = 250
-"""Rows that the process is fitted to, the best ones; its cost grows with their third power."""
-
-SAME_ROW = 1e-3
-"""Rows nearer to a better one than this in the unit cube tell nothing new."""
 
 
 @dataclass(frozen=True)
@@ -271,35 +266,6 @@ class PosteriorSampler:
         if self._on_calls is not None:
             self._on_calls(self.n_calls)
         return answer
-
-
-def telling_rows(u: FloatArray, log_density: FloatArray) -> IntArray:
-    """Return the most probable rows without those that repeat a better one. Shape (r,).
-
-    Args:
-        u: Points. Shape (n, p). [1]
-        log_density: Minus infinity where a simulation failed. Shape (n,). [1]
-    """
-    kept: list[int] = []
-    for row in np.argsort(-log_density, kind="stable"):
-        if len(kept) == MOST_ROWS or not np.isfinite(log_density[row]):
-            break
-        if not kept or float(np.abs(u[kept] - u[row]).max(axis=1).min()) > SAME_ROW:
-            kept.append(int(row))
-    return np.array(kept, dtype=np.int64)
-
-
-def joined(parts: list[Evaluation]) -> Evaluation:
-    """Return evaluations as one."""
-    return Evaluation(
-        u=np.concatenate([part.u for part in parts]),
-        theta=np.concatenate([part.theta for part in parts]),
-        y=np.concatenate([part.y for part in parts]),
-        residuals=np.concatenate([part.residuals for part in parts]),
-        mse=np.concatenate([part.mse for part in parts]),
-        objective=np.concatenate([part.objective for part in parts]),
-        failures=tuple(failure for part in parts for failure in part.failures),
-    )
 
 
 def first_walkers(centre: FloatArray, covariance: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:

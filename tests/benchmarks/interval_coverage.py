@@ -1,8 +1,8 @@
 """How often 90 % intervals hold the truth: calibrations of synthetic measurements whose truth is known.
 
-Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every truth is
-drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the sensor's
-uncertainty that follows itself with correlation rho from sample to sample, calibrated without an initial
+Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every
+truth is drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the
+sensor's uncertainty that follows itself with correlation rho from sample to sample, calibrated without an initial
 guess (adaptive), and judged by `assess`. Every run is kept in the JSON file as soon as it ends and not
 repeated. Prints a table and gates nothing.
 """
@@ -26,7 +26,7 @@ from simulation.trajectories import Trajectories  # noqa: E402
 from studies.calibration import Adaptive, CalibrationProblem  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
-from studies.uncertainty.sample import joined  # noqa: E402
+from studies.uncertainty.rows import joined  # noqa: E402
 
 
 class Diary(WrappedModel):
@@ -101,7 +101,9 @@ def main() -> None:
     parser.add_argument("--noise", choices=NOISE_KINDS, default="correlated", help="what it is taken for")
     parser.add_argument("--max-calls", type=int, default=100, help="of each assessment")
     parser.add_argument("--calibration-calls", type=int, default=100)
-    parser.add_argument("--json", type=Path, default=ROOT / "mlruns" / "benchmarks" / "interval_coverage.json")
+    parser.add_argument(
+        "--json", type=Path, default=ROOT / "mlruns" / "benchmarks" / "interval_coverage.json"
+    )
     options = parser.parse_args()
     kept: dict[str, Any] = json.loads(options.json.read_text()) if options.json.is_file() else {}
     case = load_case(ROOT / "fmus" / options.case)

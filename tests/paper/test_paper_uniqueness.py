@@ -10,9 +10,9 @@ from simulation.case import load_case
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
+from studies.paper.uniqueness import cluster, optima_correlation, run_uniqueness, uniqueness_rows
 from studies.uncertainty.identifiability import identifiability
 from studies.uncertainty.noise import independent_samples
-from studies.paper.uniqueness import cluster, optima_correlation, run_uniqueness, uniqueness_rows
 
 
 @dataclass(frozen=True, eq=False)
