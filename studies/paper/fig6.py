@@ -224,9 +224,14 @@ def _verdict(found: dict[int, dict[str, Any]], latent: dict[int, float], unit: s
     size, low, high = FIG_6_RANGE
     if size in found:
         ours = found[size]
+        span = (
+            f"the one complete trial errs by {quantity(ours['best_mae'], unit, 2)}"
+            if ours["n_complete"] == 1
+            else f"{count(ours['n_complete'])} complete trials span {quantity(ours['best_mae'], unit, 2)} to "
+            f"{quantity(ours['worst_mae'], unit, 2)}"
+        )
         parts.append(
-            f"At n = {size} complete trials span {quantity(ours['best_mae'], unit, 2)} to "
-            f"{quantity(ours['worst_mae'], unit, 2)} (paper: {low} to {high} {unit}; "
+            f"At n = {size} {span} (paper: {low} to {high} {unit}; "
             f"{count(ours['n_pruned'], 'trial')} of ours were pruned and would widen it)."
         )
     chosen = {n: numbers["n_latent"] for n, numbers in found.items()}
