@@ -10,7 +10,7 @@ HELP = "say how sure a calibration is: intervals, equally good parameter sets, b
 MORE = """\
 what happens: the residuals are differentiated at the calibrated point (two calls per parameter): which
 parameters the data determine, which compensate each other, linearised intervals. Then equally good parameter
-sets are drawn: a Markov chain on a Gaussian process of the residuals, which all stored simulations near the
+sets are drawn: particles on a Gaussian process of the residuals, which all stored simulations near the
 optimum teach; the FMU simulates a sample of it and reweights it. Their 5 to 95 % bands are shown over the
 measurement. Every simulation is stored at once: interrupted, the same command goes on. Lands in
 mlruns/results/<label>/posterior-<calibration>.json and .npz, in MLflow and, with studies report, on a page.

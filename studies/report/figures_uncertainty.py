@@ -125,7 +125,7 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
     p = len(record.names)
     n_determined = len(record.called("determined"))
     title = f"Of {count(p, 'parameter')} the data determine {count(n_determined) if n_determined else 'none'}"
-    u, point = box.to_unit(record.chain), box.to_unit(record.calibrated)
+    u, point = box.to_unit(record.particles), box.to_unit(record.calibrated)
     low, high = box.to_unit(record.interval)
     linear_low, linear_high = box.to_unit(record.linear)
     with drawing(path, title=title, height_in=0.9 + 0.42 * p, footnote=footnote) as figure:
@@ -214,8 +214,8 @@ def shown_pairs(record: UncertaintyRecord) -> list[tuple[int, int]]:
 
 
 def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int, j: int) -> None:
-    every = max(1, len(record.chain) // N_DOTS)
-    dots: Floats = record.chain[::every]
+    every = max(1, len(record.particles) // N_DOTS)
+    dots: Floats = record.particles[::every]
     axes.plot(
         dots[:, i], dots[:, j], linestyle="none", marker=".", markersize=2.5, color=SIMULATED, alpha=0.5
     )

@@ -49,10 +49,10 @@ class UncertaintyRecord:
         singular_values: Falling. Shape (p,). [first output's unit per range]
         null_directions: Combinations that change no output at all, in words.
         n_determined_directions: Combinations that the data determine.
-        chain: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
+        particles: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
         sample: The sample that was simulated. Shape (n, p). [per parameter]
         weights: What each counts; sum 1. Shape (n,). [1]
-        correlation: Of the chain, in the case's scales. Shape (p, p). [1]
+        correlation: Of the particles, in the case's scales. Shape (p, p). [1]
         simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
         predictive: The same with noise. Shape (2, t, k). [per output]
         share_predictive: Share of the measured values within it, one per output. [1]
@@ -75,7 +75,7 @@ class UncertaintyRecord:
     singular_values: Floats
     null_directions: tuple[str, ...]
     n_determined_directions: int
-    chain: Floats
+    particles: Floats
     sample: Floats
     weights: Floats
     correlation: Floats
@@ -116,7 +116,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         singular_values=arrays["singular_values"],
         null_directions=tuple(directions[len(directions) - n_null :]),
         n_determined_directions=local["n_determined_directions"],
-        chain=arrays["chain_theta"],
+        particles=arrays["particles_theta"],
         sample=arrays["sample_theta"],
         weights=arrays["weights"],
         correlation=arrays["posterior_correlation"],

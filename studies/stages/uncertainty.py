@@ -170,7 +170,7 @@ class _Work:
     def _told(self, assessed: Assessment) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the results as numbers and arrays."""
         case, found, local, noise = self.study.case, assessed.sample, assessed.local, assessed.noise
-        space, measurement, u = case.parameter_space, case.measurement, assessed.sample.chain.u
+        space, measurement, u = case.parameter_space, case.measurement, assessed.sample.particles.u
         linear = space.from_unit(assessed.linear)
         ends, known = space.from_unit(assessed.interval), knowledge(space, u)
         good = np.isfinite(found.drawn.mse)
@@ -206,8 +206,8 @@ class _Work:
                 "n": n,
                 "n_effective": found.n_effective,
                 "is_trusted": found.n_effective >= TRUSTED * n,
-                "chain_effective": found.chain.n_effective,
-                "acceptance": found.chain.acceptance,
+                "n_particles": len(found.particles.u),
+                "acceptance": found.particles.acceptance,
                 "best_mse": found.best_mse,
                 "best_theta": dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
             },
@@ -233,7 +233,7 @@ class _Work:
             "sample_mse": found.drawn.mse,
             "weights": found.weights,
             "log_ratios": found.log_ratios,
-            "chain_theta": space.from_unit(u),
+            "particles_theta": space.from_unit(u),
             "simulated": bands.simulated,
             "predictive": bands.predictive,
             "singular_values": local.singular_values,

@@ -14,15 +14,13 @@ from studies.uncertainty.findings import LEVEL
 from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
 from studies.uncertainty.noise import Noise
 from studies.uncertainty.rows import joined
-from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling, first_walkers
+from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling
 
 STEP = 0.01
 """Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
 
 Z = 1.6448536269514722
 """Quantile of the normal distribution at the upper end of an interval of `LEVEL`."""
-
-WALKERS_PER_PARAMETER, LEAST_WALKERS = 4, 32
 
 OnPhase = Callable[[str, int, int], None]
 """Told the name of a phase, the rows asked in it and the most that it may ask."""
@@ -65,7 +63,7 @@ class Assessment:
     def interval(self) -> FloatArray:
         """Ends and median of the posterior's intervals: low, median, high. Shape (3, p). [1]."""
         shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
-        return np.asarray(np.quantile(self.sample.chain.u, shares, axis=0), dtype=np.float64)
+        return np.asarray(np.quantile(self.sample.particles.u, shares, axis=0), dtype=np.float64)
 
 
 def sampling_within(max_calls: int, n_parameters: int) -> Sampling:
@@ -127,7 +125,4 @@ def assess(
         seed=seed,
         on_calls=lambda n: tell("posterior sample", n, sampling.max_calls),
     )
-    covariance = local.correlation * np.outer(local.spread, local.spread)
-    n_walkers = max(WALKERS_PER_PARAMETER * p, LEAST_WALKERS)
-    walkers = first_walkers(around.u[0], covariance, n_walkers, np.random.default_rng(seed))
-    return Assessment(noise, around.take(0), local, sampler.sample(walkers))
+    return Assessment(noise, around.take(0), local, sampler.sample())

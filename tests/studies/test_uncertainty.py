@@ -13,9 +13,9 @@ from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.residual_process import Features, ResidualProcess
+from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, share_within
-from studies.uncertainty.chain import run_chain
 from studies.uncertainty.density import Predicted
 from studies.uncertainty.findings import compensations, knowledge
 from studies.uncertainty.identifiability import difference_rows, judged
@@ -71,13 +71,13 @@ def least_squares(problem):
     return np.linalg.lstsq(design, problem.measurement.y[:, 0], rcond=None)[0], design
 
 
-def assessed(problem, theta, kind="white", max_calls=60, n_steps=1500) -> Assessment:
+def assessed(problem, theta, kind="white", max_calls=60, n_particles=1200) -> Assessment:
     theta = np.array(theta)
     y = problem.model.simulate(theta[None]).y[0]
     noise = noise_of(kind, problem.measurement, y, len(theta))
     return assess(
         problem, theta, y, noise=noise, known=None,
-        sampling=replace(sampling_within(max_calls, len(theta)), n_steps=n_steps), seed=0,
+        sampling=replace(sampling_within(max_calls, len(theta)), n_particles=n_particles), seed=0,
     )  # fmt: skip
 
 
@@ -86,10 +86,9 @@ def test_a_linear_models_posterior_is_the_textbook_one():
     best, design = least_squares(problem)
     found = assessed(problem, best, kind="sensor")
     expected = SIGMA**2 * np.linalg.inv(design.T @ design)
-    theta = problem.space.from_unit(found.sample.chain.u)
+    theta = problem.space.from_unit(found.sample.particles.u)
     deviation = np.sqrt(np.diag(expected))
-    # A chain worth a thousand points knows a mean to 3 % of the deviation, a deviation to 2 %.
-    assert found.sample.chain.n_effective > 1000
+    # A thousand points know a mean to 3 % of the deviation, a variance to 5 %.
     assert np.abs(theta.mean(axis=0) - best) == pytest.approx(0.0, abs=0.15 * deviation.min())
     assert np.cov(theta.T) == pytest.approx(expected, rel=0.15)
     # The linearised interval is exact here.
@@ -97,24 +96,24 @@ def test_a_linear_models_posterior_is_the_textbook_one():
         np.stack([best - 1.645 * deviation, best + 1.645 * deviation]), rel=1e-3, abs=0.02 * deviation.min()
     )
     # The surrogate knows a linear model: the sample is simulated at once and counts in full.
-    assert found.sample.n_taught == 4
+    assert found.sample.n_taught == 0
     assert found.sample.n_effective > 0.95 * len(found.sample.weights)
-    assert found.n_calls == 2 * 2 + 4 + len(found.sample.weights)
+    assert found.n_calls == 2 * 2 + len(found.sample.weights)
 
 
 def test_a_product_is_known_and_its_factors_are_not():
     problem = posed(product(), [2.0, 0.7, 1.5], sigma=0.02, uncertainty=0.02)
-    found = assessed(problem, [2.0, 0.7, 1.5], kind="sensor", max_calls=100, n_steps=800)
+    found = assessed(problem, [2.0, 0.7, 1.5], kind="sensor", max_calls=100)
     space = problem.space
     assert space.names[2:] == tuple(
-        n for n, k in knowledge(space, found.sample.chain.u).items() if k == "determined"
+        n for n, k in knowledge(space, found.sample.particles.u).items() if k == "determined"
     )
-    pair = compensations(space, found.sample.chain.u)[0]
+    pair = compensations(space, found.sample.particles.u)[0]
     assert (pair.first, pair.second, pair.known) == ("a", "b", "product")
     assert "compensate each other: only their product is known, to " in pair.in_words
     # The posterior is the hyperbola a b = 1.4 from bound to bound, as even in log a as the bounds allow: a
     # from 0.28 to 5, so that its 90 % interval leaves 5 % of that logarithm out at both ends.
-    a = space.from_unit(found.sample.chain.u)[:, 0]
+    a = space.from_unit(found.sample.particles.u)[:, 0]
     low, high = np.log(1.4 / 5.0), np.log(5.0)
     ends = np.log(np.quantile(a, [0.05, 0.95]))
     assert ends == pytest.approx(
@@ -133,8 +132,8 @@ def test_the_same_seed_asks_the_same_rows_and_known_rows_are_not_asked():
     problem = posed(line(), [0.3, -0.4])
     best, _ = least_squares(problem)
     counter = CountingModel(problem.model)
-    first = assessed(problem, best, n_steps=60)
-    again = assessed(problem.on(counter), best, n_steps=60)
+    first = assessed(problem, best, n_particles=200)
+    again = assessed(problem.on(counter), best, n_particles=200)
     assert np.array_equal(first.sample.drawn.theta, again.sample.drawn.theta)
     assert counter.n_calls == again.n_calls + 1  # the point itself, asked by the test
 
@@ -195,20 +194,69 @@ def test_the_prediction_of_many_points_is_the_process_own():
     assert there == pytest.approx(-0.5 * np.sum(problem.residuals(u[:1]) ** 2) / 100.0, rel=1e-2)
 
 
-def test_a_chain_finds_a_curved_valley():
-    """Rosenbrock's density in the unit square: the moments of its first coordinate are known."""
+def test_particles_fill_curved_valleys():
+    """Three of Rosenbrock's densities in one cube: a coordinate is normal, the other chi-squared."""
 
     def log_density(u):
-        x, y = 8.0 * u[:, 0] - 4.0, 24.0 * u[:, 1] - 4.0
-        inside = np.all((u >= 0.0) & (u <= 1.0), axis=1)
-        return np.where(inside, -0.5 * (x**2 + ((y - x**2) / 0.3) ** 2), -np.inf)
+        x, y = 8.0 * u[:, ::2] - 4.0, 24.0 * u[:, 1::2] - 4.0
+        return -0.5 * np.sum(x**2 + ((y - x**2) / 0.3) ** 2, axis=1)
 
-    start = np.random.default_rng(0).uniform(0.4, 0.6, (32, 2))
-    chain = run_chain(log_density, start, seed=0, n_steps=2000)
-    x, y = 8.0 * chain.u[:, 0] - 4.0, 24.0 * chain.u[:, 1] - 4.0
-    assert chain.n_effective > 300
-    assert (x.mean(), x.std()) == (pytest.approx(0.0, abs=0.15), pytest.approx(1.0, abs=0.12))
-    assert y.mean() == pytest.approx(1.0, abs=0.25)
+    found = sample_density(log_density, Reference.even(6), seed=0, n_particles=1000)
+    x, y = 8.0 * found.u[:, ::2] - 4.0, 24.0 * found.u[:, 1::2] - 4.0
+    assert x.mean(axis=0) == pytest.approx(0.0, abs=0.15)
+    assert x.std(axis=0) == pytest.approx(1.0, abs=0.12)
+    assert y.mean(axis=0) == pytest.approx(1.0, abs=0.25)
+    assert found.log_density == pytest.approx(log_density(found.u))
+
+
+def test_particles_fill_a_hyperbola():
+    """a b = 0.2 and five narrow coordinates: a is even in its logarithm from 0.2 to 1."""
+
+    def log_density(u):
+        product = ((u[:, 0] * u[:, 1] - 0.2) / 0.01) ** 2
+        return -0.5 * product - 0.5 * np.sum(((u[:, 2:] - 0.6) / 0.02) ** 2, axis=1)
+
+    found = sample_density(log_density, Reference.even(7), seed=0, n_particles=2000)
+    shares = np.quantile(np.log(found.u[:, 0] / 0.2) / np.log(5.0), [0.05, 0.25, 0.5, 0.75, 0.95])
+    assert shares == pytest.approx([0.05, 0.25, 0.5, 0.75, 0.95], abs=0.08)
+    assert found.u[:, 2:].std(axis=0) == pytest.approx(0.02, rel=0.15)
+
+
+@pytest.mark.parametrize("narrow", [0.01, 0.03])
+def test_regions_far_apart_keep_their_shares(narrow):
+    """An even start loses a region that is much narrower than another: then both must be known."""
+    n_parameters = 5
+
+    def normal(u, centre, deviation):
+        steps = np.sum(((u - centre) / deviation) ** 2, axis=1)
+        return -0.5 * steps - n_parameters * np.log(deviation)
+
+    def log_density(u):
+        return np.logaddexp(np.log(0.3) + normal(u, 0.2, narrow), np.log(0.7) + normal(u, 0.75, 0.03))
+
+    reference = Reference.even(n_parameters)
+    if narrow < 0.03:
+        reference = Reference(
+            np.stack([np.full(n_parameters, 0.19), np.full(n_parameters, 0.77)]),
+            3.0 * np.stack([narrow * np.eye(n_parameters), 0.03 * np.eye(n_parameters)]),
+        )
+    found = sample_density(log_density, reference, seed=0, n_particles=1000)
+    assert np.mean(found.u[:, 0] < 0.5) == pytest.approx(0.3, abs=0.1)
+
+
+def test_a_sample_is_the_seeds_and_stays_inside():
+    def log_density(u):
+        assert np.all((u >= 0.0) & (u <= 1.0))
+        return -3.0 * np.sum(u, axis=1)
+
+    reference = Reference(np.array([[0.0, 0.5]]), 0.3 * np.eye(2)[None])
+    first, again, other = (
+        sample_density(log_density, reference, seed=s, n_particles=1000) for s in (1, 1, 2)
+    )
+    assert np.array_equal(first.u, again.u)
+    assert not np.array_equal(first.u, other.u)
+    # The mean of exp(-3 u) between 0 and 1, whatever the particles began with.
+    assert first.u.mean(axis=0) == pytest.approx(1.0 / 3.0 - 1.0 / np.expm1(3.0), abs=0.03)
 
 
 def test_weights_and_bands():
