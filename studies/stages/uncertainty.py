@@ -207,6 +207,7 @@ class _Work:
                 "n_effective": found.n_effective,
                 "is_trusted": found.n_effective >= TRUSTED * n,
                 "n_particles": len(found.particles.u),
+                "n_powers": found.particles.n_powers,
                 "acceptance": found.particles.acceptance,
                 "best_mse": found.best_mse,
                 "best_theta": dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),

@@ -35,6 +35,7 @@ LEAST_WIDTH = 1e-6
 """Standard deviation that a covariance has at least. [1]"""
 
 MOST_POWERS = 300
+"""After so many the rest is one step."""
 
 Density = Callable[[FloatArray], FloatArray]
 """Logarithm of a density at points, shape (n, p); minus infinity outside its support."""
@@ -49,14 +50,12 @@ class Particles:
         log_density: Their density's logarithm. Shape (n,). [1]
         n_powers: Steps from an even density to this one.
         acceptance: Share of the last power's steps that were taken. [1]
-        n_asked: Points at which the density was asked.
     """
 
     u: FloatArray
     log_density: FloatArray
     n_powers: int
     acceptance: float
-    n_asked: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +122,14 @@ class _Annealing:
         self._log_density, self._reference, self._rng = log_density, reference, rng
         self._u = reference.draw(n_particles, rng)
         self._value, self._at_first = log_density(self._u), reference.log_density(self._u)
-        self._power, self._n_asked = 0.0, n_particles
+        self._power = 0.0
         self._step = 2.38 / np.sqrt(self._u.shape[1])
 
     def run(self) -> Particles:
         """Raise the power to 1."""
         n_powers, taken = 0, 0.0
-        while self._power < 1.0 and n_powers < MOST_POWERS:
-            power = self._next_power()
+        while self._power < 1.0:
+            power = self._next_power() if n_powers < MOST_POWERS else 1.0
             drawn = _drawn(self._weights(power), self._rng)
             self._u, self._value, self._at_first = self._u[drawn], self._value[drawn], self._at_first[drawn]
             self._power = power
@@ -138,7 +137,7 @@ class _Annealing:
             n_sweeps = LAST_SWEEPS if power == 1.0 else SWEEPS
             taken = float(np.mean([self._sweep(leaps=i % 3 == 2) for i in range(n_sweeps)]))
         order = self._rng.permutation(len(self._u))
-        return Particles(self._u[order], self._value[order], n_powers, taken, self._n_asked)
+        return Particles(self._u[order], self._value[order], n_powers, taken)
 
     def _weights(self, power: float) -> FloatArray:
         """Return what the particles count at a higher power. Shape (n,)."""
@@ -187,7 +186,6 @@ class _Annealing:
         found, first_there = np.full(n, -np.inf), np.zeros(n)
         found[inside] = self._log_density(there[inside])
         first_there[inside] = self._reference.log_density(there[inside])
-        self._n_asked += int(inside.sum())
         gain = self._power * (found - value) + (1.0 - self._power) * (first_there - at_first)
         gain += back_over_there
         accepted = np.log(self._rng.random(n)) < gain
