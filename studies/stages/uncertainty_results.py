@@ -31,7 +31,7 @@ class PosteriorFiles:
 
     Attributes:
         numbers: All numbers.
-        arrays: Sample, chain and bands.
+        arrays: Sample, particles and bands.
         rows: The stored rows that were known when it began.
     """
 

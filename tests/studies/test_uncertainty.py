@@ -11,6 +11,7 @@ from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
+from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.annealing import Reference, sample_density
@@ -99,6 +100,24 @@ def test_a_linear_models_posterior_is_the_textbook_one():
     assert found.sample.n_taught == 0
     assert found.sample.n_effective > 0.95 * len(found.sample.weights)
     assert found.n_calls == 2 * 2 + len(found.sample.weights)
+
+
+def test_a_prior_enters_as_it_is():
+    """A linear model and a normal prior: the posterior is normal, its precision the sum of both."""
+    problem = posed(line(), [0.3, -0.4])
+    best, design = least_squares(problem)
+    width = np.array([np.inf, 0.005])
+    centre = np.array([np.nan, problem.space.to_unit(best)[1] + 0.01])
+    weight = SIGMA**2 / len(TIME)
+    problem = replace(problem, prior=Prior(centre, width, weight, len(TIME)))
+    found = assessed(problem, best, kind="sensor")
+    # The box is 4 wide: theta = 4 u - 2.
+    of_data, of_prior = 16.0 * design.T @ design / SIGMA**2, np.diag(width**-2.0)
+    covariance = np.linalg.inv(of_data + of_prior)
+    mean = problem.space.to_unit(best) + covariance @ of_prior @ np.array([0.0, 0.01])
+    u, deviation = found.sample.particles.u, np.sqrt(np.diag(covariance))
+    assert (u.mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
+    assert np.cov(u.T) == pytest.approx(covariance, rel=0.15)
 
 
 def test_a_product_is_known_and_its_factors_are_not():
