@@ -135,7 +135,8 @@ def budget_for(
         )
     if trials is not None:
         every = {max(budget.n_train): trials}
-        budget = replace(budget, trials=every, window_trials=every)
+        note = f"{budget.note} Trials: {trials} per size, not the budget's."
+        budget = replace(budget, note=note, trials=every, window_trials=every)
     return budget if n_seeds is None else replace(budget, n_seeds=n_seeds)
 
 

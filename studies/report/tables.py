@@ -48,6 +48,8 @@ class Column:
         """Write one cell for a reader."""
         if cell is None:
             return MISSING
+        if isinstance(cell, int) and self.write is significant:
+            return count(cell)
         return cell if isinstance(cell, str) else self.write(cell)
 
 
