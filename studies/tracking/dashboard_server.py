@@ -48,12 +48,13 @@ def open_dashboard(paths: ProjectPaths, console: Console, *, port: int | None) -
     signal.signal(signal.SIGTERM, interrupt)
     url = f"http://{LOOPBACK}:{chosen}/dashboard/"
     with make_server(LOOPBACK, chosen, wsgi(storage), _Server, _QuietHandler) as server:
-        console.result(f"Optuna Dashboard shows this project's studies at {url}")
-        console.result("Ctrl-C stops it.")
-        console.document({"command": "dashboard", "url": url})
         serving = threading.Thread(target=server.serve_forever, daemon=True)
         serving.start()
         try:
+            # Whoever reads the address may already press Ctrl-C.
+            console.result(f"Optuna Dashboard shows this project's studies at {url}")
+            console.result("Ctrl-C stops it.")
+            console.document({"command": "dashboard", "url": url})
             serving.join()
         except KeyboardInterrupt:
             console.say("dashboard: stopped")

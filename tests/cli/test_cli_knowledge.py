@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from kept_project import copy_project
 from project_for_tests import TINY_PROFILE, Answer, Run, make_project
 
 from simulation.case import load_case
@@ -153,9 +154,7 @@ def test_stored_sobol_indices_say_it_without_a_call(project: Path, studies: Run)
 def test_the_papers_method_fixes_them_in_surrogate_and_model(
     finished: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    root = shutil.copytree(finished, tmp_path / "project")
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
-    monkeypatch.chdir(root)
+    root = copy_project(finished, tmp_path / "project", monkeypatch).root
     kept = stored(root, "n0016", "office-tiny")
     found = stage_of(studies("calibrate", "--profile", "tiny.toml", "--most-relevant", "3", "--json"))
     told = found["restriction"]
