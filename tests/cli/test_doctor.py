@@ -131,7 +131,7 @@ def test_an_fmu_that_misbehaves_costs_one_line(
 ) -> None:
     make_bad_case(project, behaviour)
     answer = studies("check", "bad", "--profile", "smoke", "--json")
-    assert answer.code == code, answer.err
+    assert answer.code == code, answer.out
     line = finding(answer, what)
     assert line["level"] == level
     assert found in line["found"]
