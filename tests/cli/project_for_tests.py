@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from made_up_recording import write_csv_files
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -53,8 +54,24 @@ class Answer:
         assert isinstance(content, dict)
         return content
 
+    @property
+    def stage(self) -> dict[str, Any]:
+        """The one stage of a command that went well."""
+        assert self.code == 0, self.err
+        (stage,) = self.document["stages"]
+        assert isinstance(stage, dict)
+        return stage
+
 
 Run = Callable[..., Answer]
+
+
+def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
+    """Copy a project and let the command line find the copy."""
+    shutil.copytree(template, root)
+    patch.setenv("STUDIES_ROOT", str(root))
+    patch.chdir(root)
+    return root
 
 
 def make_project(root: Path) -> Path:

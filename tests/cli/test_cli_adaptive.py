@@ -12,7 +12,7 @@ from typing import Any
 
 import pyarrow.parquet
 import pytest
-from project_for_tests import REPOSITORY, Answer, Run, make_project
+from project_for_tests import REPOSITORY, Run, copy_of, make_project
 
 from studies.cli import main
 from studies.paths import ProjectPaths
@@ -40,10 +40,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    root = shutil.copytree(template, tmp_path / "project")
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
-    monkeypatch.chdir(root)
-    return root
+    return copy_of(template, tmp_path / "project", monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +52,6 @@ def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
         assert main([*SHORT, "--quiet"]) == 0
     assert n_stored(root) == 28
     return root
-
-
-def stage_of(answer: Answer) -> dict[str, Any]:
-    assert answer.code == 0, answer.err
-    (stage,) = answer.document["stages"]
-    assert isinstance(stage, dict)
-    return stage
 
 
 def results_of(project: Path) -> dict[str, Any]:
@@ -81,13 +71,13 @@ def n_stored(project: Path) -> int:
 
 def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path, studies: Run) -> None:
     answer = studies(*ADAPTIVE, "--window", "0-10", "--max-calls", "100", "--json")
-    stage = stage_of(answer)
+    stage = answer.stage
     assert stage["mse"] <= 1.3 * BEST_KNOWN
     calls = stage["ledger"]
     assert calls["n_adaptive"] == calls["total_honest"] == stage["n_simulated"] == n_stored(project) <= 100
     assert answer.document["method"] == "adaptive"
     assert 14 < answer.document["calls_to_target"]["0.0123"] <= calls["n_adaptive"]
-    again = stage_of(studies(*ADAPTIVE, "--window", "0-10", "--json"))
+    again = studies(*ADAPTIVE, "--window", "0-10", "--json").stage
     assert again["finished_before"]
     told = studies(*ADAPTIVE, "--window", "0-10", "--again")
     assert f"{calls['n_adaptive']} of {calls['n_adaptive']} simulations reused" in told.err
@@ -122,7 +112,7 @@ def test_interrupted_at_any_call_it_goes_on_and_simulates_nothing_twice(
         process.wait(LIMIT_S)
     n_before = n_stored(project)
     assert 14 < n_before < 28
-    resumed = stage_of(studies(*SHORT, "--json"))
+    resumed = studies(*SHORT, "--json").stage
     # One row may have been finished and not yet written: it is recovered.
     assert 28 - n_before - 1 <= resumed["n_simulated"] <= 28 - n_before
     assert n_stored(project) == 28
@@ -134,7 +124,7 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     answer = studies(*arguments)
     assert answer.code == 0, answer.err
     assert "it ended because the target is reached" in answer.out
-    stage = stage_of(studies(*arguments, "--json"))
+    stage = studies(*arguments, "--json").stage
     assert stage["mse"] <= 0.1
     assert stage["n_rounds"] == 1 + (stage["ledger"]["n_adaptive"] - 14) / 4
 

@@ -1,14 +1,13 @@
 """What the user knows: priors in the case file, and parameters fixed because they matter least."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from kept_project import copy_project
-from project_for_tests import TINY_PROFILE, Answer, Run, make_project
+from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
 
 from simulation.case import load_case
 from studies.doctor.declared import look_at_declaration
@@ -32,10 +31,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    root = shutil.copytree(template, tmp_path / "project")
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
-    monkeypatch.chdir(root)
-    return root
+    return copy_of(template, tmp_path / "project", monkeypatch)
 
 
 def with_prior(project: Path, text: str = PRIOR) -> None:
@@ -43,13 +39,6 @@ def with_prior(project: Path, text: str = PRIOR) -> None:
     content = case.read_text(encoding="utf-8")
     assert 'name = "UWin"\n' in content
     case.write_text(content.replace('name = "UWin"\n', text), encoding="utf-8")
-
-
-def stage_of(answer: Answer) -> dict[str, Any]:
-    assert answer.code == 0, answer.err
-    stage = answer.document["stages"][0]
-    assert isinstance(stage, dict)
-    return stage
 
 
 def stored(project: Path, name: str, label: str = "office-quick") -> dict[str, Any]:
@@ -60,10 +49,10 @@ def stored(project: Path, name: str, label: str = "office-quick") -> dict[str, A
 
 
 def test_a_prior_costs_no_simulation_again_and_is_told(project: Path, studies: Run) -> None:
-    before = stage_of(studies(*ADAPTIVE, "--max-calls", "15", "--json"))
+    before = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     assert "prior" not in before
     with_prior(project)
-    after = stage_of(studies(*ADAPTIVE, "--max-calls", "15", "--json"))
+    after = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     assert not after["finished_before"]
     assert after["n_simulated"] <= 1, "the first design is stored"
     assert after["case_sha256"] == before["case_sha256"]
@@ -105,10 +94,10 @@ def test_a_wrong_prior_is_one_line(project: Path, studies: Run, prior: str, mess
 
 def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, studies: Run) -> None:
     with_prior(project)
-    whole = stage_of(studies(*ADAPTIVE, "--max-calls", "15", "--json"))
+    whole = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     kept = stored(project, "adaptive")
     restricted = (*ADAPTIVE, "--most-relevant", "3", "--max-calls", "90")
-    found = stage_of(studies(*restricted, "--json"))
+    found = studies(*restricted, "--json").stage
     told = found["restriction"]
     assert (told["n_free"], len(told["fixed"]), told["source"]) == (3, P - 3, "Morris")
     assert {name: found["theta"][name] for name in told["fixed"]} == told["fixed"]
@@ -141,7 +130,7 @@ def test_stored_sobol_indices_say_it_without_a_call(project: Path, studies: Run)
     (project / "sobol.toml").write_text(SOBOL, encoding="utf-8")
     profile = ("--profile", "sobol.toml")
     assert studies("sensitivity", "office", *profile, "--jobs", "1").code == 0
-    found = stage_of(studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9", "--json"))
+    found = studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9", "--json").stage
     assert (found["restriction"]["source"], found["restriction"]["n_calls"]) == ("Sobol", 0)
     assert found["restriction"]["n_calls_before"] == 8 * (P + 2)
     assert found["restriction"]["check"] is None
@@ -156,7 +145,7 @@ def test_the_papers_method_fixes_them_in_surrogate_and_model(
 ) -> None:
     root = copy_project(finished, tmp_path / "project", monkeypatch).root
     kept = stored(root, "n0016", "office-tiny")
-    found = stage_of(studies("calibrate", "--profile", "tiny.toml", "--most-relevant", "3", "--json"))
+    found = studies("calibrate", "--profile", "tiny.toml", "--most-relevant", "3", "--json").stage
     told = found["restriction"]
     for point in ("theta", "theta_screened"):
         assert {name: found[point][name] for name in told["fixed"]} == told["fixed"]

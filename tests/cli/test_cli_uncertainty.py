@@ -13,7 +13,7 @@ from typing import Any
 
 import pyarrow.parquet
 import pytest
-from project_for_tests import REPOSITORY, Answer, Run, make_project
+from project_for_tests import REPOSITORY, Run, copy_of, make_project
 
 from studies.cli import main
 from studies.paths import ProjectPaths
@@ -55,17 +55,7 @@ def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 @pytest.fixture
 def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    root = shutil.copytree(template, tmp_path / "project")
-    monkeypatch.setenv("STUDIES_ROOT", str(root))
-    monkeypatch.chdir(root)
-    return root
-
-
-def stage_of(answer: Answer) -> dict[str, Any]:
-    assert answer.code == 0, answer.err
-    (stage,) = answer.document["stages"]
-    assert isinstance(stage, dict)
-    return stage
+    return copy_of(template, tmp_path / "project", monkeypatch)
 
 
 def results_of(project: Path) -> dict[str, Any]:
@@ -86,7 +76,7 @@ def test_it_says_how_sure_the_calibration_is_and_is_on_the_page(
     project = shutil.copytree(undisturbed, tmp_path / "project")
     monkeypatch.setenv("STUDIES_ROOT", str(project))
     n_before = n_stored(template)
-    stage = stage_of(studies(*JUDGE, "--json"))
+    stage = studies(*JUDGE, "--json").stage
     assert stage["finished_before"]
     assert set(stage["parameters"]) == {"GIn", "G12", "G23", "C1", "C2", "C3", "T2Start"}
     for one in stage["parameters"].values():
@@ -147,7 +137,7 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
         process.wait(LIMIT_S)
     assert not (project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json").exists()
     n_kept = n_stored(project) - n_before
-    resumed = stage_of(studies(*JUDGE, "--json"))
+    resumed = studies(*JUDGE, "--json").stage
     assert resumed["n_simulated"] <= whole["total"] - n_kept
     assert resumed["ledger"] == whole
     mine, theirs = results_of(project), results_of(undisturbed)
