@@ -185,7 +185,8 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
             f"A simulated set fits better than the calibration: MSE {significant(r.best_mse)} instead of "
             f"{significant(r.mse)} {squared(unit)}; calibrate with more calls."
         )
-    said.append(sample_sentence(r))
+    # What nothing below may be trusted without comes first.
+    said.insert(len(said) if r.is_trusted else 0, sample_sentence(r))
     return tuple(said)
 
 
@@ -203,7 +204,7 @@ def sample_sentence(record: UncertaintyRecord) -> str:
     )
     if not r.is_trusted:
         worth += (
-            " That is too few: the surrogate does not know the posterior yet, so read intervals and bands "
-            "as estimates and go on with more --max-calls."
+            " That is too few: the surrogate does not know the posterior yet. Do not trust intervals, bands "
+            "and what follows from them here; go on with more --max-calls."
         )
     return worth
