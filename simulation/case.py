@@ -258,7 +258,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         relative_tolerance=file.relative_tolerance,
         accepted=accepted,
         shared_warmup=file.time.shared_warmup,
-        warmup_theta=_expected(space) if file.time.shared_warmup else None,
+        warmup_theta=space.expected if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),
         parameter_offsets=_unless(0.0, [one.offset for one in parameters]),
@@ -288,12 +288,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
             if table.window == period.compared_d
         ),
     )
-
-
-def _expected(space: ParameterSpace) -> FloatArray:
-    """Return the estimates, the middle of the box where there is none. Shape (p,)."""
-    estimates = np.array([np.nan if one.estimate is None else one.estimate for one in space.parameters])
-    return np.where(np.isnan(estimates), space.from_unit(np.full(space.n_parameters, 0.5)), estimates)
 
 
 def _unless(usual: float, values: list[float]) -> FloatArray | None:

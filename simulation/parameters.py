@@ -103,6 +103,12 @@ class ParameterSpace:
                 raise InputError(f"parameter {name} is declared {self.names.count(name)} times; keep one")
 
     @cached_property
+    def expected(self) -> FloatArray:
+        """Estimates, and the middle of the box where there is none. Shape (p,). [per parameter]."""
+        estimates = np.array([np.nan if one.estimate is None else one.estimate for one in self.parameters])
+        return np.where(np.isnan(estimates), self.from_unit(np.full(self.n_parameters, 0.5)), estimates)
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names in the order of the columns of theta."""
         return tuple(parameter.name for parameter in self.parameters)

@@ -150,5 +150,15 @@ def independent_samples(measurement: Measurement) -> float:
         rho = 0.0
         if m > 1 and lasts_s > 0.0:
             rho = float(np.exp(-np.median(np.diff(samples.time)) / lasts_s))
-        total += max(1.0, m * (1.0 - rho) / (1.0 + rho))
+        total += worth_of(m, rho)
     return total
+
+
+def worth_of(m: int, rho: float) -> float:
+    """Return how many independent samples m are worth that follow each other (first-order autoregressive).
+
+    Args:
+        m: Samples.
+        rho: Correlation from one to the next. [1]
+    """
+    return max(1.0, m * (1.0 - rho) / (1.0 + rho))

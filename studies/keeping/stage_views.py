@@ -62,12 +62,8 @@ def _write_calibration(
     from studies.stages.results import stored_calibrations
     from studies.stages.tracking import log_adaptive, log_calibration
 
-    name = file.stem.removeprefix("calibrate-")
-    told = file.with_name(f"calibration-{name}.json")
-    numbers = read_json(told)
-    if numbers is None:
-        raise InputError(f"{paths.show(told)} cannot be read; type: studies calibrate")
-    study = _study(paths, file, numbers.get("recipe", {}))
+    told = file.with_name(f"calibration-{file.stem.removeprefix('calibrate-')}.json")
+    study = _study_of_numbers(paths, file, told, "studies calibrate")
     stored = {one.files.numbers: one for one in stored_calibrations(study)}.get(told)
     if stored is None:
         raise InputError(f"the case {study.case.name} has changed since")
@@ -98,10 +94,7 @@ def _write_uncertainty(
     from studies.stages.uncertainty_results import log_posterior, stored_posteriors
 
     told = file.with_name(f"posterior-{file.stem.removeprefix('uncertainty-')}.json")
-    numbers = read_json(told)
-    if numbers is None:
-        raise InputError(f"{paths.show(told)} cannot be read; type: studies uncertainty")
-    study = _study(paths, file, numbers.get("recipe", {}))
+    study = _study_of_numbers(paths, file, told, "studies uncertainty")
     stored = {one.files.numbers: one for one in stored_posteriors(study)}.get(told)
     if stored is None:
         raise InputError("its calibration has changed since")
@@ -134,6 +127,14 @@ def _write_item(paths: ProjectPaths, manifest: Mapping[str, Any], when: Mapping[
     _first_file(paths, manifest, "studies reproduce-paper")
     files = [paths.root / name for name in manifest["files"]]
     tell_item(paths, files, manifest["digest"], case_digest=manifest["inputs"]["case"], **when)
+
+
+def _study_of_numbers(paths: ProjectPaths, file: Path, told: Path, command: str) -> Study:
+    """Return the study of a stage whose recipe lies with its numbers; the command makes these again."""
+    numbers = read_json(told)
+    if numbers is None:
+        raise InputError(f"{paths.show(told)} cannot be read; type: {command}")
+    return _study(paths, file, numbers.get("recipe", {}))
 
 
 def _study(paths: ProjectPaths, file: Path, recipe: Mapping[str, Any]) -> Study:

@@ -217,10 +217,7 @@ def start_points(space: ParameterSpace, row: DirectRow) -> FloatArray:
     """
     from scipy.special import ndtr, ndtri
 
-    middle = space.from_unit(np.full(space.n_parameters, 0.5))
-    guess = np.array(
-        [m if one.estimate is None else one.estimate for one, m in zip(space.parameters, middle, strict=True)]
-    )
+    guess = space.expected
     width = space.upper - space.lower
     sigma = np.sqrt(0.5 * width) if row.draw == "variance" else 0.5 * width
     low, high = ndtr((space.lower - guess) / sigma), ndtr((space.upper - guess) / sigma)

@@ -92,8 +92,6 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
         }
         return summary, files
 
-    if again:
-        (study.results / f"{stage}.json").unlink(missing_ok=True)
     return run_stage(
         study,
         stage,
@@ -101,4 +99,5 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: summary["agreement"],
+        again=again,
     )

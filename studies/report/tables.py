@@ -46,11 +46,9 @@ class Column:
 
     def text(self, cell: Cell) -> str:
         """Write one cell for a reader."""
-        if cell is None:
-            return MISSING
-        if isinstance(cell, int) and self.write is significant:
-            return count(cell)
-        return cell if isinstance(cell, str) else self.write(cell)
+        if cell is None or isinstance(cell, str):
+            return MISSING if cell is None else cell
+        return count(cell) if isinstance(cell, int) and self.write is significant else self.write(cell)
 
 
 @dataclass(frozen=True)

@@ -152,8 +152,6 @@ def adaptive_stage(
         )
         return summary, [files.numbers, files.arrays]
 
-    if again:
-        (study.results / f"{stage}.json").unlink(missing_ok=True)
     return run_stage(
         study,
         stage,
@@ -161,6 +159,7 @@ def adaptive_stage(
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"final MSE {summary['mse']:.5f}",
+        again=again,
     )
 
 

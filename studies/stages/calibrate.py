@@ -119,8 +119,6 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         kept = {k: v for k, v in numbers.items() if not k.endswith("_history") and k not in left_out}
         return {**kept, "file": study.paths.show(files.numbers), "wall": wall}, [files.numbers, files.arrays]
 
-    if again:
-        (study.results / f"{stage}.json").unlink(missing_ok=True)
     return run_stage(
         study,
         stage,
@@ -128,6 +126,7 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"final MSE {summary['mse_polished']:.5f}",
+        again=again,
     )
 
 

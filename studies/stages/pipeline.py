@@ -111,6 +111,7 @@ def run_stage(
     reuse_note: Callable[[Summary], str],
     keep: Callable[[Summary], bool] = lambda summary: True,
     recipe: Recipe | None = None,
+    again: bool = False,
 ) -> Outcome:
     """Do a stage's work unless it is finished.
 
@@ -123,9 +124,12 @@ def run_stage(
         reuse_note: what to tell of a finished stage.
         keep: whether the stage counts as finished with this result.
         recipe: what rebuilds it, kept in the manifest where no other file of the stage has it.
+        again: do it though it is finished; until it is done again it counts as unfinished.
     """
     digest = digest_of(inputs)
     file = study.results / f"{stage}.json"
+    if again:
+        file.unlink(missing_ok=True)
     finished = read_manifest(study.paths, file, digest)
     if finished is not None:
         study.console.say(f"{stage}: finished before, {reuse_note(finished['summary'])}")

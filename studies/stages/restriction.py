@@ -10,7 +10,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
-from simulation.parameters import Parameter
+from simulation.parameters import ParameterSpace
 from simulation.partly_fixed import PartlyFixedModel
 from studies.calibration.adaptive import Adaptive
 from studies.console import Column
@@ -91,22 +91,23 @@ def restriction_inputs(study: Study, n_free: int | None) -> dict[str, Any]:
     """Return what a restricted calibration depends on beyond the case; empty without a restriction."""
     if n_free is None:
         return {}
-    held = {one.name: held_at(one)[0] for one in study.case.parameter_space.parameters}
+    held = {name: value for name, (value, _) in held_at(study.case.parameter_space).items()}
     known = _sobol_digest(study) or digest_of({"n_trajectories": N_TRAJECTORIES})
     return {"restriction": {"n_free": n_free, "relevance": known, "held_at": held}}
 
 
-def held_at(parameter: Parameter) -> tuple[float, str]:
-    """Return what a parameter is held at, and where that comes from."""
-    if parameter.prior is not None:
-        return parameter.prior.centre, "its prior"
-    if parameter.estimate is not None:
-        return parameter.estimate, "its estimate"
-    is_log = parameter.scale == "log"
-    middle = (
-        np.sqrt(parameter.lower * parameter.upper) if is_log else (parameter.lower + parameter.upper) / 2.0
-    )
-    return float(middle), "the middle of its bounds"
+def held_at(space: ParameterSpace) -> dict[str, tuple[float, str]]:
+    """Return what each parameter is held at where it is fixed, and where that comes from."""
+    held = {}
+    for parameter, expected in zip(space.parameters, space.expected.tolist(), strict=True):
+        if parameter.prior is not None:
+            held[parameter.name] = parameter.prior.centre, "its prior"
+        else:
+            held[parameter.name] = (
+                expected,
+                "the middle of its bounds" if parameter.estimate is None else "its estimate",
+            )
+    return held
 
 
 def find_restriction(study: Study, n_free: int) -> Restriction:
@@ -130,11 +131,11 @@ def find_restriction(study: Study, n_free: int) -> Restriction:
             found = morris_relevance(problem, n_trajectories=N_TRAJECTORIES, seed=study.profile.seed)
         n_calls, n_before = found.n_calls, 0
     free = found.most(n_free)
-    parameters = [one for one in case.parameter_space.parameters if one.name not in free]
+    held = {name: one for name, one in held_at(case.parameter_space).items() if name not in free}
     return Restriction(
         n_free=n_free,
-        fixed={one.name: held_at(one)[0] for one in parameters},
-        why={one.name: held_at(one)[1] for one in parameters},
+        fixed={name: value for name, (value, _) in held.items()},
+        why={name: why for name, (_, why) in held.items()},
         shares={
             name: float(share) if np.isfinite(share) else None
             for name, share in zip(found.names, found.shares, strict=True)

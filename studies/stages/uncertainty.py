@@ -101,8 +101,6 @@ def uncertainty_stage(
         )
         return summary, [files.numbers, files.arrays, files.rows]
 
-    if again:
-        (study.results / f"{stage}.json").unlink(missing_ok=True)
     return run_stage(
         study,
         stage,
@@ -110,6 +108,7 @@ def uncertainty_stage(
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets",
+        again=again,
     )
 
 

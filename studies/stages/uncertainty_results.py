@@ -17,6 +17,7 @@ from studies.stages.results import (
     ADAPTIVE,
     StoredCalibration,
     measured_series,
+    n_free_of,
     parameter_box,
     read_arrays,
     stored_calibrations,
@@ -90,14 +91,16 @@ def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] 
     """
     if sizes and (method == ADAPTIVE or len(sizes) > 1):
         raise InputError("--n-train names one calibration of --method paper; give one size, or leave it away")
-    stored = [one for one in stored_calibrations(study) if math.isfinite(one.mse)]
+    # Of a restricted calibration the fixed parameters are not to be judged.
+    whole = [one for one in stored_calibrations(study) if n_free_of(one.numbers) is None]
+    stored = [one for one in whole if math.isfinite(one.mse)]
     by_name = {one.name: one for one in stored}
     if sizes:
         wanted = by_name.get(size_name(sizes[0]))
     elif method != "paper" and ADAPTIVE in by_name:
         wanted = by_name[ADAPTIVE]
     else:
-        papers = [one for one in stored if one.name != ADAPTIVE] if method != ADAPTIVE else []
+        papers = [one for one in stored if not one.is_adaptive] if method != ADAPTIVE else []
         wanted = min(papers, key=lambda one: one.mse, default=None)
     if wanted is None:
         asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"

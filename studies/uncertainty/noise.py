@@ -19,6 +19,7 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.measurement import Measurement
 from studies.calibration.prior import independent_samples as declared_independent_samples
+from studies.calibration.prior import worth_of
 
 NoiseKind = Literal["correlated", "white", "sensor"]
 NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
@@ -108,4 +109,4 @@ def independent_samples(residuals: FloatArray) -> float:
     if power <= 0.0 or len(residuals) < 3:
         return float(len(residuals))
     rho = min(max(float(centered[1:] @ centered[:-1]) / power, 0.0), 0.999)
-    return max(len(residuals) * (1.0 - rho) / (1.0 + rho), 1.0)
+    return worth_of(len(residuals), rho)

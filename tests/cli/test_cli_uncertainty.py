@@ -175,3 +175,16 @@ def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run)
     answer = studies("uncertainty", "office")
     assert answer.code == 2
     assert "no calibration of any kind; type: studies calibrate office --method adaptive" in answer.err
+
+
+def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(project: Path, studies: Run) -> None:
+    results = project / "mlruns" / "results" / "wall-quick"
+    for stem, suffix in (("calibration", ".json"), ("calibration", ".npz"), ("calibrate", ".json")):
+        whole = results / f"{stem}-adaptive{suffix}"
+        whole.rename(results / f"{stem}-adaptive-relevant4{suffix}")
+    numbers = results / "calibration-adaptive-relevant4.json"
+    content = json.loads(numbers.read_text(encoding="utf-8")) | {"restriction": {"n_free": 4}}
+    numbers.write_text(json.dumps(content), encoding="utf-8")
+    answer = studies(*JUDGE)
+    assert answer.code == 2
+    assert "wall-quick has no calibration" in answer.err
