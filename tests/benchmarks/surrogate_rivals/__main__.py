@@ -46,7 +46,7 @@ def measure(kept: Kept, options: argparse.Namespace) -> None:
                 (problem, method, size, seed)
                 for size in options.sizes
                 for method in options.methods
-                if (problem, method, size, seed) not in kept
+                if (problem, method, size, seed) not in kept and size <= METHODS[method].most_rows
             ]
             if not missing:
                 continue

@@ -10,7 +10,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import ParameterSpace
 from surrogate_rivals.problems import Data
 
-# Part of the training set's variance that the coordinates may leave out: far below every error here.
+# Part of the training set's variance that the coordinates leave out if not told otherwise.
 LEFT_OUT = 1e-6
 Z_90 = 1.6448536269514722  # standard deviations from the middle to the end of a normal 90 % band
 
@@ -86,13 +86,18 @@ class Principal:
     left_out: FloatArray
 
     @classmethod
-    def of(cls, data: Data) -> "Principal":
-        """Learn them from the training set."""
+    def of(cls, data: Data, left_out: float = LEFT_OUT) -> "Principal":
+        """Learn them from the training set.
+
+        Args:
+            data: The training set.
+            left_out: Part of its variance that they may leave out.
+        """
         mean = data.y.mean(axis=0)
         x = ((data.y - mean) * data.output_scales).reshape(len(data.y), -1)
         _, values, rows = np.linalg.svd(x, full_matrices=False)
         part = 1.0 - np.cumsum(values**2) / np.sum(values**2)
-        q = min(int(np.argmax(part <= LEFT_OUT)) + 1, max(1, len(x) - 1))
+        q = min(int(np.argmax(part <= left_out)) + 1, max(1, len(x) - 1))
         basis = rows[:q]
         rest = ((x - x @ basis.T @ basis) ** 2).mean(axis=0).reshape(mean.shape)
         return cls(mean, basis, data.output_scales, rest / data.output_scales**2)

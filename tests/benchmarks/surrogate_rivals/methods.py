@@ -25,11 +25,13 @@ class Method:
         train: How.
         needs: Packages, as Python imports them.
         is_ours: Whether it is this project's.
+        most_rows: Largest training set that it takes in minutes.
     """
 
     train: Train
     needs: tuple[str, ...] = ()
     is_ours: bool = False
+    most_rows: int = 1_000_000
 
     @property
     def missing(self) -> list[str]:
@@ -56,5 +58,12 @@ METHODS: dict[str, Method] = {
     "pca + gp, warped": Method(
         _when_wanted("rivals_process", "gaussian_processes", is_warped=True), needs=("gpytorch",)
     ),
+    "pca + sparse pce": Method(_when_wanted("rivals_polynomial", "sparse_chaos"), needs=("openturns",)),
     "pca + kernel ridge": Method(_when_wanted("rivals_ridge", "kernel_ridge"), needs=("sklearn",)),
+    "pca + boosted trees": Method(_when_wanted("rivals_trees", "boosted_trees"), needs=("sklearn",)),
+    "pca + mlp": Method(_when_wanted("rivals_networks", "network")),
+    "pca + deep ensemble": Method(_when_wanted("rivals_networks", "ensemble")),
+    "autoemulate": Method(
+        _when_wanted("rivals_autoemulate", "best_of_six"), needs=("autoemulate",), most_rows=512
+    ),
 }

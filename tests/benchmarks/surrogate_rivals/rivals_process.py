@@ -18,8 +18,10 @@ from surrogate_rivals.problems import Data
 
 # Rows that hyperparameters are learnt from: kernel and start from few, then more for what weighs more.
 FEW_ROWS, MORE_ROWS, MOST_ROWS = 128, 256, 512
-FEW_STEPS, MORE_STEPS = 30, 20
-MORE_FROM, MOST_FROM = 1e-5, 1e-2  # part of the variance, from which a coordinate weighs more
+FEW_STEPS, MORE_STEPS = 30, 15
+# So many coordinates, the leading ones, learn from most and from more rows, and choose among kernels at all.
+N_MOST, N_MORE, N_CHOOSING = 6, 12, 24
+LEFT_OUT = 1e-5  # of the variance
 STARTS = (1.5, 0.6)  # lengths at the start, in widths of the box
 NOISE_FLOOR = 1e-8
 CHUNK_ROWS = 1000
@@ -60,11 +62,13 @@ class _Process(gpytorch.models.ExactGP):  # type: ignore[misc]
         if self.is_warped:
             u = (x + 0.5).clamp(1e-6, 1.0 - 1e-6)
             x = 0.5 - (1.0 - u ** self.log_rise.exp()) ** self.log_fall.exp()
-        return x / self.log_length.exp()
+        seen: Tensor = x / self.log_length.exp()
+        return seen
 
     def kernel(self, x: Tensor, other: Tensor) -> Tensor:
         """Return the covariance of two sets of rows. Shape (n, m)."""
-        return self.covar_module(self.inputs(x), self.inputs(other)).to_dense()  # type: ignore[no-any-return]
+        matrix: Tensor = self.covar_module(self.inputs(x), self.inputs(other)).to_dense()
+        return matrix
 
     def factor(self, x: Tensor) -> Tensor:
         """Return the Cholesky factor of the training rows' covariance. Shape (n, n)."""
@@ -98,8 +102,9 @@ class _Coordinate:
     def mean(self, x: Tensor, rows: Tensor) -> Tensor:
         """Predict from the rows that are known. Shape (m,)."""
         with torch.no_grad():
-            parts = [self.process.kernel(part, rows) @ self.weights for part in x.split(CHUNK_ROWS)]
-            return (torch.cat(parts)[:, 0] + self.process.mean_module.constant) * self.scale
+            parts = [self.process.kernel(part, rows) @ self.weights for part in torch.split(x, CHUNK_ROWS)]
+            mean: Tensor = (torch.cat(parts)[:, 0] + self.process.mean_module.constant) * self.scale
+            return mean
 
     def variance(self, x: Tensor, rows: Tensor) -> Tensor:
         """Return the variance of a prediction. Shape (m,)."""
@@ -108,18 +113,19 @@ class _Coordinate:
                 self.process.factor(rows), self.process.kernel(rows, x), upper=False
             )
             own = self.process.kernel(x, x).diagonal() + self.process.likelihood.noise.squeeze()
-            return (own - (known**2).sum(dim=0)).clamp_min(NOISE_FLOOR) * self.scale**2
+            variance: Tensor = (own - (known**2).sum(dim=0)).clamp_min(NOISE_FLOOR) * self.scale**2
+            return variance
 
 
 def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
     """Learn each coordinate's kernel by its marginal likelihood, then let it know all rows.
 
     RBF or Matérn 5/2, and the lengths to start from, are chosen per coordinate by the validation set. The
-    process sees both kinds of features, or warped logarithmic ones. Hyperparameters come from at most 512 rows,
-    those of coordinates with less than a hundredth of the variance from 256 or 128.
+    process sees both kinds of features, or warped logarithmic ones. Hyperparameters come from 128 rows, those
+    of the leading coordinates from 256 and from 512; coordinates after the 24th share the last ones.
     """
     del seed  # nothing is drawn
-    features, principal = Features.of(data.space), Principal.of(data)
+    features, principal = Features.of(data.space), Principal.of(data, LEFT_OUT)
 
     def seen(theta: FloatArray) -> Tensor:
         rows = features.logarithmic(theta) if is_warped else features.both(theta)
@@ -128,11 +134,10 @@ def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
     x, z = seen(data.theta), torch.from_numpy(principal.coordinates(data.y))
     x_validation = seen(data.validation[0])
     z_validation = torch.from_numpy(principal.coordinates(data.validation[1]))
-    part = (z.var(dim=0) / z.var(dim=0).sum()).tolist()
-    processes = [
-        _learnt(x, z[:, j], (x_validation, z_validation[:, j]), part[j], is_warped=is_warped)
-        for j in range(z.shape[1])
-    ]
+    processes: list[_Process] = []
+    for j in range(z.shape[1]):
+        known = (x_validation, z_validation[:, j])
+        processes.append(_learnt(x, z[:, j], known, j, processes[-1:], is_warped=is_warped))
     clock = Clock()
     coordinates = [_Coordinate.of(process, x, z[:, j]) for j, process in enumerate(processes)]
     fit_s = clock.s
@@ -150,22 +155,29 @@ def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
 
 
 def _learnt(
-    x: Tensor, z: Tensor, validation: tuple[Tensor, Tensor], part: float, *, is_warped: bool
+    x: Tensor,
+    z: Tensor,
+    validation: tuple[Tensor, Tensor],
+    rank: int,
+    before: list[_Process],
+    *,
+    is_warped: bool,
 ) -> _Process:
-    """Learn one coordinate's hyperparameters."""
+    """Learn a coordinate's hyperparameters; one far down takes those of the coordinate before."""
+    if rank >= N_CHOOSING:
+        return before[0]
     y = z / z.std()
     rows = min(FEW_ROWS, len(x))
     found: list[tuple[float, int, _Process]] = []
-    for kernel in ("rbf", "matern") if part >= MORE_FROM else ("rbf",):
-        for start in STARTS if part >= MOST_FROM else STARTS[:1]:
+    for kernel in ("rbf", "matern"):
+        for start in STARTS if rank < N_MOST else STARTS[:1]:
             process = _Process(x[:rows], y[:rows], kernel, start, is_warped=is_warped)
             _maximize_likelihood(process, FEW_STEPS)
-            known = _Coordinate.of(process, x[:rows], z[:rows])
-            mse = float(((known.mean(validation[0], x[:rows]) - validation[1]) ** 2).mean())
-            found.append((mse, len(found), process))
+            guess = _Coordinate.of(process, x[:rows], z[:rows]).mean(validation[0], x[:rows])
+            found.append((float(((guess - validation[1]) ** 2).mean()), len(found), process))
     process = min(found)[2]
-    for more, least in ((MORE_ROWS, MORE_FROM), (MOST_ROWS, MOST_FROM)):
-        if len(x) > rows and part >= least:
+    for more, last in ((MORE_ROWS, N_MORE), (MOST_ROWS, N_MOST)):
+        if len(x) > rows and rank < last:
             rows = min(more, len(x))
             process.set_train_data(x[:rows], y[:rows], strict=False)
             _maximize_likelihood(process, MORE_STEPS)
@@ -182,7 +194,7 @@ def _maximize_likelihood(process: _Process, steps: int) -> None:
 
     def put(point: FloatArray) -> None:
         with torch.no_grad():
-            for weight, values in zip(weights, torch.from_numpy(point).split(sizes), strict=True):
+            for weight, values in zip(weights, torch.split(torch.from_numpy(point), sizes), strict=True):
                 weight.copy_(values.reshape(weight.shape))
 
     def loss(point: FloatArray) -> tuple[float, FloatArray]:

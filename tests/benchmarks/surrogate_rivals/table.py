@@ -50,9 +50,8 @@ def _block(kept: Kept, problem: str, what: str, value: Value, *, marks_least: bo
     cells = {m: [median(kept, problem, m, size, value) for size in sizes] for m in methods}
     if all(one is None for row in cells.values() for one in row):
         return
-    least = [
-        min((row[i] for row in cells.values() if row[i] is not None), default=None) for i in range(len(sizes))
-    ]
+    columns = zip(*cells.values(), strict=True)
+    least = [min((one for one in column if one is not None), default=None) for column in columns]
     yield f"| {what} | " + " | ".join(f"n = {size}" for size in sizes) + " |"
     yield "|---" * (1 + len(sizes)) + "|"
     for method, row in cells.items():
