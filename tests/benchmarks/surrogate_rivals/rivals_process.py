@@ -22,7 +22,8 @@ FEW_STEPS, MORE_STEPS = 30, 15
 # So many coordinates, the leading ones, learn from most and from more rows, and choose among kernels at all.
 N_MOST, N_MORE, N_CHOOSING = 6, 12, 24
 LEFT_OUT = 1e-5  # of the variance
-STARTS = (1.5, 0.6)  # lengths at the start, in widths of the box
+# Lengths in widths of the box: most probable value, and how far they may spread around it (logarithms).
+PRIORS = ((1.5, 1.0), (3.0, 0.4))
 NOISE_FLOOR = 1e-8
 CHUNK_ROWS = 1000
 
@@ -33,7 +34,9 @@ class _Process(gpytorch.models.ExactGP):  # type: ignore[misc]
     The warp is the distribution function of Kumaraswamy, two exponents per feature.
     """
 
-    def __init__(self, x: Tensor, y: Tensor, kernel: str, start: float, *, is_warped: bool) -> None:
+    def __init__(
+        self, x: Tensor, y: Tensor, kernel: str, length: tuple[float, float], *, is_warped: bool
+    ) -> None:
         likelihood = gpytorch.likelihoods.GaussianLikelihood(
             noise_prior=LogNormalPrior(np.log(1e-5), 3.0), noise_constraint=GreaterThan(NOISE_FLOOR)
         )
@@ -46,7 +49,7 @@ class _Process(gpytorch.models.ExactGP):  # type: ignore[misc]
         self.covar_module = ScaleKernel(bumps, outputscale_prior=LogNormalPrior(0.0, 2.0)) + linear
         likelihood.noise = 1e-4
         self.is_warped = is_warped
-        logs = {"log_length": (np.log(start), np.log(1.5), 1.0)}
+        logs = {"log_length": (np.log(length[0]), np.log(length[0]), length[1])}
         if is_warped:
             logs |= {"log_rise": (0.0, 0.0, 0.5), "log_fall": (0.0, 0.0, 0.5)}
         for name, (value, middle, spread) in logs.items():
@@ -74,7 +77,8 @@ class _Process(gpytorch.models.ExactGP):  # type: ignore[misc]
         """Return the Cholesky factor of the training rows' covariance. Shape (n, n)."""
         matrix = self.kernel(x, x)
         matrix.diagonal().add_(self.likelihood.noise.squeeze() + 1e-10 * matrix.diagonal().mean())
-        return torch.linalg.cholesky(matrix)
+        lower: Tensor = torch.linalg.cholesky(matrix)
+        return lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +124,7 @@ class _Coordinate:
 def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
     """Learn each coordinate's kernel by its marginal likelihood, then let it know all rows.
 
-    RBF or Matérn 5/2, and the lengths to start from, are chosen per coordinate by the validation set. The
+    RBF or Matérn 5/2, and how even the lengths are, are chosen per coordinate by the validation set. The
     process sees both kinds of features, or warped logarithmic ones. Hyperparameters come from 128 rows, those
     of the leading coordinates from 256 and from 512; coordinates after the 24th share the last ones.
     """
@@ -150,8 +154,9 @@ def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
         rows = seen(theta)
         return principal.deviation(torch.stack([one.variance(rows, x) for one in coordinates], dim=1).numpy())
 
+    n_even = sum(float(one.process.log_length_prior.scale.mean()) < 0.5 for one in coordinates)
     n_rbf = sum(isinstance(one.process.covar_module.kernels[0].base_kernel, RBFKernel) for one in coordinates)
-    return Fitted(predict, fit_s, f"{len(coordinates)} coordinates, {n_rbf} by RBF", deviation)
+    return Fitted(predict, fit_s, f"{len(coordinates)} coordinates, {n_rbf} by RBF, {n_even} even", deviation)
 
 
 def _learnt(
@@ -170,8 +175,8 @@ def _learnt(
     rows = min(FEW_ROWS, len(x))
     found: list[tuple[float, int, _Process]] = []
     for kernel in ("rbf", "matern"):
-        for start in STARTS if rank < N_MOST else STARTS[:1]:
-            process = _Process(x[:rows], y[:rows], kernel, start, is_warped=is_warped)
+        for length in PRIORS:
+            process = _Process(x[:rows], y[:rows], kernel, length, is_warped=is_warped)
             _maximize_likelihood(process, FEW_STEPS)
             guess = _Coordinate.of(process, x[:rows], z[:rows]).mean(validation[0], x[:rows])
             found.append((float(((guess - validation[1]) ** 2).mean()), len(found), process))
