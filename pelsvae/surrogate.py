@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from pelsvae.config import Device, SurrogateConfig
 from pelsvae.device import n_threads_set
+from pelsvae.linear_vae import LinearVae
 from pelsvae.network import PelsVae
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 
@@ -37,14 +39,14 @@ class Surrogate:
         config: How it was built and trained.
         shape: Parameters, times, outputs.
         network: Encoder, decoder, regressor, in evaluation mode.
-        eps: The fixed standard normal draws of Eq. 7. Shape (L, z).
+        eps: The fixed standard normal draws of Eq. 7, in the network's precision. Shape (L, z).
         theta_standardizer: Parameters to features.
         output_standardizer: Trajectories to network outputs and back.
     """
 
     config: SurrogateConfig
     shape: SurrogateShape
-    network: PelsVae
+    network: PelsVae | LinearVae
     eps: Tensor
     theta_standardizer: ThetaStandardizer
     output_standardizer: OutputStandardizer
@@ -62,21 +64,35 @@ class Surrogate:
         Raises:
             ValueError: The shape is wrong, or a parameter that enters by its logarithm is not positive.
         """
-        rows = self._checked(theta, n_dimensions=2)
-        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else _CHUNK_ROWS
-        x = np.empty((len(rows), self.shape.n_times * self.shape.n_outputs))
-        features = self._features(torch.from_numpy(rows).to(self.eps.device))  # (n, f)
+        return self.output_standardizer.physical(
+            self._in_chunks(theta, lambda features: self.network.predict(features, self.eps), n_jobs)
+        )
 
-        def predict_from(start: int) -> None:
-            # Inference mode belongs to a thread.
-            with torch.inference_mode():
-                part = self.network.predict(features[start : start + size], self.eps)
-                x[start : start + size] = part.cpu().numpy()
+    @property
+    def states_deviation(self) -> bool:
+        """Whether `deviation` can be asked."""
+        return isinstance(self.network, LinearVae)
 
-        starts = range(0, len(rows), size)
-        with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
-            list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(predict_from, starts))
-        return self.output_standardizer.physical(x)
+    def deviation(self, theta: npt.ArrayLike, *, n_jobs: int = 1) -> Array:
+        """Say how far predictions are likely to be off.
+
+        Args:
+            theta: Parameters; a row with NaN has deviations NaN. Shape (n, p). [per parameter]
+            n_jobs: CPU cores that share the rows.
+
+        Returns:
+            Standard deviation of a normal error: 1.645 of it to both sides cover 90 % of the values of the
+            validation set. Shape (n, t, k). [output's unit]
+
+        Raises:
+            ValueError: As for `predict`, or the surrogate states none.
+        """
+        network = self.network
+        if not isinstance(network, LinearVae):
+            raise ValueError("this surrogate states no deviation; regressor 'gaussian-process' does")
+        x = self._in_chunks(theta, network.deviation, n_jobs)
+        shape = (-1, self.shape.n_times, self.shape.n_outputs)
+        return x.reshape(shape) * self.output_standardizer.deviation
 
     def jacobian(self, theta: npt.ArrayLike) -> Array:
         """Differentiate the prediction at one parameter set.
@@ -132,6 +148,23 @@ class Surrogate:
         from pelsvae.surrogate_files import load_surrogate
 
         return load_surrogate(Path(folder), device)
+
+    def _in_chunks(self, theta: npt.ArrayLike, answer: Callable[[Tensor], Tensor], n_jobs: int) -> Array:
+        """Return what features are answered with, for all rows. Shape (n, t * k). [1]."""
+        rows = self._checked(theta, n_dimensions=2)
+        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else _CHUNK_ROWS
+        x = np.empty((len(rows), self.shape.n_times * self.shape.n_outputs))
+        features = self._features(torch.from_numpy(rows).to(self.eps.device))  # (n, f)
+
+        def answer_from(start: int) -> None:
+            # Inference mode belongs to a thread.
+            with torch.inference_mode():
+                x[start : start + size] = answer(features[start : start + size]).cpu().numpy()
+
+        starts = range(0, len(rows), size)
+        with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
+            list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(answer_from, starts))
+        return x
 
     def _features(self, theta: Tensor) -> Tensor:
         """Map theta (..., p), float64 -> features (..., f) in the network's precision."""

@@ -16,6 +16,8 @@ import torch
 
 from pelsvae.config import Device, SurrogateConfig
 from pelsvae.device import resolve_device
+from pelsvae.kernel import Kernel
+from pelsvae.linear_vae import LinearVae
 from pelsvae.network import PelsVae
 from pelsvae.standardize import OutputStandardizer, ThetaStandardizer
 from pelsvae.surrogate import Surrogate, SurrogateShape
@@ -121,8 +123,13 @@ def _assembled(
     if theta.n_features != shape.n_parameters + theta.log_columns.size:
         raise RuntimeError(f"theta.mean has shape {theta.mean.shape}")
     eps = torch.from_numpy(arrays["eps"])
-    network = PelsVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
-    network.load_state_dict(
-        {k.removeprefix(_NETWORK): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(_NETWORK)}
-    )
+    learnt = {
+        k.removeprefix(_NETWORK): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(_NETWORK)
+    }
+    network: PelsVae | LinearVae
+    if config.regressor == "network":
+        network = PelsVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
+        network.load_state_dict(learnt)
+    else:
+        network = LinearVae(Kernel(theta.n_features, config.n_scales, config.degree), **learnt)
     return Surrogate(config, shape, network.to(device).eval(), eps.to(device), theta, output)

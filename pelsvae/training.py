@@ -1,8 +1,7 @@
-"""The whole training loop: `fit` turns simulated trajectories into a surrogate."""
+"""`fit` turns simulated trajectories into a surrogate, whatever its form."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,46 +12,15 @@ import torch
 from torch import Tensor
 
 from pelsvae.config import SurrogateConfig
-from pelsvae.device import denormals_flushed, n_threads_set, resolve_device
-from pelsvae.loss import objective
+from pelsvae.device import n_threads_set, resolve_device
+from pelsvae.epochs import EpochReport
+from pelsvae.linear_vae import LinearVae
 from pelsvae.metrics import errors
 from pelsvae.network import PelsVae
+from pelsvae.network_training import train_network
+from pelsvae.process_fitting import fit_processes
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 from pelsvae.surrogate import Surrogate, SurrogateShape, draw_prediction_eps, require_positive
-
-HISTORY_KEYS = (
-    "epoch",
-    "loss",
-    "kl",
-    "reconstruction",
-    "regression_mean",
-    "regression_scale",
-    "validation_mae",
-)
-_WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
-_START = 0.04  # of the peak learning rate, where one-cycle begins
-_END = 1e-3  # of the peak learning rate, where one-cycle ends
-
-
-class TrainingDiverged(RuntimeError):  # noqa: N818 - an outcome to expect, like a pruned trial
-    """The loss or the validation error is no longer a finite number."""
-
-
-@dataclass(frozen=True)
-class EpochReport:
-    """What a caller learns after each validated epoch.
-
-    Attributes:
-        epoch: Epochs done, from 1.
-        max_epochs: Epochs at most.
-        train_loss: Eq. 5, mean over the epoch's batches. [1]
-        validation_mae: Mean absolute error on the validation set. [output's unit]
-    """
-
-    epoch: int
-    max_epochs: int
-    train_loss: float
-    validation_mae: float
 
 
 @dataclass(frozen=True)
@@ -61,10 +29,11 @@ class FitResult:
 
     Attributes:
         surrogate: With the weights of the best validated epoch.
-        history: One value per validated epoch, by HISTORY_KEYS. Each of shape (number of validations,).
+        history: One value per validated epoch, by name, "epoch", "loss" and "validation_mae"
+            among them. Each of shape (number of validations,).
         best_epoch: Epoch whose weights were kept, from 1.
         n_epochs: Epochs done.
-        stop_reason: "max_epochs" or "patience".
+        stop_reason: "max_epochs" or "patience"; "fitted" for processes.
         wall_s: Wall time of the training.
     """
 
@@ -88,6 +57,9 @@ def fit(
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> FitResult:
     """Train a PELS-VAE by Eq. 5 and keep the weights with the smallest validation error.
+
+    With regressor "gaussian-process" there are no epochs: a search for likely kernels is reported in parts of
+    `max_epochs`, and the last report is of the surrogate itself.
 
     Args:
         theta: Training parameters. Shape (n, p). [per parameter]
@@ -118,128 +90,54 @@ def fit(
         )
     log = _log_columns(log_columns, config, theta, theta_validation)
     theta_map, output_map = ThetaStandardizer.fit(theta, log), OutputStandardizer.fit(y)
+    shape = SurrogateShape(theta.shape[1], y.shape[1], y.shape[2])
     device = resolve_device(config.device)
-    generator = torch.Generator().manual_seed(seed)  # CPU: weights, batches; the same on every device
-    network = PelsVae(theta_map.n_features, y[0].size, config, generator).to(device)
-    surrogate = Surrogate(
-        config=config,
-        shape=SurrogateShape(theta.shape[1], y.shape[1], y.shape[2]),
-        network=network,
-        eps=draw_prediction_eps(config.n_prediction_samples, config.n_latent, generator).to(device),
-        theta_standardizer=theta_map,
-        output_standardizer=output_map,
-    )
-    features = theta_map.features(torch.from_numpy(theta), torch.float32).to(device)  # (n, f)
-    x = torch.from_numpy(output_map.standardized(y)).to(device, torch.float32)  # (n, d)
-    with n_threads_set(config.n_threads), denormals_flushed():
-        history, best_epoch, stop_reason = _train(
-            surrogate,
-            features,
-            x,
-            validation_error=lambda: (
-                errors(surrogate.predict(theta_validation), y_validation, output_scales).mae
-            ),
-            generator=generator,
-            on_epoch=on_epoch,
-        )
-    network.eval().requires_grad_(False)
+
+    def surrogate_of(network: PelsVae | LinearVae, eps: Tensor) -> Surrogate:
+        return Surrogate(config, shape, network, eps, theta_map, output_map)
+
+    def validation_error(surrogate: Surrogate) -> float:
+        return errors(surrogate.predict(theta_validation), y_validation, output_scales).mae
+
+    def prepared(theta: Array, y: Array, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+        features = theta_map.features(torch.from_numpy(theta), dtype)  # (n, f)
+        return features.to(device), torch.from_numpy(output_map.standardized(y)).to(device, dtype)  # (n, d)
+
+    with n_threads_set(config.n_threads):
+        if config.regressor == "network":
+            generator = torch.Generator().manual_seed(seed)  # CPU: weights, batches; the same on every device
+            network = PelsVae(theta_map.n_features, y[0].size, config, generator).to(device)
+            eps = draw_prediction_eps(config.n_prediction_samples, config.n_latent, generator).to(device)
+            surrogate = surrogate_of(network, eps)
+            history, best_epoch, stop_reason = train_network(
+                network,
+                config,
+                *prepared(theta, y, torch.float32),
+                validation_error=lambda: validation_error(surrogate),
+                generator=generator,
+                on_epoch=on_epoch,
+            )
+        else:
+            made, history = fit_processes(
+                config,
+                prepared(theta, y, torch.float64),
+                prepared(theta_validation, y_validation, torch.float64),
+                n_outputs=shape.n_outputs,
+                validation_error=lambda network: validation_error(surrogate_of(network, network.no_draw)),
+                seed=seed,
+                on_epoch=on_epoch,
+            )
+            surrogate = surrogate_of(made, made.no_draw)
+            best_epoch, stop_reason = config.max_epochs, "fitted"
+    surrogate.network.eval().requires_grad_(False)
     return FitResult(
         surrogate=surrogate,
-        history={
-            key: np.array(column)
-            for key, column in zip(HISTORY_KEYS, zip(*history, strict=True), strict=True)
-        },
+        history={key: np.array([row[key] for row in history]) for key in history[0]},
         best_epoch=best_epoch,
-        n_epochs=int(history[-1][0]),
+        n_epochs=int(history[-1]["epoch"]),
         stop_reason=stop_reason,
         wall_s=time.perf_counter() - started,
     )
-
-
-def _train(
-    surrogate: Surrogate,
-    theta: Tensor,  # (n, f)
-    x: Tensor,  # (n, d)
-    *,
-    validation_error: Callable[[], float],
-    generator: torch.Generator,
-    on_epoch: Callable[[EpochReport], None] | None,
-) -> tuple[list[tuple[float, ...]], int, str]:
-    """Train the surrogate's network in place; return history rows, best epoch and stop reason."""
-    config, network, n = surrogate.config, surrogate.network, len(x)
-    size = min(config.batch_size, n)
-    starts = range(0, n, size)
-    noise = torch.Generator(x.device).manual_seed(generator.initial_seed())
-    optimizer = _optimizer(network, config)
-    weights: list[Tensor] = list(network.parameters())
-    best = [weight.detach().clone() for weight in weights]
-    best_mae, best_epoch, step, n_steps = math.inf, 0, 0, config.max_epochs * len(starts)
-    history: list[tuple[float, ...]] = []
-    for epoch in range(1, config.max_epochs + 1):
-        order = torch.randperm(n, generator=generator).to(x.device) if size < n else None
-        sums = torch.zeros(5, device=x.device)
-        for start in starts:
-            rows = slice(None) if order is None else order[start : start + size]
-            x_batch, theta_batch = x[rows], theta[rows]  # (b, d), (b, f)
-            eps = torch.randn(
-                config.n_latent_samples, len(x_batch), config.n_latent, generator=noise, device=x.device
-            )  # (L, b, z)
-            optimizer.param_groups[0]["lr"] = _learning_rate(config, step / n_steps)
-            terms = objective(
-                network, x_batch, theta_batch, eps=eps, beta=config.beta, detach_encoder=config.detach_encoder
-            )
-            optimizer.zero_grad(set_to_none=True)
-            terms.total.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            step += 1
-            if epoch % config.validate_every == 0 or epoch == config.max_epochs:
-                sums += torch.stack(terms).detach() * (len(x_batch) / n)
-        if epoch % config.validate_every and epoch != config.max_epochs:
-            continue
-        mae = validation_error()
-        row = (float(epoch), *sums.tolist(), mae)
-        if not all(map(math.isfinite, row)):
-            raise TrainingDiverged(
-                f"loss {row[1]:g}, validation error {mae:g} at epoch {epoch}; lower learning_rate or beta"
-            )
-        history.append(row)
-        if mae < best_mae:
-            best_mae, best_epoch = mae, epoch
-            with torch.no_grad():
-                torch._foreach_copy_(best, weights)
-        if on_epoch is not None:
-            on_epoch(EpochReport(epoch, config.max_epochs, row[1], mae))
-        if epoch - best_epoch >= config.patience:
-            break
-    with torch.no_grad():
-        torch._foreach_copy_(weights, best)
-    return history, best_epoch, "max_epochs" if epoch == config.max_epochs else "patience"
-
-
-def _optimizer(network: PelsVae, config: SurrogateConfig) -> torch.optim.Optimizer:
-    """Return the update rule; fused, because at these sizes its overhead is a third of an epoch."""
-    if config.optimizer == "adamw":
-        # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of
-        # a thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
-        return torch.optim.AdamW(
-            network.parameters(),
-            lr=config.learning_rate,
-            betas=(0.9, 0.99),
-            weight_decay=config.weight_decay,
-            fused=True,
-        )
-    return torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
-
-
-def _learning_rate(config: SurrogateConfig, progress: float) -> float:
-    """Return the learning rate at a progress in [0, 1); one-cycle is a cosine up, then a cosine down."""
-    if config.schedule == "constant":
-        return config.learning_rate
-    if progress < _WARM_UP:
-        low, phase = _START, 1.0 - progress / _WARM_UP
-    else:
-        low, phase = _END, (progress - _WARM_UP) / (1.0 - _WARM_UP)
-    return config.learning_rate * (low + (1.0 - low) * 0.5 * (1.0 + math.cos(math.pi * phase)))
 
 
 def _checked(theta: npt.ArrayLike, y: npt.ArrayLike, what: str) -> tuple[Array, Array]:

@@ -115,7 +115,8 @@ def _epochs(profile: Profile) -> int:
 
 def _timed_epoch(case: Case, profile: Profile, n_train: int) -> float:
     from pelsvae.config import VARIANTS
-    from pelsvae.training import EpochReport, fit
+    from pelsvae.epochs import EpochReport
+    from pelsvae.training import fit
 
     random = np.random.default_rng(0)
     shape, p = case.measurement.y.shape, case.parameter_space.n_parameters

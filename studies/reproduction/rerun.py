@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from pelsvae.config import SurrogateConfig
-from pelsvae.training import EpochReport, FitResult
+from pelsvae.epochs import EpochReport
+from pelsvae.training import FitResult
 from simulation.errors import InputError
 from studies.reproduction.rebuild import Rebuilt
 from studies.reproduction.recorded import Arrays, Recorded, as_arrays, weights_digest

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pelsvae.device import resolve_device
-from pelsvae.training import EpochReport
+from pelsvae.epochs import EpochReport
 from simulation.errors import InputError
 from studies.recipe import file_digest
 from studies.tracking.origin import environment

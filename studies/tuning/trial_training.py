@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pelsvae.config import SurrogateConfig
+from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.metrics import errors
-from pelsvae.training import EpochReport, FitResult, TrainingDiverged, fit
+from pelsvae.training import FitResult, fit
 from studies.tuning.pruning import PRUNED
 from studies.tuning.study_data import StudyData
 from studies.tuning.study_spec import StudySpec, TrialState, output_metric

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
-from pelsvae.training import EpochReport
+from pelsvae.epochs import EpochReport
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.tuning.claim import Claim, this_owner

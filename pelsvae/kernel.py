@@ -1,0 +1,150 @@
+"""The covariance of a Gaussian process over features of theta, and how probable it makes what was simulated.
+
+All principal coordinates of the trajectories share one kernel over standardized features x,
+
+    k(x, x') = c² + a² <x, x'>_1 + q² <x, x'>_1² + sum over s of b_s² exp(-|x - x'|_s² / 2),
+
+where <.,.>_s and |.|_s divide every feature by a length of its own in scale s, and b_1 = 1. A scale whose
+lengths are large for some features is blind to these: a sum of scales is a sum of functions of few parameters
+each, which few simulations determine. Far from the data the polynomial goes on; bumps alone would fall back
+to the mean. Lengths, weights and noise are the most probable ones under normal priors of their logarithms;
+the amplitude is profiled out (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, Eq. 5.8).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pelsvae.standardize import Array
+
+CONSTANT = 10.0  # variance c², relative to the first scale's: the mean is as good as unknown
+JITTER = (
+    1e-12  # of the matrix's trace, on its diagonal: what rounding may cost before a factor fails to exist
+)
+
+# Normal priors of the logarithms, (mean, deviation). A feature's deviation is 1; a uniform one is 3.5 wide.
+_LENGTH = (math.log(5.0), 1.0)
+_LONGER = math.log(3.0)  # from one scale to the next, after _SECOND
+_SECOND = math.log(2.7)
+_WEIGHT = 2.0  # deviation of log b_s²; its mean is s - 1
+_SLOPE = (0.0, 1.0)
+_BEND = (-1.0, 1.0)
+_NOISE = (math.log(1e-3), 0.5)
+_REACH = 5.0  # deviations to either side within which the search stays
+
+# Values of one trajectory, and coordinates of many, are far from independent: so many count as independent.
+_N_INDEPENDENT = 12.0
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The form of the kernel; its logarithmic hyperparameters are a flat vector, h of them.
+
+    Attributes:
+        n_features: f.
+        n_scales: Sums of bumps, each with f lengths.
+        degree: Of the polynomial, 1 or 2.
+    """
+
+    n_features: int
+    n_scales: int
+    degree: int
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Mean and deviation of the hyperparameters. Each of shape (h,)."""
+        rows: list[tuple[float, float]] = []
+        for scale in range(self.n_scales):
+            longer = _SECOND + (scale - 1) * _LONGER if scale else 0.0
+            rows += [(_LENGTH[0] + longer, _LENGTH[1])] * self.n_features
+        rows += [(float(scale), _WEIGHT) for scale in range(1, self.n_scales)]
+        rows += [*(_SLOPE, _BEND)[: self.degree], _NOISE]
+        mean, deviation = np.array(rows).T
+        return mean, deviation
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Where the search for the most probable hyperparameters stays. h pairs."""
+        mean, deviation = self.prior
+        return list(zip(mean - _REACH * deviation, mean + _REACH * deviation, strict=True))
+
+    def lengths(self, hyper: Tensor) -> Tensor:
+        """Return every scale's lengths: (h,) -> (s, f)."""
+        return hyper[: self.n_scales * self.n_features].reshape(self.n_scales, self.n_features).exp()
+
+    def weights(self, hyper: Tensor) -> Tensor:
+        """Return b_s²: (h,) -> (s,)."""
+        start = self.n_scales * self.n_features
+        return torch.cat([hyper.new_zeros(1), hyper[start : start + self.n_scales - 1]]).exp()
+
+    def polynomial(self, hyper: Tensor) -> Tensor:
+        """Return the squares of slope and bend: (h,) -> (degree,)."""
+        return (2.0 * hyper[-1 - self.degree : -1]).exp()
+
+    def bumps(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
+        """Return the sum over the scales: (h,), (n, f), (m, f) -> (n, m)."""
+        total = x.new_zeros(())
+        for weight, length in zip(self.weights(hyper), self.lengths(hyper), strict=True):
+            near, far = x / length, others / length
+            halves = 0.5 * near.square().sum(-1)[:, None] + 0.5 * far.square().sum(-1)
+            total = total + weight * (near @ far.T - halves).clamp_max(0.0).exp()
+        return total
+
+    def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
+        """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""
+        length = self.lengths(hyper)[0]
+        product = (x / length) @ (others / length).T
+        total = CONSTANT + self.bumps(hyper, x, others)
+        for power, square in enumerate(self.polynomial(hyper), start=1):
+            total = total + square * product**power
+        return total
+
+    def variances(self, hyper: Tensor, x: Tensor) -> Tensor:
+        """Return the diagonal of `matrix` at points themselves: (h,), (n, f) -> (n,)."""
+        product = (x / self.lengths(hyper)[0]).square().sum(-1)
+        total = CONSTANT + self.weights(hyper).sum()
+        for power, square in enumerate(self.polynomial(hyper), start=1):
+            total = total + square * product**power
+        return total
+
+    def noisy(self, hyper: Tensor, x: Tensor) -> Tensor:
+        """Return the covariances of simulated rows, noise included: (h,), (n, f) -> (n, n)."""
+        matrix = self.matrix(hyper, x, x)
+        noise = (2.0 * hyper[-1]).exp() + JITTER * matrix.diagonal().sum()
+        return matrix + noise * torch.eye(len(x), dtype=x.dtype, device=x.device)
+
+    def loss(self, hyper: Array, x: Tensor, codes: Tensor) -> tuple[float, Array]:
+        """Return minus the logarithm of posterior density and its gradient, infinite where none exists.
+
+        Args:
+            hyper: Hyperparameters. Shape (h,).
+            x: Features of the rows. Shape (n, f). [1]
+            codes: Their values, whose squares sum up to n. Shape (n, z). [1]
+
+        Returns:
+            Value, and derivatives of shape (h,).
+        """
+        n = len(x)
+        with torch.enable_grad():
+            point = torch.from_numpy(hyper).to(x.device).requires_grad_()
+            matrix = self.noisy(point, x)
+        with torch.no_grad():
+            factor, failed = torch.linalg.cholesky_ex(matrix)
+            if int(failed):
+                return math.inf, np.zeros_like(hyper)
+            inverse = torch.cholesky_inverse(factor)
+            solved = inverse @ codes
+            misfit = (codes * solved).sum()
+            value = _N_INDEPENDENT * (factor.diagonal().log().sum() + 0.5 * n * torch.log(misfit / n))
+            slopes = 0.5 * _N_INDEPENDENT * torch.addmm(inverse, solved, solved.T, alpha=-n / float(misfit))
+        matrix.backward(slopes)  # type: ignore[no-untyped-call]
+        assert point.grad is not None
+        mean, deviation = self.prior
+        step = (hyper - mean) / deviation
+        return float(value) + 0.5 * float(step @ step), point.grad.cpu().numpy() + step / deviation

@@ -1,0 +1,142 @@
+"""Trains the three networks by Eq. 5: epochs, batches, the course of the learning rate, the best weights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from pelsvae.config import SurrogateConfig
+from pelsvae.device import denormals_flushed
+from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.loss import objective
+from pelsvae.network import PelsVae
+
+_TERMS = ("loss", "kl", "reconstruction", "regression_mean", "regression_scale")  # as in loss.LossTerms
+_WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
+_START = 0.04  # of the peak learning rate, where one-cycle begins
+_END = 1e-3  # of the peak learning rate, where one-cycle ends
+
+
+def train_network(
+    network: PelsVae,
+    config: SurrogateConfig,
+    theta: Tensor,
+    x: Tensor,
+    *,
+    validation_error: Callable[[], float],
+    generator: torch.Generator,
+    on_epoch: Callable[[EpochReport], None] | None,
+) -> tuple[list[dict[str, float]], int, str]:
+    """Train a network in place by Eq. 5 and leave it with the weights of the best validated epoch.
+
+    Args:
+        network: Encoder, decoder and regressor.
+        config: Batches, draws, optimizer, epochs.
+        theta: Features of theta. Shape (n, f). [1]
+        x: Standardized trajectories. Shape (n, d). [1]
+        validation_error: Judges the network as it stands.
+        generator: Of the order of the batches; its seed is that of the draws too.
+        on_epoch: Called after each validated epoch.
+
+    Returns:
+        What was seen at each validated epoch, by name; the best epoch; why it ended.
+
+    Raises:
+        TrainingDiverged: The loss or the validation error became NaN or infinite.
+    """
+    with denormals_flushed():
+        return _train(network, config, theta, x, validation_error, generator, on_epoch)
+
+
+def _train(
+    network: PelsVae,
+    config: SurrogateConfig,
+    theta: Tensor,
+    x: Tensor,
+    validation_error: Callable[[], float],
+    generator: torch.Generator,
+    on_epoch: Callable[[EpochReport], None] | None,
+) -> tuple[list[dict[str, float]], int, str]:
+    """Run the epochs of `train_network`."""
+    n = len(x)
+    size = min(config.batch_size, n)
+    starts = range(0, n, size)
+    noise = torch.Generator(x.device).manual_seed(generator.initial_seed())
+    optimizer = _optimizer(network, config)
+    weights: list[Tensor] = list(network.parameters())
+    best = [weight.detach().clone() for weight in weights]
+    best_mae, best_epoch, step, n_steps = math.inf, 0, 0, config.max_epochs * len(starts)
+    history: list[dict[str, float]] = []
+    for epoch in range(1, config.max_epochs + 1):
+        order = torch.randperm(n, generator=generator).to(x.device) if size < n else None
+        sums = torch.zeros(5, device=x.device)
+        for start in starts:
+            rows = slice(None) if order is None else order[start : start + size]
+            x_batch, theta_batch = x[rows], theta[rows]  # (b, d), (b, f)
+            eps = torch.randn(
+                config.n_latent_samples, len(x_batch), config.n_latent, generator=noise, device=x.device
+            )  # (L, b, z)
+            optimizer.param_groups[0]["lr"] = _learning_rate(config, step / n_steps)
+            terms = objective(
+                network, x_batch, theta_batch, eps=eps, beta=config.beta, detach_encoder=config.detach_encoder
+            )
+            optimizer.zero_grad(set_to_none=True)
+            terms.total.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            step += 1
+            if epoch % config.validate_every == 0 or epoch == config.max_epochs:
+                sums += torch.stack(terms).detach() * (len(x_batch) / n)
+        if epoch % config.validate_every and epoch != config.max_epochs:
+            continue
+        mae = validation_error()
+        row = {
+            "epoch": float(epoch),
+            **dict(zip(_TERMS, sums.tolist(), strict=True)),
+            "validation_mae": mae,
+        }
+        if not all(map(math.isfinite, row.values())):
+            raise TrainingDiverged(
+                f"loss {row['loss']:g}, validation error {mae:g} at epoch {epoch}; "
+                "lower learning_rate or beta"
+            )
+        history.append(row)
+        if mae < best_mae:
+            best_mae, best_epoch = mae, epoch
+            with torch.no_grad():
+                torch._foreach_copy_(best, weights)
+        if on_epoch is not None:
+            on_epoch(EpochReport(epoch, config.max_epochs, row["loss"], mae))
+        if epoch - best_epoch >= config.patience:
+            break
+    with torch.no_grad():
+        torch._foreach_copy_(weights, best)
+    return history, best_epoch, "max_epochs" if epoch == config.max_epochs else "patience"
+
+
+def _optimizer(network: PelsVae, config: SurrogateConfig) -> torch.optim.Optimizer:
+    """Return the update rule; fused, because at these sizes its overhead is a third of an epoch."""
+    if config.optimizer == "adamw":
+        # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of
+        # a thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
+        return torch.optim.AdamW(
+            network.parameters(),
+            lr=config.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=config.weight_decay,
+            fused=True,
+        )
+    return torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
+
+
+def _learning_rate(config: SurrogateConfig, progress: float) -> float:
+    """Return the learning rate at a progress in [0, 1); one-cycle is a cosine up, then a cosine down."""
+    if config.schedule == "constant":
+        return config.learning_rate
+    if progress < _WARM_UP:
+        low, phase = _START, 1.0 - progress / _WARM_UP
+    else:
+        low, phase = _END, (progress - _WARM_UP) / (1.0 - _WARM_UP)
+    return config.learning_rate * (low + (1.0 - low) * 0.5 * (1.0 + math.cos(math.pi * phase)))
