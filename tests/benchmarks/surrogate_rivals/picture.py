@@ -13,7 +13,7 @@ from surrogate_rivals.table import order
 mpl.use("agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 OURS = ("#c1121f", "#f08a5d", "#7b2cbf")  # the last variant is the best one
 RIVALS = ("#1f77b4", "#2ca02c", "#9467bd", "#8c564b", "#17becf", "#7f7f7f", "#bcbd22", "#3a5a40")
@@ -88,12 +88,10 @@ def _panel(ax: Axes, kept: Kept, problem: str, colours: dict[str, str]) -> None:
         )
     ax.set(xscale="log", yscale="log")
     ax.set_xticks(kept.sizes(problem))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.yaxis.set_minor_formatter(
-        FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
-    )
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
     ax.tick_params(labelsize=7, which="both")
     ax.grid(visible=True, lw=0.3, alpha=0.5)
     ax.set_title(PROBLEMS[problem].title, fontsize=9)

@@ -59,15 +59,16 @@ def sparse_chaos(data: Data, seed: int) -> Fitted:
         """Return coefficients of all terms, most of them zero, and their error in validation."""
         known, checked = terms(basis, data.theta[:rows]), terms(basis, data.validation[0])
         wanted = z_validation[:, leading]
+        if basis.is_full:
+            found = _regressed(known, z[:rows, leading], checked, wanted)
+            return found, error(checked @ found, wanted)
         gram = known[:most].T @ known[:most]
         found = np.zeros((basis.size, wanted.shape[1]))
         for j, target in enumerate(z[:rows, leading].T):
-            guess = np.zeros(basis.size)
-            used = list(range(basis.size))
-            if not basis.is_full:
-                guess, used = _path(gram, known[:most], target[:most], checked, wanted[:, j])
+            guess = _path(gram, known[:most], target[:most], checked, wanted[:, j])
+            used = np.flatnonzero(guess)
             again = np.zeros(basis.size)
-            again[used] = _regressed(known[:, used], target, checked[:, used], wanted[:, j])
+            again[used] = _regressed(known[:, used], target[:, None], checked[:, used], wanted[:, [j]])[:, 0]
             found[:, j] = min(
                 guess, again, key=lambda one: float(((checked @ one - wanted[:, j]) ** 2).sum())
             )
@@ -117,19 +118,20 @@ def _terms(basis: _Basis, x: FloatArray) -> FloatArray:
 
 
 def _regressed(known: FloatArray, z: FloatArray, checked: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Return coefficients of a ridge regression, the penalty chosen by validation. Shape (terms,)."""
+    """Return coefficients of ridge regressions, penalties chosen by validation. Shape (terms, q)."""
     left, values, right = np.linalg.svd(known, full_matrices=False)
     turned = left.T @ z
-    tried = [right.T @ (turned * values / (values**2 + penalty * len(z))) for penalty in PENALTIES]
-    return min(tried, key=lambda one: float(((checked @ one - wanted) ** 2).sum()))
+    shrinks = [values / (values**2 + penalty * len(z)) for penalty in PENALTIES]
+    tried = np.stack([right.T @ (turned * shrink[:, None]) for shrink in shrinks])
+    best = ((checked @ tried - wanted) ** 2).sum(axis=1).argmin(axis=0)
+    return np.asarray(tried[best, :, np.arange(z.shape[1])].T)
 
 
 def _path(
     gram: FloatArray, known: FloatArray, z: FloatArray, checked: FloatArray, wanted: FloatArray
-) -> tuple[FloatArray, list[int]]:
-    """Return the point of the lasso's path that is best in validation, and the terms in it."""
+) -> FloatArray:
+    """Return the point of the lasso's path that is best in validation. Shape (size,)."""
     _, _, path = lars_path_gram(
         known.T @ z, gram, n_samples=len(z), max_iter=min(MOST_STEPS, len(z) - 1), method="lasso"
     )
-    best = path[:, int(((checked @ path - wanted[:, None]) ** 2).sum(axis=0).argmin())]
-    return best, [int(i) for i in np.flatnonzero(best)]
+    return np.asarray(path[:, int(((checked @ path - wanted[:, None]) ** 2).sum(axis=0).argmin())])

@@ -127,6 +127,7 @@ def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
     RBF or Matérn 5/2, and how even the lengths are, are chosen per coordinate by the validation set. The
     process sees both kinds of features, or warped logarithmic ones. Hyperparameters come from 128 rows, those
     of the leading coordinates from 256 and from 512; coordinates after the 24th share the last ones.
+    The band is the processes' own.
     """
     del seed  # nothing is drawn
     features, principal = Features.of(data.space), Principal.of(data, LEFT_OUT)
