@@ -18,4 +18,5 @@ def variant(data: Data, seed: int, *, name: str) -> Fitted:
         log_columns=data.space.is_log,
         output_scales=data.output_scales,
     ).surrogate
-    return Fitted(surrogate.predict, clock.s)
+    deviation = surrogate.deviation if surrogate.states_deviation else None
+    return Fitted(surrogate.predict, clock.s, deviation=deviation)
