@@ -20,7 +20,7 @@ from surrogate_rivals.problems import Data
 FEW_ROWS, MORE_ROWS, MOST_ROWS = 128, 256, 512
 FEW_STEPS, MORE_STEPS = 30, 15
 # So many coordinates, the leading ones, learn from most and from more rows, and choose among kernels at all.
-N_MOST, N_MORE, N_CHOOSING = 6, 12, 24
+N_MOST, N_MORE, N_CHOOSING = 6, 20, 24
 LEFT_OUT = 1e-5  # of the variance
 # Lengths in widths of the box: most probable value, and how far they may spread around it (logarithms).
 PRIORS = ((1.5, 1.0), (3.0, 0.4))
@@ -124,7 +124,7 @@ class _Coordinate:
 def gaussian_processes(data: Data, seed: int, *, is_warped: bool) -> Fitted:
     """Learn each coordinate's kernel by its marginal likelihood, then let it know all rows.
 
-    RBF or Matérn 5/2, and how even the lengths are, are chosen per coordinate by the validation set. The
+    RBF or Matérn 5/2, and of few rows how even the lengths are, is chosen per coordinate by validation. The
     process sees both kinds of features, or warped logarithmic ones. Hyperparameters come from 128 rows, those
     of the leading coordinates from 256 and from 512; coordinates after the 24th share the last ones.
     The band is the processes' own.
@@ -176,7 +176,8 @@ def _learnt(
     rows = min(FEW_ROWS, len(x))
     found: list[tuple[float, int, _Process]] = []
     for kernel in ("rbf", "matern"):
-        for length in PRIORS:
+        # Few rows cannot tell all lengths: then they may be kept even.
+        for length in PRIORS if len(x) <= FEW_ROWS else PRIORS[:1]:
             process = _Process(x[:rows], y[:rows], kernel, length, is_warped=is_warped)
             _maximize_likelihood(process, FEW_STEPS)
             guess = _Coordinate.of(process, x[:rows], z[:rows]).mean(validation[0], x[:rows])
