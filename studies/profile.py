@@ -18,7 +18,7 @@ PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Positive = Annotated[float, Field(gt=0.0)]
 POWERS_OF_TWO = ("n_latent", "n_hidden")
-WHOLE = ("n_layers",)
+WHOLE = ("n_layers", "n_scales", "degree")
 Objective = Literal["val/mae", "val/p90"]
 _STRICT = ConfigDict(extra="forbid", strict=False)
 
@@ -61,26 +61,35 @@ class SensitivityBudget:
 
 @dataclass(frozen=True, config=_STRICT)
 class SearchRanges:
-    """Ranges of the hyperparameters, both ends included.
+    """Ranges of the hyperparameters, both ends included; one that has none is held at the variant's value.
 
     Args:
         n_latent: latent dimension, searched in powers of two.
         n_hidden: hidden width, searched in powers of two.
         beta: weight of the reconstruction term (Eq. 4), searched on a logarithmic scale.
-        learning_rate: searched on a logarithmic scale; None holds the variant's.
-        n_layers: number of linear layers; None holds the variant's.
+        learning_rate: searched on a logarithmic scale.
+        n_layers: number of linear layers.
+        n_scales: scales of a Gaussian process's kernel.
+        degree: of the polynomial in a Gaussian process's kernel, 1 or 2.
     """
 
-    n_latent: tuple[Count, Count] = (8, 128)
-    n_hidden: tuple[Count, Count] = (64, 256)
-    beta: tuple[Positive, Positive] = (1.0, 1000.0)
+    n_latent: tuple[Count, Count] | None = None
+    n_hidden: tuple[Count, Count] | None = None
+    beta: tuple[Positive, Positive] | None = None
     learning_rate: tuple[Positive, Positive] | None = None
     n_layers: tuple[Count, Count] | None = None
+    n_scales: tuple[Count, Count] | None = None
+    degree: tuple[Count, Count] | None = None
 
     def __post_init__(self) -> None:
         for name, span in asdict(self).items():
             if span is not None and span[0] > span[1]:
                 raise ValueError(f"{name} must be [low, high], got {list(span)}")
+
+    @property
+    def names(self) -> list[str]:
+        """What is searched."""
+        return [name for name, span in asdict(self).items() if span is not None]
 
     @property
     def n_configurations(self) -> int | None:
@@ -113,6 +122,12 @@ class SearchRanges:
         return ""
 
 
+NETWORK_RANGES = SearchRanges(n_latent=(8, 128), n_hidden=(64, 256), beta=(1.0, 1000.0))
+"""Searched for a variant of networks where the profile names no ranges."""
+PROCESS_RANGES = SearchRanges(n_scales=(1, 4), degree=(1, 2))
+"""Searched for a variant of Gaussian processes where the profile names no ranges."""
+
+
 @dataclass(frozen=True, config=_STRICT)
 class TuningBudget:
     """How long the surrogate is tuned.
@@ -132,11 +147,11 @@ class TuningBudget:
         enqueue: known-good settings that are tried right after the variant's; what one leaves out is the
             variant's.
         warm_start: also try the best settings of the nearest size that is finished.
-        search: ranges of the hyperparameters.
+        search: ranges of the hyperparameters; None for those that go with the variant.
     """
 
     n_trials: Count
-    variant: Literal["paper", "refined"] = "refined"
+    variant: Literal["paper", "refined", "gaussian-process"] = "gaussian-process"
     max_epochs: Count | None = None
     patience: Count | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
@@ -146,21 +161,38 @@ class TuningBudget:
     objectives: tuple[Objective, ...] = ("val/mae",)
     enqueue: tuple[dict[str, int | float], ...] = ()
     warm_start: bool = False
-    search: SearchRanges = Field(default_factory=SearchRanges)
+    search: SearchRanges | None = None
+
+    @property
+    def ranges(self) -> SearchRanges:
+        """What is searched, and where."""
+        return self.search or self._own_ranges
+
+    @property
+    def _own_ranges(self) -> SearchRanges:
+        return PROCESS_RANGES if self.variant == "gaussian-process" else NETWORK_RANGES
 
     @property
     def n_different_trials(self) -> int:
         """Number of trials that are worth training: no configuration is trained twice."""
-        return min(self.n_trials, self.search.n_configurations or self.n_trials)
+        return min(self.n_trials, self.ranges.n_configurations or self.n_trials)
 
     def __post_init__(self) -> None:
         if "val/mae" not in self.objectives or len(set(self.objectives)) < len(self.objectives):
             raise ValueError(
                 f'objectives must be ["val/mae"] or ["val/mae", "val/p90"], got {list(self.objectives)}'
             )
+        other = NETWORK_RANGES if self._own_ranges is PROCESS_RANGES else PROCESS_RANGES
+        also = () if other is PROCESS_RANGES else ("learning_rate", "n_layers")
+        for name in self.ranges.names:
+            if name in (*other.names, *also):
+                raise ValueError(
+                    f'search.{name} does nothing in variant "{self.variant}", which has '
+                    f"{', '.join(self._own_ranges.names)}; remove it, or choose another variant"
+                )
         for place, settings in enumerate(self.enqueue):
             for name, value in settings.items():
-                if fault := self.search.fault(name, value):
+                if fault := self.ranges.fault(name, value):
                     raise ValueError(f"enqueue[{place}].{name} = {value} {fault}")
 
 

@@ -73,7 +73,7 @@ def recorded_study(
         test_digest=digests.get("test", ""),
         variant=entry.variant,
         overrides=shared,
-        search=budget.search,
+        search=budget.ranges,
         seed=entry.seed,
         n_parallel=entry.n_parallel,
         pruner=budget.pruner,

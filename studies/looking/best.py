@@ -1,7 +1,7 @@
 """What `studies best` shows: the best model per size over all labels of a case, and the best calibration."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,17 @@ from studies.report.wording import MISSING, count, quantity, significant, square
 from studies.stages.pipeline import read_json
 from studies.tuning.trial_record import TrialRecord, trial_name
 
-HYPERPARAMETERS = ("n_latent", "n_hidden", "n_layers", "beta", "learning_rate")
+HYPERPARAMETERS = {
+    "network": {
+        "n_latent": Column("n_latent", True, 6),
+        "n_hidden": Column("n_hidden", True, 6),
+        "n_layers": Column("n_layers", True, 8),
+        "beta": Column("beta", True, 7),
+        "learning_rate": Column("lr", True, 7),
+    },
+    "gaussian-process": {"n_scales": Column("n_scales", True, 6), "degree": Column("degree", True, 6)},
+}
+"""By regressor: the settings that a table tells, and their columns."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +182,8 @@ def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] 
 
 def _models(bench: Bench) -> Table:
     unit = next((model.study.unit for model in bench.models), "")
+    present = {_regressor(model.trial.config) for model in bench.models}
+    shown = {regressor: names for regressor, names in HYPERPARAMETERS.items() if regressor in present}
     columns = [
         Column("n_train", True),
         Column("MAE val", True),
@@ -180,11 +192,7 @@ def _models(bench: Bench) -> Table:
         Column("P90 test", True, 2),
         Column("default", True, 3),
         Column("tuning", True),
-        Column("n_latent", True, 6),
-        Column("n_hidden", True, 6),
-        Column("n_layers", True, 8),
-        Column("beta", True, 7),
-        Column("lr", True, 7),
+        *(column for names in shown.values() for column in names.values()),
         Column("trials", True, 4),
         Column("trial"),
     ]
@@ -199,13 +207,22 @@ def _models(bench: Bench) -> Table:
                 *(error(metrics.get(name)) for name in ("val/p90", "test/mae", "test/p90")),
                 error(model.default_mae),
                 MISSING if gain is None else "±0 %" if gain <= 0.0 else f"-{100 * gain:.0f} %",
-                *(_setting(config.get(name)) for name in HYPERPARAMETERS),
+                *(
+                    _setting(config.get(name)) if _regressor(config) == regressor else MISSING
+                    for regressor, names in shown.items()
+                    for name in names
+                ),
                 model.n_trials,
                 Said(model.name, "good" if model.champion else ""),
             ]
         )
     behind = f" (errors in {unit})" if unit else ""
     return Table(f"{', '.join(bench.labels)}: best model per size{behind}", columns, rows, is_dense=True)
+
+
+def _regressor(config: Mapping[str, Any]) -> str:
+    """Return the form of a trial's surrogate; trials of earlier versions were all of networks."""
+    return str(config.get("regressor", "network"))
 
 
 def _setting(value: Any) -> str:

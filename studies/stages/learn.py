@@ -149,7 +149,7 @@ def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
             output_scales=tuple(study.case.measurement.error_scales.tolist()),
             variant=budget.variant,
             overrides=overrides,
-            search=budget.search,
+            search=budget.ranges,
             pruner=budget.pruner,
             objectives=budget.objectives,
             enqueue=budget.enqueue,
@@ -190,14 +190,15 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
     columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "MAE test", "P90 test")]
     several = study.case.outputs if len(study.case.outputs) > 1 else ()
     columns += [Column(f"{one.name} [{difference_unit(one.unit)}]", True) for one in several]
-    columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
+    searched = study.profile.tuning.ranges.names
+    columns += [Column(name, True) for name in searched]
     rows = []
     for found in outcome.summary["studies"]:
         errors, config = found["best_metrics"], found["best_config"]
         cells = [found["n_train"], found["n_trials"], found["n_pruned"], found["n_failed"]]
         cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
         cells += [f"{errors[f'test/{output_metric(one.name)}']:.3g}" for one in several]
-        rows.append([*cells, config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"])
+        rows.append([*cells, *(f"{config[name]:.3g}" for name in searched)])
     study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
     if len(study.profile.tuning.objectives) > 1:
         _show_front(study, outcome, behind)
@@ -210,15 +211,15 @@ def _show_front(study: Study, outcome: Outcome, behind: str) -> None:
 
     columns = [Column("n_train", True), Column("trial", True)]
     columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "P90 val", "MAE test", "P90 test")]
-    columns += [Column("n_latent", True), Column("n_hidden", True), Column("beta", True)]
+    searched = study.profile.tuning.ranges.names
+    columns += [Column(name, True) for name in searched]
     rows = []
     for found in outcome.summary["studies"]:
         records = open_trials(study.paths, found["study"]).records()
         for record in pareto_front(records, study.profile.tuning.objectives):
             cells = [f"{record.metrics[name]:.3f}" for name in ("val/mae", "val/p90", "test/mae", "test/p90")]
-            config = record.config
-            sizes = [config["n_latent"], config["n_hidden"], f"{config['beta']:.3g}"]
-            rows.append([found["n_train"], record.index, *cells, *sizes])
+            cells += [f"{record.config[name]:.3g}" for name in searched]
+            rows.append([found["n_train"], record.index, *cells])
     study.console.table(f"{study.label}: trials that no other one beats in both errors", columns, rows)
 
 

@@ -98,7 +98,7 @@ def _stages() -> str:
 
 def _trials() -> str:
     """All trials with their errors and hyperparameters."""
-    names = ("n_latent", "n_hidden", "beta", "learning_rate")
+    names = ("n_latent", "n_hidden", "beta", "learning_rate", "n_scales", "degree")
     columns = {
         "tags.`state`": 90,
         "tags.`origin`": 110,

@@ -19,7 +19,9 @@ def distributions(ranges: SearchRanges) -> dict[str, BaseDistribution]:
     """Return the search coordinates: widths as exponents of two, weights and rates on a logarithmic scale."""
     found: dict[str, BaseDistribution] = {}
     for name in POWERS_OF_TWO:
-        low, high = getattr(ranges, name)
+        if (span := getattr(ranges, name)) is None:
+            continue
+        low, high = span
         lowest, highest = math.ceil(math.log2(low)), math.floor(math.log2(high))
         if lowest > highest:
             raise InputError(f"the search range of {name}, {low} to {high}, holds no power of two; widen it")

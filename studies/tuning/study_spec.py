@@ -13,7 +13,7 @@ from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from studies.paths import size_name
-from studies.profile import SearchRanges
+from studies.profile import NETWORK_RANGES, SearchRanges
 
 TrialState = Literal["complete", "pruned", "failed"]
 EventKind = Literal[
@@ -73,7 +73,7 @@ class StudySpec:
     test_digest: str
     variant: str
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    search: SearchRanges = field(default_factory=SearchRanges)
+    search: SearchRanges = NETWORK_RANGES
     seed: int = 0
     n_parallel: int = 1
     pruner: str = "catch-up"

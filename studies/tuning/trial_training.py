@@ -18,6 +18,8 @@ N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would c
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
 HISTORY = ("epoch", "loss", "validation_mae")  # what is known of a trial without a surrogate
 
+NORMAL_90 = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
+
 
 class _PrunedError(Exception):
     """The trial is not worth its other epochs."""
@@ -76,7 +78,8 @@ def train_trial(
         seen = (report.epoch, report.train_loss, report.validation_mae)
         for name, value in zip(HISTORY, seen, strict=True):
             outcome.history[name].append(value)
-        due = [step for step in steps if step <= report.epoch]
+        # Of processes only the last report is of the surrogate; the others are of parts of the rows.
+        due = [step for step in steps if step <= report.epoch] if config.regressor == "network" else []
         if due and str(due[-1]) not in outcome.reports:
             outcome.reports[str(due[-1])] = report.validation_mae
             if is_hopeless(due[-1], report.validation_mae) and report.epoch < report.max_epochs:
@@ -108,6 +111,11 @@ def train_trial(
                 f"{name}/{output_metric(output)}": float(mae)
                 for output, mae in zip(spec.output_names, by_output, strict=True)
             }
+    if fitted.surrogate.states_deviation:
+        theta, y = data.test
+        stated = fitted.surrogate.deviation(theta)
+        inside = np.abs(fitted.surrogate.predict(theta) - y) <= NORMAL_90 * stated
+        judged["test/coverage90"] = float(inside.mean())
     outcome.n_epochs = fitted.n_epochs
     if not all(map(math.isfinite, judged.values())):
         raise TrainingDiverged("the errors of the trained surrogate are not finite")

@@ -23,6 +23,10 @@ SMALL = SurrogateConfig(
     n_threads=1,
 )
 
+PROCESSES = SurrogateConfig(
+    regressor="gaussian-process", theta_features="linear+log", max_epochs=15, device="cpu", n_threads=1
+)
+
 
 def rc_step(n: int, seed: int, n_outputs: int = 1) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return theta (n, 2) = (R, C) and y (n, 21, k): temperature, then heat flow in another unit."""

@@ -1,0 +1,143 @@
+"""The linear form: its kernel, its Gaussian processes against textbook formulas, its stated deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from rc_step_for_tests import PROCESSES, rc_step
+from scipy.optimize import check_grad
+
+from pelsvae.epochs import EpochReport
+from pelsvae.kernel import Kernel
+from pelsvae.linear_vae import LinearVae
+from pelsvae.process_fitting import ROWS
+from pelsvae.training import FitResult, fit
+
+# Forward differences with a step of 1.5e-8: half a second derivative of that, and cancellation of 1e-8.
+GRADIENT_TOL = 1e-4
+# Relative to the largest value: an explicit inverse of a matrix of condition 1e10 in float64.
+INVERSE_TOL = 1e-5
+
+
+def fitted(n: int = 60, n_outputs: int = 2, seed: int = 0, **changes: object) -> FitResult:
+    config = PROCESSES.replace(**changes)
+    validation = rc_step(40, seed=2, n_outputs=n_outputs)
+    return fit(*rc_step(n, seed=1, n_outputs=n_outputs), validation, config=config, seed=seed)
+
+
+def network_of(result: FitResult) -> LinearVae:
+    network = result.surrogate.network
+    assert isinstance(network, LinearVae)
+    return network
+
+
+@pytest.mark.parametrize(("n_scales", "degree"), [(1, 1), (1, 2), (3, 1), (3, 2)])
+def test_gradient_of_the_loss_equals_finite_differences(n_scales: int, degree: int) -> None:
+    random = np.random.default_rng(3)
+    kernel = Kernel(3, n_scales, degree)
+    x, codes = torch.from_numpy(random.normal(size=(12, 3))), torch.from_numpy(random.normal(size=(12, 2)))
+    mean, deviation = kernel.prior
+    # Not at the prior's noise: there rounding of the smallest eigenvalues is all that differences show.
+    hyper = mean + 0.5 * deviation * random.normal(size=mean.size)
+    hyper[-1] = -2.0
+    off = check_grad(lambda h: kernel.loss(h, x, codes)[0], lambda h: kernel.loss(h, x, codes)[1], hyper)
+    assert off < GRADIENT_TOL * np.linalg.norm(kernel.loss(hyper, x, codes)[1])
+
+
+def test_a_kernel_that_has_no_factor_is_infinitely_unlikely() -> None:
+    kernel = Kernel(1, 1, 1)
+    hyper = kernel.prior[0].copy()
+    hyper[:] = np.nan
+    assert kernel.loss(hyper, torch.zeros(2, 1, dtype=torch.float64), torch.ones(2, 1))[0] == np.inf
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_mean_and_variance_are_those_of_the_textbook(degree: int) -> None:
+    result = fitted(degree=degree, n_members=2)
+    network, surrogate = network_of(result), result.surrogate
+    _, y = rc_step(60, seed=1, n_outputs=2)
+    fresh = 3.0 * rc_step(9, seed=4)[0]  # far away, where the variance is large against rounding
+    x = surrogate.theta_standardizer.features(torch.from_numpy(fresh), torch.float64)
+    codes = torch.from_numpy(surrogate.output_standardizer.standardized(y)) @ network.basis.T
+    means, variances = [], []
+    for hyper in network.hyper:
+        inverse = torch.linalg.inv(network.kernel.noisy(hyper, network.x))
+        across = network.kernel.matrix(hyper, x, network.x)
+        means.append(across @ inverse @ codes)
+        left = network.kernel.matrix(hyper, x, x).diagonal() - (across @ inverse * across).sum(dim=1)
+        amplitude = (codes * (inverse @ codes)).sum(dim=0) / len(codes)
+        variances.append(left[:, None] * amplitude)
+    mean = torch.stack(means).mean(dim=0)
+    spread = (torch.stack(means) - mean).square().mean(dim=0)
+    expected = surrogate.output_standardizer.physical((mean @ network.basis).numpy())
+    scale = np.abs(y).max(axis=(0, 1))
+    assert (np.abs(surrogate.predict(fresh) - expected) <= INVERSE_TOL * scale).all()
+    variance = torch.stack(variances).mean(dim=0) + spread
+    stated = (variance @ network.basis.square() + network.rest).sqrt() * network.inflation
+    expected = stated.numpy().reshape(9, 21, 2) * surrogate.output_standardizer.deviation
+    np.testing.assert_allclose(surrogate.deviation(fresh), expected, rtol=1e-3)
+
+
+def test_bands_cover_what_they_claim_on_fresh_rows() -> None:
+    theta, y = rc_step(400, seed=6, n_outputs=2)
+    surrogate = fitted(n=30).surrogate
+    inside = np.abs(surrogate.predict(theta) - y) <= 1.6449 * surrogate.deviation(theta)
+    assert (np.abs(inside.mean(axis=(0, 1)) - 0.9) < 0.06).all()
+
+
+def test_a_network_states_no_deviation() -> None:
+    surrogate = fitted(regressor="network", n_hidden=8, n_latent=2).surrogate
+    assert not surrogate.states_deviation
+    with pytest.raises(ValueError, match="states no deviation"):
+        surrogate.deviation([[1.0, 2.0]])
+
+
+def test_what_is_linear_in_a_parameter_goes_on_beyond_the_box() -> None:
+    random = np.random.default_rng(0)
+    theta = random.uniform(1.0, 2.0, (20, 2))
+    y = np.stack([3.0 * theta[:, 0] + theta[:, 1], theta[:, 0]], axis=1)[:, :, None]
+    surrogate = fit(theta, y, (theta, y), config=PROCESSES.replace(theta_features="linear"), seed=0).surrogate
+    assert surrogate.predict([[3.0, 1.5]])[0, :, 0] == pytest.approx([10.5, 3.0], rel=1e-3)
+
+
+def test_same_seed_same_kernels_and_other_seed_others() -> None:
+    first, again, other = (network_of(fitted(seed=seed)).hyper for seed in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_members_are_averaged_while_rows_are_few() -> None:
+    assert [len(network_of(fitted(n=n, n_outputs=1, max_epochs=1)).hyper) for n in (8, 400, 1100)] == [
+        3,
+        2,
+        1,
+    ]
+
+
+def test_reports_end_with_the_surrogate_itself() -> None:
+    reports: list[EpochReport] = []
+    theta, y = rc_step(2 * ROWS[0], seed=1)
+    result = fit(theta, y, rc_step(20, seed=2), config=PROCESSES, seed=0, on_epoch=reports.append)
+    epochs = [report.epoch for report in reports]
+    assert epochs == sorted(set(epochs))
+    assert (epochs[-1], result.best_epoch, result.n_epochs) == (PROCESSES.max_epochs,) * 3
+    theta, y = rc_step(20, seed=2)
+    assert reports[-1].validation_mae == pytest.approx(np.abs(result.surrogate.predict(theta) - y).mean())
+    assert tuple(result.history) == ("epoch", "loss", "validation_mae")
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_next_to_nothing_to_learn_from(n: int) -> None:
+    theta, y = rc_step(n, seed=1)
+    surrogate = fit(theta, y, rc_step(5, seed=2), config=PROCESSES, seed=0).surrogate
+    assert np.isfinite(surrogate.predict(rc_step(5, seed=3)[0])).all()
+    np.testing.assert_allclose(surrogate.predict(theta), y, rtol=1e-2)
+
+
+def test_trajectories_that_are_all_alike_are_learnt() -> None:
+    theta, y = rc_step(12, seed=1)
+    alike = np.broadcast_to(y[:1], y.shape)
+    surrogate = fit(theta, alike, (theta, alike), config=PROCESSES, seed=0).surrogate
+    np.testing.assert_array_equal(surrogate.predict(theta), alike)
+    assert np.isfinite(surrogate.deviation(theta)).all()
