@@ -23,7 +23,7 @@ from postgres_for_tests import PostgresServer, missing_postgres
 
 from simulation.toy import ToyRC
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges
+from studies.profile import NETWORK_RANGES
 from studies.tracking.origin import environment
 from studies.tracking.tracker import open_tracker
 from studies.tuning.claim import this_owner
@@ -56,7 +56,7 @@ def a_spec() -> StudySpec:
         validation_digest="2" * 64,
         test_digest="3" * 64,
         variant="refined",
-        search=SearchRanges(),
+        search=NETWORK_RANGES,
         enqueue=tuple({"beta": 2.0 + index} for index in range(N_TRIALS)),
     )
 

@@ -134,17 +134,32 @@ def test_configurations_are_counted_as_they_are_listed(changes: dict[str, Any], 
     ranges = replace(SIX, **changes)
     points = all_points(ranges)
     assert ranges.n_configurations == n == (None if points is None else len(points))
-    assert TuningBudget(n_trials=8, search=ranges).n_different_trials == min(8, n or 8)
+    assert TuningBudget(n_trials=8, variant="refined", search=ranges).n_different_trials == min(8, n or 8)
 
 
 @pytest.mark.parametrize(
     ("line", "message"),
     [
         ('objectives = ["val/p90"]', r"objectives must be \[.val/mae.\] or"),
-        ("enqueue = [{n_latent = 48}]", r"enqueue\[0\].n_latent = 48 is no power of two"),
-        ("enqueue = [{n_latent = 512}]", r"enqueue\[0\].n_latent = 512 lies outside its range, 8 to 128"),
+        ("enqueue = [{n_scales = 9}]", r"enqueue\[0\].n_scales = 9 lies outside its range, 1 to 4"),
         (
-            "enqueue = [{beta = 2.0}, {learning_rate = 0.1}]",
+            "search = {n_hidden = [8, 16]}",
+            r'search.n_hidden does nothing in variant "gaussian-process", which has n_scales, degree',
+        ),
+        (
+            'variant = "refined"\nsearch = {degree = [1, 2]}',
+            r'search.degree does nothing in variant "refined"',
+        ),
+        (
+            'variant = "refined"\nenqueue = [{n_latent = 48}]',
+            r"enqueue\[0\].n_latent = 48 is no power of two",
+        ),
+        (
+            'variant = "refined"\nenqueue = [{n_latent = 512}]',
+            r"enqueue\[0\].n_latent = 512 lies outside its range, 8 to 128",
+        ),
+        (
+            'variant = "refined"\nenqueue = [{beta = 2.0}, {learning_rate = 0.1}]',
             r"enqueue\[1\].learning_rate = 0.1 is not searched",
         ),
     ],
