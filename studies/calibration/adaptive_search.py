@@ -57,6 +57,7 @@ class AdaptiveSearch:
         self._penalty = np.empty(0)
         self._horizon = Horizon(problem.measurement)
         self._is_judged = False
+        self._was_lost = False
         self._hyper: FloatArray | None = None
         self._radius = settings.radius
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
@@ -98,7 +99,8 @@ class AdaptiveSearch:
         n_judged = 2 * self._settings.design_size(self._p)
         if not self._is_judged and self._objective.size >= n_judged:
             self._is_judged = True
-            if self._unexplained > LOST:
+            self._was_lost = self._unexplained > LOST
+            if self._was_lost:
                 self._horizon.shorten()
                 self._begin_again()
         while not self._horizon.is_whole and self._unexplained <= UNDERSTOOD:
@@ -199,7 +201,12 @@ class AdaptiveSearch:
     def _fit(self) -> ResidualProcess:
         good = np.isfinite(self._objective)
         process = ResidualProcess.fit(
-            self._features, self._u[good], self._horizon.seen(self._residuals[good]), self._hyper
+            self._features,
+            self._u[good],
+            self._horizon.seen(self._residuals[good]),
+            self._hyper,
+            # Who is lost has to understand what is large first.
+            balance=not self._was_lost,
         )
         self._hyper = process.hyper
         return process

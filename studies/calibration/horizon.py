@@ -12,7 +12,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.measurement import Measurement
 
 # Shares of an output's measured variance that the best row leaves unexplained, by the mean squared error.
-LOST, UNDERSTOOD = 0.25, 0.05
+LOST, UNDERSTOOD = 0.25, 0.02
 SHORTEST = 1.0 / 32.0
 
 

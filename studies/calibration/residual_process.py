@@ -3,13 +3,14 @@
 The whole residual vector is predicted, not its error: the mean squared error and its curvature follow from it
 as in Gauss-Newton's method. All residuals share one kernel over features x of the unit cube,
 
-    k(x, x') = c² + exp(-|d|²/2) + a² exp(-|d|²/2w²),    d_i = (x_i - x'_i) / L_i,
+    k(x, x') = c² + exp(-|d|²/2) + a² <x, x'>_L,    d_i = (x_i - x'_i) / L_i,
 
-with one length L_i per feature and a second part that is w times as wide: a smooth trend for where there are
-no data yet, and the bumps on it. The features are the coordinates of the cube and, for logarithmic
-parameters, the linear coordinate too: some effects are proportional to a parameter, others to its logarithm,
-and the lengths say which. A row's noise is relative to its own residuals. Lengths, trend a and noise are the
-most probable ones; the amplitude is profiled out. Cost: n³ for n points, whatever the number of residuals.
+with one length L_i per feature and a linear part <., .>_L in the same lengths: far from the data the process
+goes on as a linear model instead of falling back to its mean. The features are the coordinates of the cube
+and, for logarithmic parameters, the linear coordinate too: some effects are proportional to a parameter,
+others to its logarithm, and the lengths say which. A row's noise is relative to its own residuals. Lengths,
+slope a and noise are the most probable ones; the amplitude is profiled out. Cost: n³ for n points, whatever
+the number of residuals.
 """
 
 from dataclasses import dataclass
@@ -23,12 +24,10 @@ from simulation.parameters import ParameterSpace
 
 # Variance c² of the constant, relative to the bumps': the mean is as good as unknown.
 CONSTANT = 10.0
-# Width w of the trend in lengths of the bumps.
-WIDER = 3.0
 
 # Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
 LENGTH_PRIOR = (np.log(1.5), 1.0)
-TREND_PRIOR = (np.log(3.0), 1.0)
+SLOPE_PRIOR = (np.log(1.0), 1.0)
 # Noise of a row relative to its own residuals.
 NOISE_PRIOR = (np.log(1e-2), 0.5)
 # Rows this much closer to the measurement than the rows are to each other count alike. [squared]
@@ -36,7 +35,7 @@ LEAST_LOOSENESS = 1e-8
 # Components of the residuals far above this multiple of the best row's error count by their root.
 LARGE = 10.0
 LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
-TREND_BOUNDS = (np.log(1e-3), np.log(50.0))
+SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
 NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
 # Relative to the kernel matrix's trace: what rounding may cost before a factor no longer exists.
 JITTER = 1e-13
@@ -114,7 +113,7 @@ class ResidualProcess:
     Attributes:
         features: The coordinates that the kernel sees, f of them.
         x: The points in these. Shape (n, f). [1]
-        hyper: Logarithms of f lengths, trend and noise. Shape (f + 2,). [1]
+        hyper: Logarithms of f lengths, slope and noise. Shape (f + 2,). [1]
         inverse_factor: Inverse of the kernel matrix's Cholesky factor. Shape (n, n). [1]
         coefficients: Kernel matrix's inverse times the residuals. Shape (n, r). [unit]
         level: Best row's residuals in the basis. Shape (r,). [unit]
@@ -135,7 +134,13 @@ class ResidualProcess:
 
     @classmethod
     def fit(
-        cls, features: Features, u: FloatArray, residuals: FloatArray, first_guess: FloatArray | None = None
+        cls,
+        features: Features,
+        u: FloatArray,
+        residuals: FloatArray,
+        first_guess: FloatArray | None = None,
+        *,
+        balance: bool = False,
     ) -> "ResidualProcess":
         """Fit the process to rows that were simulated.
 
@@ -144,6 +149,7 @@ class ResidualProcess:
             u: Points, at least two. Shape (n, p). [1]
             residuals: Their residuals, finite. Shape (n, m). [unit]
             first_guess: Hyperparameters of an earlier fit to start from. Shape (f + 2,). [1]
+            balance: Whether lengths are to suit small components of the residuals as well as large ones.
         """
         n, m = residuals.shape
         best = int(np.argmin((residuals**2).sum(axis=1)))
@@ -154,7 +160,8 @@ class ResidualProcess:
         x = features.at(u)
         gram = values @ values.T
         looseness = _looseness(residuals, gram)
-        hyper = _most_probable(x, _balanced(gram, residuals[best]), looseness, first_guess)
+        weighed = balanced(gram, residuals[best]) if balance else gram
+        hyper = _most_probable(x, weighed, looseness, first_guess)
         inverse_factor = _inverse_factor(_Kernel.of(x, hyper, looseness).matrix)
         coefficients = inverse_factor.T @ (inverse_factor @ values)
         variance = float((values * coefficients).sum()) / (n * m)
@@ -167,46 +174,34 @@ class ResidualProcess:
             u: The point. Shape (p,). [1]
             caution: Part of the predictive variance that is added to the squared mean. [1]
         """
-        weights, trend = np.exp(-2.0 * self.hyper[:-2]), float(np.exp(2.0 * self.hyper[-2]))
-        away = self.features.at(u) - self.x
-        k, fall = covariance((away**2) @ weights, trend)
-        dk = self.features.pull_back(u, -fall[:, None] * away * weights)
+        weights, slope = np.exp(-2.0 * self.hyper[:-2]), float(np.exp(2.0 * self.hyper[-2]))
+        x = self.features.at(u)
+        away = x - self.x
+        bumps = np.exp(-0.5 * (away**2) @ weights)
+        k = CONSTANT + bumps + slope * self.x @ (x * weights)
+        dk = self.features.pull_back(u, (slope * self.x - bumps[:, None] * away) * weights)
         residuals, jacobian = self.level + k @ self.coefficients, dk.T @ self.coefficients
         mse = (self.outside + float(residuals @ residuals)) / self.n_residuals
         gradient = 2.0 * (jacobian @ residuals) / self.n_residuals
         hessian = 2.0 * (jacobian @ jacobian.T) / self.n_residuals
         # Curvature of the variance: twice the covariance of the slopes, and a rest that vanishes at the data.
         known, dknown = self.inverse_factor @ k, self.inverse_factor @ dk
-        k_here, fall_here = covariance(np.zeros(()), trend)
-        variance = max(float(k_here) - float(known @ known), 0.0)
-        roots = self.features.pull_back(u, np.diag(np.sqrt(fall_here * weights)))
+        variance = max(CONSTANT + 1.0 + slope * float(x**2 @ weights) - float(known @ known), 0.0)
+        dprior = self.features.pull_back(u, slope * x * weights)
+        roots = self.features.pull_back(u, np.diag(np.sqrt((1.0 + slope) * weights)))
         scale = caution * self.variance
-        gradient = gradient - 2.0 * scale * (dknown.T @ known)
+        gradient = gradient + 2.0 * scale * (dprior - dknown.T @ known)
         hessian = hessian + 2.0 * scale * (roots.T @ roots - dknown.T @ dknown)
         return Expansion(mse + scale * variance, mse, gradient, hessian)
 
 
-def covariance(squares: FloatArray, trend: float) -> tuple[FloatArray, FloatArray]:
-    """Return the kernel and how it falls.
-
-    Args:
-        squares: Squared distances |d|². Any shape. [1]
-        trend: Variance a² of the trend, relative to the bumps'. [1]
-
-    Returns:
-        The kernel k, and -2 dk/d|d|². Shape of the squares. [1]
-    """
-    bumps, wide = np.exp(-0.5 * squares), trend * np.exp(-0.5 / WIDER**2 * squares)
-    return CONSTANT + bumps + wide, bumps + wide / WIDER**2
-
-
 @dataclass(frozen=True, eq=False)
 class _Kernel:
-    """The kernel matrix of a design, how it falls with the distances, and its trend."""
+    """The kernel matrix of a design and its parts."""
 
     matrix: FloatArray
-    fall: FloatArray
-    trend: FloatArray
+    bumps: FloatArray
+    linear: FloatArray
 
     @classmethod
     def of(cls, x: FloatArray, hyper: FloatArray, looseness: FloatArray) -> "_Kernel":
@@ -214,17 +209,17 @@ class _Kernel:
         products = scaled @ scaled.T
         squares = np.diag(products)
         distances = np.maximum(squares[:, None] + squares[None] - 2.0 * products, 0.0)
-        trend = float(np.exp(2.0 * hyper[-2]))
-        matrix, fall = covariance(distances, trend)
+        bumps = np.exp(-0.5 * distances)
+        linear = np.exp(2.0 * hyper[-2]) * products
+        matrix = CONSTANT + bumps + linear
         noise = np.exp(2.0 * hyper[-1]) * looseness + JITTER * float(np.trace(matrix))
-        return cls(matrix + np.diag(noise), fall, trend * np.exp(-0.5 / WIDER**2 * distances))
+        return cls(matrix + np.diag(noise), bumps, linear)
 
 
-def _balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
+def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
     """Return the Gram matrix with its large components scaled down. Shape (n, n). [unit squared].
 
-    What moves the residuals most would else decide the lengths alone, and directions in which they hardly
-    move, where a search spends most of its rows, would have the lengths of others.
+    What moves the residuals most would else decide alone, also the lengths of what hardly moves them.
 
     Args:
         gram: Products of the rows' residuals. Shape (n, n). [unit squared]
@@ -254,8 +249,8 @@ def _most_probable(
 ) -> FloatArray:
     """Return the hyperparameters that maximize the profiled likelihood times the priors. Shape (f + 2,)."""
     n, f = x.shape
-    mean = np.array([LENGTH_PRIOR[0]] * f + [TREND_PRIOR[0], NOISE_PRIOR[0]])
-    deviation = np.array([LENGTH_PRIOR[1]] * f + [TREND_PRIOR[1], NOISE_PRIOR[1]])
+    mean = np.array([LENGTH_PRIOR[0]] * f + [SLOPE_PRIOR[0], NOISE_PRIOR[0]])
+    deviation = np.array([LENGTH_PRIOR[1]] * f + [SLOPE_PRIOR[1], NOISE_PRIOR[1]])
     total = float(np.trace(gram))
     if total <= 0.0:
         return mean
@@ -271,7 +266,7 @@ def _most_probable(
         mean if first_guess is None else first_guess,
         jac=True,
         method="L-BFGS-B",
-        bounds=[LENGTH_BOUNDS] * f + [TREND_BOUNDS, NOISE_BOUNDS],
+        bounds=[LENGTH_BOUNDS] * f + [SLOPE_BOUNDS, NOISE_BOUNDS],
         options={"maxiter": MAX_FIT_ITERATIONS},
     )
     return np.asarray(np.round(found.x, FIT_DECIMALS), dtype=np.float64)
@@ -291,11 +286,10 @@ def _negative_log_likelihood(
     # d value / d kernel matrix
     slopes = 0.5 * N_INDEPENDENT * (inverse - (n / trace) * (explained @ inverse))
     gradient = np.empty(hyper.size)
-    fall = slopes * kernel.fall
-    gradient[:-2] = (
-        2.0 * np.exp(-2.0 * hyper[:-2]) * (fall.sum(axis=1) @ (x**2) - (x * (fall @ x)).sum(axis=0))
-    )
-    gradient[-2] = 2.0 * (slopes * kernel.trend).sum()
+    bumps = slopes * kernel.bumps
+    mixed = (bumps + np.exp(2.0 * hyper[-2]) * slopes) @ x
+    gradient[:-2] = 2.0 * np.exp(-2.0 * hyper[:-2]) * (bumps.sum(axis=1) @ (x**2) - (x * mixed).sum(axis=0))
+    gradient[-2] = 2.0 * (slopes * kernel.linear).sum()
     gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * (np.diag(slopes) * looseness).sum()
     return value, gradient
 

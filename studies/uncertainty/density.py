@@ -15,7 +15,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
-from studies.calibration.residual_process import ResidualProcess, covariance
+from studies.calibration.residual_process import CONSTANT, ResidualProcess
 from studies.uncertainty.noise import Noise
 
 BOX_PRECISION = 12.0
@@ -90,7 +90,7 @@ class Predicted:
         """Prepare what does not depend on the points."""
         self._process = process
         self._weights = np.exp(-2.0 * process.hyper[:-2])
-        self._trend = float(np.exp(2.0 * process.hyper[-2]))
+        self._slope = float(np.exp(2.0 * process.hyper[-2]))
         self._known = process.x * np.sqrt(self._weights)
         self._known_squares = np.sum(self._known**2, axis=1)
         whitened = np.linalg.solve(process.inverse_factor.T, process.coefficients)
@@ -112,10 +112,9 @@ class Predicted:
         x = process.features.at(u) * np.sqrt(self._weights)
         products, squares = x @ self._known.T, np.sum(x**2, axis=1)
         distances = np.maximum(squares[:, None] + self._known_squares - 2.0 * products, 0.0)
-        k, _ = covariance(distances, self._trend)
+        k = CONSTANT + np.exp(-0.5 * distances) + self._slope * products
         explained = np.sum((k @ process.inverse_factor.T) ** 2, axis=1)
-        here, _ = covariance(np.zeros(()), self._trend)
-        variance = np.maximum(here - explained, 0.0)
+        variance = np.maximum(CONSTANT + 1.0 + self._slope * squares - explained, 0.0)
         return self._level + k @ self._coefficients, variance
 
     def metric(self, u: FloatArray, deviation: float) -> FloatArray:
@@ -132,8 +131,8 @@ class Predicted:
         features = process.features
         x = features.at(u)
         away = x[:, None, :] - process.x
-        _, fall = covariance((away**2) @ self._weights, self._trend)
-        by_feature = -fall[:, :, None] * away * self._weights
+        bumps = np.exp(-0.5 * (away**2) @ self._weights)
+        by_feature = (self._slope * process.x - bumps[:, :, None] * away) * self._weights
         by_u = np.stack([features.pull_back(point, one) for point, one in zip(u, by_feature, strict=True)])
         _, variance = self.residuals(u)
         roots = np.sqrt(deviation**2 + variance[:, None] * self._shared)

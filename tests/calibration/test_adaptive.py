@@ -15,7 +15,7 @@ from studies.calibration.adaptive_search import latin_hypercube
 from studies.calibration.box_newton import descend
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
-from studies.calibration.residual_process import Expansion, Features, ResidualProcess
+from studies.calibration.residual_process import Expansion, Features, ResidualProcess, balanced
 
 FEATURES = Features.of(ToyRC().parameter_space)
 SHORT = Adaptive(max_calls=60)
@@ -178,6 +178,15 @@ def test_predictions_do_not_depend_on_the_order_of_rows() -> None:
     )
     point = np.array([0.3, 0.6])
     assert forward.expand(point, 0.1).value == pytest.approx(backward.expand(point, 0.1).value, rel=1e-2)
+
+
+def test_large_components_of_the_residuals_count_by_their_root_and_small_ones_as_they_are() -> None:
+    directions, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((4, 4)))
+    squares = np.array([1e-5, 4e-5, 1e6, 4e6])
+    gram = (directions * squares) @ directions.T
+    scaled = np.linalg.eigvalsh(balanced(gram, np.array([0.6, 0.8])))
+    assert scaled[1] / scaled[0] == pytest.approx(4.0, rel=1e-3)
+    assert scaled[3] / scaled[2] == pytest.approx(2.0, rel=1e-3)
 
 
 def test_rows_that_all_answer_the_same_are_no_reason_to_fail() -> None:
