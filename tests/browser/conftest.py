@@ -31,6 +31,7 @@ n_validation = 32
 n_test = 32
 [tuning]
 n_trials = 2
+variant = "refined"
 max_epochs = 10
 patience = 10
 [tuning.search]

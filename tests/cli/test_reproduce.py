@@ -26,6 +26,7 @@ n_base = 4
 n_resamples = 10
 [tuning]
 n_trials = 8
+variant = "refined"
 max_epochs = 60
 patience = 60
 [tuning.search]
