@@ -1,10 +1,12 @@
 """The covariance of a Gaussian process over features of theta, and how probable it makes what was simulated.
 
-All principal coordinates of the trajectories share one kernel over standardized features x,
+All principal coordinates of the trajectories share one kernel,
 
-    k(x, x') = c² + a² <x, x'>_1 + q² <x, x'>_1² + sum over s of b_s² exp(-|x - x'|_s² / 2),
+    k = c² + a² <w, w'>_1 + q² <w, w'>_1² + sum over s of b_s² exp(-|w - w'|_s² / 2),
 
-where <.,.>_s and |.|_s divide every feature by a length of its own in scale s, and b_1 = 1. A scale whose
+of warped features w = (exp(v x) - 1) / v, where <.,.>_s and |.|_s divide every feature by a length of its own
+in scale s, and b_1 = 1. The warp v of a logarithm makes it a power; it says in which power of a parameter
+the trajectories are even. A scale whose
 lengths are large for some features is blind to these: a sum of scales is a sum of functions of few parameters
 each, which few simulations determine. Far from the data the polynomial goes on; bumps alone would fall back
 to the mean. Lengths, weights and noise are the most probable ones under normal priors of their logarithms;
@@ -35,7 +37,9 @@ _SECOND = math.log(2.7)
 _WEIGHT = 2.0  # deviation of log b_s²; its mean is s - 1
 _SLOPE = (0.0, 1.0)
 _BEND = (-1.0, 1.0)
+_WARP = (0.0, 0.15)  # of v itself
 _NOISE = (math.log(1e-3), 0.5)
+_LEAST_WARP = 1e-4  # below, expm1(v x) / v is x to all digits that matter, and 0 / 0 at 0
 _REACH = 5.0  # deviations to either side within which the search stays
 
 # Values of one trajectory, and coordinates of many, are far from independent: so many count as independent.
@@ -44,7 +48,7 @@ _N_INDEPENDENT = 12.0
 
 @dataclass(frozen=True)
 class Kernel:
-    """The form of the kernel; its logarithmic hyperparameters are a flat vector, h of them.
+    """The form of the kernel; its hyperparameters are a flat vector, h of them: logarithms, and warps.
 
     Attributes:
         n_features: f.
@@ -64,7 +68,7 @@ class Kernel:
             longer = _SECOND + (scale - 1) * _LONGER if scale else 0.0
             rows += [(_LENGTH[0] + longer, _LENGTH[1])] * self.n_features
         rows += [(float(scale), _WEIGHT) for scale in range(1, self.n_scales)]
-        rows += [*(_SLOPE, _BEND)[: self.degree], _NOISE]
+        rows += [_WARP] * self.n_features + [*(_SLOPE, _BEND)[: self.degree], _NOISE]
         mean, deviation = np.array(rows).T
         return mean, deviation
 
@@ -87,27 +91,33 @@ class Kernel:
         """Return the squares of slope and bend: (h,) -> (degree,)."""
         return (2.0 * hyper[-1 - self.degree : -1]).exp()
 
-    def bumps(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
-        """Return the sum over the scales: (h,), (n, f), (m, f) -> (n, m)."""
-        total = x.new_zeros(())
+    def warped(self, hyper: Tensor, x: Tensor) -> Tensor:
+        """Return warped features: (h,), (n, f) -> (n, f)."""
+        warp = hyper[-1 - self.degree - self.n_features : -1 - self.degree]
+        warp = torch.where(warp.abs() < _LEAST_WARP, torch.full_like(warp, _LEAST_WARP), warp)
+        return torch.expm1(warp * x) / warp
+
+    def bumps(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
+        """Return the sum over the scales, of warped features: (h,), (n, f), (m, f) -> (n, m)."""
+        total = near.new_zeros(())
         for weight, length in zip(self.weights(hyper), self.lengths(hyper), strict=True):
-            near, far = x / length, others / length
-            halves = 0.5 * near.square().sum(-1)[:, None] + 0.5 * far.square().sum(-1)
-            total = total + weight * (near @ far.T - halves).clamp_max(0.0).exp()
+            left, right = near / length, far / length
+            halves = 0.5 * left.square().sum(-1)[:, None] + 0.5 * right.square().sum(-1)
+            total = total + weight * (left @ right.T - halves).clamp_max(0.0).exp()
         return total
 
     def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""
-        length = self.lengths(hyper)[0]
-        product = (x / length) @ (others / length).T
-        total = CONSTANT + self.bumps(hyper, x, others)
+        near, far = self.warped(hyper, x), self.warped(hyper, others)
+        product = (near / self.lengths(hyper)[0].square()) @ far.T
+        total = CONSTANT + self.bumps(hyper, near, far)
         for power, square in enumerate(self.polynomial(hyper), start=1):
             total = total + square * product**power
         return total
 
     def variances(self, hyper: Tensor, x: Tensor) -> Tensor:
         """Return the diagonal of `matrix` at points themselves: (h,), (n, f) -> (n,)."""
-        product = (x / self.lengths(hyper)[0]).square().sum(-1)
+        product = (self.warped(hyper, x) / self.lengths(hyper)[0]).square().sum(-1)
         total = CONSTANT + self.weights(hyper).sum()
         for power, square in enumerate(self.polynomial(hyper), start=1):
             total = total + square * product**power

@@ -17,7 +17,7 @@ from pelsvae.kernel import CONSTANT, Kernel
 
 
 class LinearVae(nn.Module):
-    """Principal coordinates and the mean of a few Gaussian processes of one form, m members.
+    """Principal coordinates and the weighted mean of Gaussian processes of one form, m members.
 
     Shapes: b rows, f features of theta, d outputs (times x outputs), z latent, n training rows, m members.
 
@@ -25,8 +25,10 @@ class LinearVae(nn.Module):
         kernel: Form of the members' kernels.
         basis: Principal components, orthonormal rows. Shape (z, d).
         x: Features of the training rows. Shape (n, f). [1]
-        hyper: Logarithmic hyperparameters of every member. Shape (m, h).
-        coefficients: Inverse of each member's covariances times the codes. Shape (m, n, z).
+        hyper: Hyperparameters of every member. Shape (m, h).
+        share: Of every member in each code; those in one code sum up to 1. Shape (m, z).
+        coefficients: Inverse of each member's covariances times the codes that it has a share in. Shape
+            (m, n, z).
         amplitude: Variance of each code under each member. Shape (m, z).
         rest: Variance of the outputs outside the basis. Shape (d,).
         inflation: Factor that makes the stated deviation true on the validation set. Shape (d,).
@@ -35,10 +37,12 @@ class LinearVae(nn.Module):
     basis: Tensor
     x: Tensor
     hyper: Tensor
+    share: Tensor
     coefficients: Tensor
     amplitude: Tensor
     rest: Tensor
     inflation: Tensor
+    warped: Tensor
     constant: Tensor
     slope: Tensor
     bend: Tensor
@@ -52,13 +56,15 @@ class LinearVae(nn.Module):
         """
         super().__init__()
         self.kernel = kernel
-        for name in ("basis", "x", "hyper", "coefficients", "amplitude", "rest", "inflation"):
+        for name in ("basis", "x", "hyper", "share", "coefficients", "amplitude", "rest", "inflation"):
             self.register_buffer(name, buffers[name])
         # The polynomial, summed over the training rows: large terms of opposite sign meet in the same order
         # whatever is predicted, and a prediction need not sum them again.
         length = torch.stack([kernel.lengths(hyper)[0] for hyper in self.hyper])  # (m, f)
         squares = torch.stack([kernel.polynomial(hyper) for hyper in self.hyper])  # (m, degree)
-        far = self.x / length[:, None].square()  # (m, n, f)
+        warped = torch.stack([kernel.warped(hyper, self.x) for hyper in self.hyper])
+        self.register_buffer("warped", warped, persistent=False)
+        far = warped / length[:, None].square()  # (m, n, f)
         self.register_buffer("constant", CONSTANT * self.coefficients.sum(dim=1), persistent=False)
         slope = squares[:, :1, None] * (far.transpose(1, 2) @ self.coefficients)
         self.register_buffer("slope", slope, persistent=False)
@@ -80,8 +86,8 @@ class LinearVae(nn.Module):
         """Mean of varphi(theta), Eq. 6: theta (b, f) -> (b, z)."""
         total = theta.new_zeros(())
         for member in range(len(self.hyper)):
-            total = total + self._member_mean(member, theta)
-        return total / len(self.hyper)
+            total = total + self.share[member] * self._member_mean(member, theta)
+        return total
 
     def regressor_variance(self, theta: Tensor) -> Tensor:
         """Variance of varphi(theta), the members' disagreement included: theta (b, f) -> (b, z)."""
@@ -93,8 +99,9 @@ class LinearVae(nn.Module):
             explained = torch.linalg.solve_triangular(factor, covariance, upper=False).square().sum(dim=0)
             unexplained = (self.kernel.variances(hyper, theta) - explained).clamp_min(0.0)
             away = self._member_mean(member, theta) - center
-            total = total + unexplained[:, None] * self.amplitude[member] + away.square()
-        return total / len(self.hyper)
+            of_member = unexplained[:, None] * self.amplitude[member] + away.square()
+            total = total + self.share[member] * of_member
+        return total
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
         """Eq. 6-7, without x: theta (b, f) -> x (b, d); draws cancel where decoding is linear."""
@@ -108,10 +115,11 @@ class LinearVae(nn.Module):
 
     def _member_mean(self, member: int, theta: Tensor) -> Tensor:
         """Return a member's mean: theta (b, f) -> (b, z)."""
-        bumps = self.kernel.bumps(self.hyper[member], theta, self.x) @ self.coefficients[member]
-        mean = bumps + self.constant[member] + theta @ self.slope[member]
+        near = self.kernel.warped(self.hyper[member], theta)
+        bumps = self.kernel.bumps(self.hyper[member], near, self.warped[member])
+        mean = bumps @ self.coefficients[member] + self.constant[member] + near @ self.slope[member]
         if self.kernel.degree == 2:
-            mean = mean + torch.einsum("bi,zij,bj->bz", theta, self.bend[member], theta)
+            mean = mean + torch.einsum("bi,zij,bj->bz", near, self.bend[member], near)
         return mean
 
     def _cholesky_factors(self) -> list[Tensor]:

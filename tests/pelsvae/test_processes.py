@@ -54,7 +54,7 @@ def test_a_kernel_that_has_no_factor_is_infinitely_unlikely() -> None:
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_mean_and_variance_are_those_of_the_textbook(degree: int) -> None:
-    result = fitted(degree=degree, n_members=2)
+    result = fitted(degree=degree)
     network, surrogate = network_of(result), result.surrogate
     _, y = rc_step(60, seed=1, n_outputs=2)
     fresh = 3.0 * rc_step(9, seed=4)[0]  # far away, where the variance is large against rounding
@@ -68,12 +68,13 @@ def test_mean_and_variance_are_those_of_the_textbook(degree: int) -> None:
         left = network.kernel.matrix(hyper, x, x).diagonal() - (across @ inverse * across).sum(dim=1)
         amplitude = (codes * (inverse @ codes)).sum(dim=0) / len(codes)
         variances.append(left[:, None] * amplitude)
-    mean = torch.stack(means).mean(dim=0)
-    spread = (torch.stack(means) - mean).square().mean(dim=0)
+    share = network.share[:, None]
+    assert torch.allclose(network.share.sum(dim=0), torch.ones(len(network.basis), dtype=torch.float64))
+    mean = (share * torch.stack(means)).sum(dim=0)
+    variance = (share * (torch.stack(variances) + (torch.stack(means) - mean).square())).sum(dim=0)
     expected = surrogate.output_standardizer.physical((mean @ network.basis).numpy())
     scale = np.abs(y).max(axis=(0, 1))
     assert (np.abs(surrogate.predict(fresh) - expected) <= INVERSE_TOL * scale).all()
-    variance = torch.stack(variances).mean(dim=0) + spread
     stated = (variance @ network.basis.square() + network.rest).sqrt() * network.inflation
     expected = stated.numpy().reshape(9, 21, 2) * surrogate.output_standardizer.deviation
     np.testing.assert_allclose(surrogate.deviation(fresh), expected, rtol=1e-3)
@@ -83,7 +84,8 @@ def test_bands_cover_what_they_claim_on_fresh_rows() -> None:
     theta, y = rc_step(400, seed=6, n_outputs=2)
     surrogate = fitted(n=30).surrogate
     inside = np.abs(surrogate.predict(theta) - y) <= 1.6449 * surrogate.deviation(theta)
-    assert (np.abs(inside.mean(axis=(0, 1)) - 0.9) < 0.06).all()
+    # 40 validation rows, all values of a row off together, set the factor: known to a tenth.
+    assert (np.abs(inside.mean(axis=(0, 1)) - 0.9) < 0.1).all()
 
 
 def test_a_network_states_no_deviation() -> None:
@@ -108,11 +110,8 @@ def test_same_seed_same_kernels_and_other_seed_others() -> None:
 
 
 def test_members_are_averaged_while_rows_are_few() -> None:
-    assert [len(network_of(fitted(n=n, n_outputs=1, max_epochs=1)).hyper) for n in (8, 400, 1100)] == [
-        3,
-        2,
-        1,
-    ]
+    # Leading codes and the others have kernels of their own, beside those for all, up to 1,024 rows.
+    assert [len(network_of(fitted(n=n, max_epochs=1)).hyper) for n in (40, 400, 1030)] == [6, 3, 1]
 
 
 def test_reports_end_with_the_surrogate_itself() -> None:
