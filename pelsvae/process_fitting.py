@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from pelsvae.config import SurrogateConfig
@@ -75,7 +76,8 @@ def fit_processes(
         if on_epoch is not None:
             on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
 
-    with torch.no_grad():
+    # Threads of the optimizer's small linear algebra would wait for each other most of the time.
+    with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"):
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)
         basis, rest = _principal_components(x, config.n_latent)
         codes = x @ basis.T  # (n, z)
