@@ -58,7 +58,7 @@ def fit_processes(
         on_epoch: Told of searches, in parts of `max_epochs`, and last of what is returned.
 
     Returns:
-        The network, and what was reported, by name.
+        The network, and what was last reported, by name: the searches' errors are of a part of the rows.
 
     Raises:
         TrainingDiverged: The loss or the validation error became NaN or infinite.
@@ -105,7 +105,7 @@ def fit_processes(
         network = _assembled(kernel, features, codes, basis, rest, hypers, shares)
         _inflate(network, *validation, n_outputs)
         report(network, loss, config.max_epochs)
-    return network, history
+    return network, history[-1:]
 
 
 class _Group(NamedTuple):

@@ -63,7 +63,7 @@ def _error(record: TrialRecord) -> float:
 
 
 def _curve(record: TrialRecord, history: History, *, is_best: bool) -> TrialCurve | None:
-    if "epoch" not in history or "validation_mae" not in history:
+    if not record.has_epochs or "epoch" not in history or "validation_mae" not in history:
         return None
     epoch, error = np.asarray(history["epoch"]), np.asarray(history["validation_mae"], dtype=np.float64)
     judged = np.isfinite(error) & (error > 0)

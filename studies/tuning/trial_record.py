@@ -82,6 +82,11 @@ class TrialRecord:
         return self.metrics.get("val/mae")
 
     @property
+    def has_epochs(self) -> bool:
+        """Whether its surrogate was learnt epoch by epoch; Gaussian processes are fitted in one piece."""
+        return bool(self.config.get("regressor", "network") == "network")
+
+    @property
     def ended_s(self) -> float:
         """End of the trial. [s since 1970, UTC]."""
         return self.started_s + self.wall_s

@@ -45,7 +45,7 @@ def learning_curves(trials: dict[int, tuple[TrialStore, list[TrialRecord]]]) -> 
     curves = []
     for n_train, (store, records) in trials.items():
         best = best_record(records)
-        if best is None:
+        if best is None or not best.has_epochs:
             continue
         history = store.history(best.index)
         terms = [name for name in history if name not in ("epoch", "validation_mae")]

@@ -124,6 +124,7 @@ def test_reports_end_with_the_surrogate_itself() -> None:
     theta, y = rc_step(20, seed=2)
     assert reports[-1].validation_mae == pytest.approx(np.abs(result.surrogate.predict(theta) - y).mean())
     assert tuple(result.history) == ("epoch", "loss", "validation_mae")
+    assert result.history["validation_mae"].tolist() == [reports[-1].validation_mae]
 
 
 @pytest.mark.parametrize("n", [1, 2])
