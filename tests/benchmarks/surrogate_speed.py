@@ -98,7 +98,7 @@ def processes(config: SurrogateConfig) -> dict[str, float]:
         }
         print(
             f"gaussian-process n = {n:4d}: fitted in {spent:5.1f} s (wall {spent_wall:.1f} s); predict "
-            f"{N_ROWS} rows: {alone:.3f} s ({textbook / alone:.1f} times faster than with whole covariances), "
+            f"{N_ROWS} rows: {alone:.3f} s ({textbook / alone:.1f} x faster than by whole covariances), "
             f"on two cores {two:.3f} s of wall time"
         )
     return numbers
