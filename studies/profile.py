@@ -20,6 +20,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 POWERS_OF_TWO = ("n_latent", "n_hidden")
 WHOLE = ("n_layers", "n_scales", "degree")
 Objective = Literal["val/mae", "val/p90"]
+Variant = Literal["paper", "refined", "gaussian-process"]
 _STRICT = ConfigDict(extra="forbid", strict=False)
 
 
@@ -151,7 +152,7 @@ class TuningBudget:
     """
 
     n_trials: Count
-    variant: Literal["paper", "refined", "gaussian-process"] = "gaussian-process"
+    variant: Variant = "gaussian-process"
     max_epochs: Count | None = None
     patience: Count | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"

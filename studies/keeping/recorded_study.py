@@ -11,7 +11,7 @@ from simulation.case_file import CaseFile
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges, TuningBudget, profile_from
+from studies.profile import SearchRanges, TuningBudget, Variant, profile_from
 from studies.tuning.champion import read_champion
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord
@@ -89,7 +89,8 @@ def _budget(entry: StudyEntry, records: Sequence[TrialRecord]) -> TuningBudget:
     try:
         return profile_from(entry.recipe["profile"], entry.name).tuning
     except (KeyError, InputError):  # no recipe, or one of another version
-        return TuningBudget(n_trials=max(1, entry.n_planned), search=_searched(records))
+        variant = cast(Variant, entry.variant)
+        return TuningBudget(n_trials=max(1, entry.n_planned), variant=variant, search=_searched(records))
 
 
 def _searched(records: Sequence[TrialRecord]) -> SearchRanges:
