@@ -20,6 +20,7 @@ _START = 0.04  # of the peak learning rate, where one-cycle begins
 _END = 1e-3  # of the peak learning rate, where one-cycle ends
 
 
+@denormals_flushed()
 def train_network(
     network: PelsVae,
     config: SurrogateConfig,
@@ -47,20 +48,6 @@ def train_network(
     Raises:
         TrainingDiverged: The loss or the validation error became NaN or infinite.
     """
-    with denormals_flushed():
-        return _train(network, config, theta, x, validation_error, generator, on_epoch)
-
-
-def _train(
-    network: PelsVae,
-    config: SurrogateConfig,
-    theta: Tensor,
-    x: Tensor,
-    validation_error: Callable[[], float],
-    generator: torch.Generator,
-    on_epoch: Callable[[EpochReport], None] | None,
-) -> tuple[list[dict[str, float]], int, str]:
-    """Run the epochs of `train_network`."""
     n = len(x)
     size = min(config.batch_size, n)
     starts = range(0, n, size)
