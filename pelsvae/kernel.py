@@ -6,11 +6,11 @@ All principal coordinates of the trajectories share one kernel,
 
 of warped features w = (exp(v x) - 1) / v, where <.,.>_s and |.|_s divide every feature by a length of its own
 in scale s, and b_1 = 1. The warp v of a logarithm makes it a power; it says in which power of a parameter
-the trajectories are even. A scale whose
-lengths are large for some features is blind to these: a sum of scales is a sum of functions of few parameters
-each, which few simulations determine. Far from the data the polynomial goes on; bumps alone would fall back
-to the mean. Lengths, weights and noise are the most probable ones under normal priors of their logarithms;
-the amplitude is profiled out (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, Eq. 5.8).
+the trajectories are even. A scale whose lengths are large for some features is blind to these: a sum of
+scales is a sum of functions of few parameters each, which few simulations determine. Far from the data the
+polynomial goes on; bumps alone would fall back to the mean. Lengths, weights and noise are the most probable
+ones under normal priors of their logarithms; the amplitude is profiled out (Rasmussen and Williams 2006,
+Gaussian Processes for Machine Learning, Eq. 5.8).
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ from torch import Tensor
 from pelsvae.standardize import Array
 
 CONSTANT = 10.0  # variance c², relative to the first scale's: the mean is as good as unknown
-JITTER = (
-    1e-12  # of the matrix's trace, on its diagonal: what rounding may cost before a factor fails to exist
-)
+# Of the matrix's trace, on its diagonal: what rounding may cost before a factor fails to exist.
+JITTER = 1e-12
 
 # Normal priors of the logarithms, (mean, deviation). A feature's deviation is 1; a uniform one is 3.5 wide.
 _LENGTH = (math.log(5.0), 1.0)
@@ -110,15 +109,16 @@ class Kernel:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""
         near, far = self.warped(hyper, x), self.warped(hyper, others)
         product = (near / self.lengths(hyper)[0].square()) @ far.T
-        total = CONSTANT + self.bumps(hyper, near, far)
-        for power, square in enumerate(self.polynomial(hyper), start=1):
-            total = total + square * product**power
-        return total
+        return self._on_trunk(hyper, self.bumps(hyper, near, far), product)
 
     def variances(self, hyper: Tensor, x: Tensor) -> Tensor:
         """Return the diagonal of `matrix` at points themselves: (h,), (n, f) -> (n,)."""
         product = (self.warped(hyper, x) / self.lengths(hyper)[0]).square().sum(-1)
-        total = CONSTANT + self.weights(hyper).sum()
+        return self._on_trunk(hyper, self.weights(hyper).sum(), product)
+
+    def _on_trunk(self, hyper: Tensor, bumps: Tensor, product: Tensor) -> Tensor:
+        """Add constant and polynomial; the products are divided by the first scale's lengths."""
+        total = CONSTANT + bumps
         for power, square in enumerate(self.polynomial(hyper), start=1):
             total = total + square * product**power
         return total

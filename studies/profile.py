@@ -1,30 +1,34 @@
 """Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
 
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from simulation.errors import InputError
+from studies.search_ranges import (
+    NETWORK_RANGES,
+    OF_NETWORKS,
+    OF_PROCESSES,
+    PROCESS_RANGES,
+    STRICT,
+    Count,
+    Positive,
+    SearchRanges,
+)
 
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
-Count = Annotated[int, Field(ge=1, le=1_000_000)]
-Positive = Annotated[float, Field(gt=0.0)]
-POWERS_OF_TWO = ("n_latent", "n_hidden")
-WHOLE = ("n_layers", "n_scales", "degree")
 Objective = Literal["val/mae", "val/p90"]
 Variant = Literal["paper", "refined", "gaussian-process"]
-_STRICT = ConfigDict(extra="forbid", strict=False)
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class DataBudget:
     """How often the physical model is simulated for the surrogate.
 
@@ -43,7 +47,7 @@ class DataBudget:
             raise ValueError(f"n_train must be ascending sizes without repetition, got {list(self.n_train)}")
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class SensitivityBudget:
     """How many simulations the Sobol indices get.
 
@@ -60,76 +64,7 @@ class SensitivityBudget:
             raise ValueError(f"n_base must be a power of two, got {self.n_base}")
 
 
-@dataclass(frozen=True, config=_STRICT)
-class SearchRanges:
-    """Ranges of the hyperparameters, both ends included; one that has none is held at the variant's value.
-
-    Args:
-        n_latent: latent dimension, searched in powers of two.
-        n_hidden: hidden width, searched in powers of two.
-        beta: weight of the reconstruction term (Eq. 4), searched on a logarithmic scale.
-        learning_rate: searched on a logarithmic scale.
-        n_layers: number of linear layers.
-        n_scales: scales of a Gaussian process's kernel.
-        degree: of the polynomial in a Gaussian process's kernel, 1 or 2.
-    """
-
-    n_latent: tuple[Count, Count] | None = None
-    n_hidden: tuple[Count, Count] | None = None
-    beta: tuple[Positive, Positive] | None = None
-    learning_rate: tuple[Positive, Positive] | None = None
-    n_layers: tuple[Count, Count] | None = None
-    n_scales: tuple[Count, Count] | None = None
-    degree: tuple[Count, Count] | None = None
-
-    def __post_init__(self) -> None:
-        for name, span in asdict(self).items():
-            if span is not None and span[0] > span[1]:
-                raise ValueError(f"{name} must be [low, high], got {list(span)}")
-
-    @property
-    def names(self) -> list[str]:
-        """What is searched."""
-        return [name for name, span in asdict(self).items() if span is not None]
-
-    @property
-    def n_configurations(self) -> int | None:
-        """Number of configurations within the ranges, None where they are without number."""
-        n = 1
-        for name, span in asdict(self).items():
-            if span is None:
-                continue
-            low, high = span
-            if name in POWERS_OF_TWO:
-                n *= max(0, math.floor(math.log2(high)) - math.ceil(math.log2(low)) + 1)
-            elif name in WHOLE:
-                n *= high - low + 1
-            elif low < high:
-                return None
-        return n
-
-    def fault(self, name: str, value: float) -> str:
-        """Say why a setting cannot be tried, nothing where it can."""
-        searched = {key: span for key, span in asdict(self).items() if span is not None}
-        if name not in searched:
-            return "is not searched; give it a range in [tuning.search], or leave it out"
-        low, high = searched[name]
-        if not low <= value <= high:
-            return f"lies outside its range, {low} to {high}; correct it, or widen [tuning.search]"
-        if name in POWERS_OF_TWO and not math.log2(value).is_integer():
-            return "is no power of two, which is how this width is searched"
-        if name in WHOLE and not float(value).is_integer():
-            return "must be whole"
-        return ""
-
-
-NETWORK_RANGES = SearchRanges(n_latent=(8, 128), n_hidden=(64, 256), beta=(1.0, 1000.0))
-"""Searched for a variant of networks where the profile names no ranges."""
-PROCESS_RANGES = SearchRanges(n_scales=(1, 4), degree=(1, 2))
-"""Searched for a variant of Gaussian processes where the profile names no ranges."""
-
-
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class TuningBudget:
     """How long the surrogate is tuned.
 
@@ -167,11 +102,7 @@ class TuningBudget:
     @property
     def ranges(self) -> SearchRanges:
         """What is searched, and where."""
-        return self.search or self._own_ranges
-
-    @property
-    def _own_ranges(self) -> SearchRanges:
-        return PROCESS_RANGES if self.variant == "gaussian-process" else NETWORK_RANGES
+        return self.search or (PROCESS_RANGES if self.variant == "gaussian-process" else NETWORK_RANGES)
 
     @property
     def n_different_trials(self) -> int:
@@ -183,13 +114,12 @@ class TuningBudget:
             raise ValueError(
                 f'objectives must be ["val/mae"] or ["val/mae", "val/p90"], got {list(self.objectives)}'
             )
-        other = NETWORK_RANGES if self._own_ranges is PROCESS_RANGES else PROCESS_RANGES
-        also = () if other is PROCESS_RANGES else ("learning_rate", "n_layers")
+        known = OF_PROCESSES if self.variant == "gaussian-process" else OF_NETWORKS
         for name in self.ranges.names:
-            if name in (*other.names, *also):
+            if name not in known:
                 raise ValueError(
-                    f'search.{name} does nothing in variant "{self.variant}", which has '
-                    f"{', '.join(self._own_ranges.names)}; remove it, or choose another variant"
+                    f'search.{name} does nothing in variant "{self.variant}", which has {", ".join(known)}; '
+                    "remove it, or choose another variant"
                 )
         for place, settings in enumerate(self.enqueue):
             for name, value in settings.items():
@@ -197,7 +127,7 @@ class TuningBudget:
                     raise ValueError(f"enqueue[{place}].{name} = {value} {fault}")
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class ScreeningBudget:
     """Differential evolution on the surrogate.
 
@@ -212,7 +142,7 @@ class ScreeningBudget:
     margin: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.0
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class PolishBudget:
     """Least squares on the physical model.
 
@@ -225,7 +155,7 @@ class PolishBudget:
     ftol: Positive = 1e-4
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class Profile:
     """The budget of a study: a case says what is calibrated, a profile how much may be spent on it.
 

@@ -11,7 +11,8 @@ from simulation.case_file import CaseFile
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges, TuningBudget, Variant, profile_from
+from studies.profile import TuningBudget, Variant, profile_from
+from studies.search_ranges import SearchRanges
 from studies.tuning.champion import read_champion
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord

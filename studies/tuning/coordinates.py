@@ -7,7 +7,7 @@ from typing import Any
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 
 from simulation.errors import InputError
-from studies.profile import POWERS_OF_TWO, WHOLE, SearchRanges
+from studies.search_ranges import POWERS_OF_TWO, WHOLE, SearchRanges
 
 LOGARITHMIC = ("beta", "learning_rate")
 SAME_DIGITS = 6  # settings that agree to so many digits are one configuration

@@ -13,7 +13,7 @@ from pelsvae.config import VARIANTS, SurrogateConfig
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
 from studies.paths import size_name
-from studies.profile import NETWORK_RANGES, SearchRanges
+from studies.search_ranges import NETWORK_RANGES, SearchRanges
 
 TrialState = Literal["complete", "pruned", "failed"]
 EventKind = Literal[

@@ -17,7 +17,6 @@ from studies.tuning.study_spec import StudySpec, TrialState, output_metric
 N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would cost more than a training
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
 HISTORY = ("epoch", "loss", "validation_mae")  # what is known of a trial without a surrogate
-
 NORMAL_90 = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 
 
@@ -111,11 +110,9 @@ def train_trial(
                 f"{name}/{output_metric(output)}": float(mae)
                 for output, mae in zip(spec.output_names, by_output, strict=True)
             }
-    if fitted.surrogate.states_deviation:
-        theta, y = data.test
-        stated = fitted.surrogate.deviation(theta)
-        inside = np.abs(fitted.surrogate.predict(theta) - y) <= NORMAL_90 * stated
-        judged["test/coverage90"] = float(inside.mean())
+        if name == "test" and fitted.surrogate.states_deviation:
+            inside = np.abs(predicted - y) <= NORMAL_90 * fitted.surrogate.deviation(theta)
+            judged["test/coverage90"] = float(inside.mean())
     outcome.n_epochs = fitted.n_epochs
     if not all(map(math.isfinite, judged.values())):
         raise TrainingDiverged("the errors of the trained surrogate are not finite")

@@ -23,7 +23,7 @@ from postgres_for_tests import PostgresServer, missing_postgres
 
 from simulation.toy import ToyRC
 from studies.paths import ProjectPaths
-from studies.profile import NETWORK_RANGES
+from studies.search_ranges import NETWORK_RANGES
 from studies.tracking.origin import environment
 from studies.tracking.tracker import open_tracker
 from studies.tuning.claim import this_owner

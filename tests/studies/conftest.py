@@ -16,7 +16,7 @@ from simulation.store.store import SimulationStore
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges
+from studies.search_ranges import SearchRanges
 from studies.tracking.tracker import Tracker
 from studies.tuning.study_spec import StudySpec
 

@@ -15,7 +15,7 @@ from tuning_checks import essence, ignore, in_optuna, records_of, run_and_tell
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges
+from studies.search_ranges import SearchRanges
 from studies.tuning.claim import Claim, this_owner
 from studies.tuning.outage import StudyInterruptedError
 from studies.tuning.slots import MAX_LOST

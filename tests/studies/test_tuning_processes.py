@@ -15,7 +15,7 @@ from tuning_checks import essence, in_optuna, records_of
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges
+from studies.search_ranges import SearchRanges
 from studies.tracking.tracker import NullTracker
 from studies.tuning.crew import Crew, TuningError
 from studies.tuning.study_spec import StudySpec, TuneEvent

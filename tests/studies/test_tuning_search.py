@@ -13,7 +13,7 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
-from studies.profile import SearchRanges
+from studies.search_ranges import SearchRanges
 from studies.tuning.coordinates import distributions, nearest_params, to_settings
 from studies.tuning.search_space import Proposal, derived_seed, proposal_of, propose
 from studies.tuning.study_spec import StudySpec, TrialState

@@ -10,7 +10,8 @@ from test_tuning_search import finished
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.profile import SearchRanges, TuningBudget, load_profile
+from studies.profile import TuningBudget, load_profile
+from studies.search_ranges import SearchRanges
 from studies.tuning.coordinates import Params, all_points, identity, to_settings
 from studies.tuning.front import pareto_front
 from studies.tuning.known_good import Neighbour

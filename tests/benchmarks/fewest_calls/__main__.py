@@ -11,13 +11,14 @@ Markdown and gates nothing. The peers' packages: pip install -e '.[benchmark]'.
 
 import argparse
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
+
+from benchmark_console import say, with_packages  # noqa: E402
 
 from fewest_calls.counted import run_once  # noqa: E402
 from fewest_calls.kept import Kept, KeptProblem  # noqa: E402
@@ -28,11 +29,6 @@ from studies.calibration import CalibrationProblem  # noqa: E402
 
 # Below this a batch of processor time is not worth a message. [s]
 WORTH_A_LINE = 20.0
-
-
-def say(text: str) -> None:
-    """Say how far it is, beside the tables."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr, flush=True)
 
 
 def measure(kept: Kept, entry: Problem, options: argparse.Namespace) -> None:
@@ -74,15 +70,6 @@ def _run_missing(
             elif run.seconds > WORTH_A_LINE:
                 say(f"{entry.name}, {name}, seed {seed}: {run.n_calls} calls, {run.seconds:.0f} s")
     return was_missing
-
-
-def with_packages(names: Sequence[str]) -> list[str]:
-    """Return the methods that can run; say what the others want."""
-    for name in names:
-        if METHODS[name].missing:
-            missing = ", ".join(METHODS[name].missing)
-            say(f"without {name}: {missing} not installed: pip install -e '.[benchmark]'")
-    return [name for name in names if not METHODS[name].missing]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -132,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for source in options.sources:
             kept.take(source)
     else:
-        options.methods = with_packages(options.methods)
+        options.methods = with_packages(options.methods, METHODS)
         kept = Kept(options.json)
         for entry in chosen:
             measure(kept, entry, options)

@@ -12,7 +12,6 @@ Markdown and gates nothing. The rivals' packages: pip install -e '.[benchmark]'.
 import argparse
 import os
 import sys
-import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "benchmarks")]
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 import torch  # noqa: E402
+from benchmark_console import say, with_packages  # noqa: E402
 
 from surrogate_rivals.kept import Kept  # noqa: E402
 from surrogate_rivals.measured import run_once  # noqa: E402
@@ -31,11 +31,6 @@ from surrogate_rivals.problems import PROBLEMS, simulated  # noqa: E402
 from surrogate_rivals.table import lines  # noqa: E402
 
 SIZES = (32, 64, 128, 256, 512, 1024, 2048, 4096)
-
-
-def say(text: str) -> None:
-    """Say how far it is, beside the tables."""
-    print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr, flush=True)
 
 
 def measure(kept: Kept, options: argparse.Namespace) -> None:
@@ -60,15 +55,6 @@ def measure(kept: Kept, options: argparse.Namespace) -> None:
                     run = run_once(METHODS[method].train, sets, size, seed)
                 kept.put(key, sets.unit, run)
                 say(f"{problem}, n = {size}, seed {seed}, {method}: MAE {run.mae:.4g}, {run.train_s:.1f} s")
-
-
-def with_packages(names: Sequence[str]) -> list[str]:
-    """Return the methods that can run; say what the others want."""
-    for name in names:
-        if METHODS[name].missing:
-            missing = ", ".join(METHODS[name].missing)
-            say(f"without {name}: {missing} not installed: pip install -e '.[benchmark]'")
-    return [name for name in names if not METHODS[name].missing]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -100,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             kept.take(source)
     else:
         torch.set_num_threads(1)
-        options.methods = with_packages(options.methods)
+        options.methods = with_packages(options.methods, METHODS)
         kept = Kept(options.json)
         measure(kept, options)
     print("\n".join(lines(kept, is_detailed=options.detail)))
