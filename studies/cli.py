@@ -54,20 +54,21 @@ measurement, window), the profile how much may be spent on it. `studies run` doe
   simulate      training, validation and test simulations
   sensitivity   Sobol indices per time step
   tune          one Optuna study per training-set size, every trial an MLflow run
-  calibrate     screen the box on the surrogate, polish on the FMU; or neither: calibrate --method adaptive
+  calibrate     screen the box on the surrogate, polish on the FMU
   report        tables and figures on one page
 
-After it, `studies uncertainty` says how sure the calibration is.
+`studies calibrate` alone needs no surrogate and the fewest simulations. After either, `studies uncertainty`
+says how sure the calibration is.
 """
 EPILOG = """\
 examples:
-  studies new Room.fmu                     a case file for an FMU of your own; then check, then run
-  studies run                              the office, quick profile: minutes on two cores
+  studies new Room.fmu                     a case file for an FMU of your own; then check, then calibrate
+  studies calibrate                        the office, in fewest FMU calls: no surrogate, nothing to tune
+  studies run                              the office with surrogates, quick profile: minutes on two cores
   studies run office-recorded --window 8-16
   studies check fmus/office/case.toml      what is wrong with a case, and what to do
   studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
-  studies calibrate --method adaptive      no training set: right after check
   studies status --live                    what runs, how far it is, when it will be finished
   studies ui                               compare the runs in MLflow
 

@@ -10,17 +10,16 @@ from studies.console import Console
 
 HELP = "find the parameters that fit best"
 MORE = """\
-what happens: differential evolution searches the whole box on the stored surrogate; the FMU is asked at
-the found point (the screening gap) and polished from there by LS-TRF. Every FMU call is counted. Needs
-the champion folder alone. Lands in mlruns/results/<label>/calibration-n<size>.json and .npz, and in
-MLflow.
-
---method adaptive needs the case alone: no training set, nothing to train. A small design fills the box; then
-every simulation goes where a Gaussian process of all residuals so far expects the lowest error. It stops
-when little gain is expected, at the latest after --max-calls; with --target only at that error or then.
-Every simulation is stored at once: interrupted, even killed, the same command reads them and goes on.
---parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
+what happens: a small design fills the box; then every simulation goes where a Gaussian process of all
+residuals so far expects the lowest error (--method adaptive). It needs the case alone: no training set, no
+initial guess. It stops when little gain is expected, at the latest after --max-calls; with --target only at
+that error or then. Every simulation is stored at once: interrupted, even killed, the same command reads them
+and goes on. --parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
 mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
+
+--n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
+searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and
+polished from there by LS-TRF. Needs the champion folder alone. Lands in calibration-n<size>.json and .npz.
 
 --most-relevant 6 calibrates the six parameters that matter most and fixes the others at their priors,
 estimates or middles. Which matter is read from `studies sensitivity` where its result lies, else asked of the
@@ -30,12 +29,12 @@ says what was fixed at what and what that cost, and lies beside that of all para
 A parameter's prior (case.toml: prior = { about = 0.7, within_factor = 1.5 }) is heeded by both methods.
 
 examples:
-  studies calibrate --method adaptive      the office, 100 FMU calls at most
-  studies calibrate my-case --method adaptive --max-calls 60 --parallel 4 --jobs 4
-  studies calibrate my-case --method adaptive --most-relevant 6
-  studies calibrate --n-train 64           prints the stored result if nothing changed
-  studies calibrate --n-train 64 --again   calibrates once more: the same numbers
-  studies calibrate --max-calls 100 --target 0.0121 --json
+  studies calibrate                        the office, 100 FMU calls at most
+  studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
+  studies calibrate my-case --target 0.0121 --json
+  studies calibrate my-case --most-relevant 6
+  studies calibrate --n-train 64           from the surrogate that 64 simulations taught
+  studies calibrate --n-train 64 --again   once more: the same numbers
 """
 
 
@@ -45,9 +44,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
     options.add_simulation(command)
     command.add_argument(
         "--method",
-        choices=("paper", "adaptive"),
-        default="paper",
-        help="paper (default): screen on the surrogate, polish; adaptive: fewest FMU calls, no training set",
+        choices=("adaptive", "paper"),
+        help="adaptive (default): fewest FMU calls, no training set; "
+        "paper (default with --n-train): screen on the surrogate, polish",
     )
     command.add_argument(
         "--parallel",
@@ -61,16 +60,27 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="K",
         help="calibrate the K most relevant parameters, fix the others at prior, estimate or middle",
     )
-    options.add_sizes(command, "sizes to calibrate with; default: all that have a surrogate")
-    options.add_calibration(command)
+    options.add_sizes(command, "paper: sizes to calibrate with; default: all that have a surrogate")
+    options.add_calibration(
+        command,
+        max_calls="most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)",
+        target="adaptive: go on until this error; paper: also say how many calls reached it",
+    )
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    if chosen.method == "adaptive":
-        return _adaptively(chosen, console)
-    if chosen.parallel is not None:
-        raise InputError("--parallel belongs to --method adaptive; add that or leave --parallel away")
+    if chosen.method == "adaptive" and chosen.n_train:
+        raise InputError(
+            "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
+        )
+    is_paper = chosen.method == "paper" or bool(chosen.n_train)
+    if is_paper and chosen.parallel is not None:
+        raise InputError("--parallel belongs to --method adaptive; leave it or --n-train and --method away")
+    return _from_surrogates(chosen, console) if is_paper else _adaptively(chosen, console)
+
+
+def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.calibrate import calibrate_stage, sizes_with_champion
     from studies.stages.calibrated_values import calls_to, judged_values, show_calibrations, show_values
     from studies.stages.guideline import guideline_numbers
@@ -96,10 +106,6 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
-    if chosen.n_train:
-        raise InputError(
-            "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
-        )
     from studies.stages.adaptive import adaptive_settings, adaptive_stage
     from studies.stages.adaptive_shown import calls_to, judged_adaptive, show_adaptive
     from studies.stages.guideline import guideline_numbers

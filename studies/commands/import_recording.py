@@ -44,7 +44,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     )
     if report.kelvin:
         console.result(f"converted from kelvin: {', '.join(report.kelvin)}")
-    console.result(f"{report.duration_d:.2f} days; calibrate against them: studies run office-recorded")
+    console.result(f"{report.duration_d:.2f} days; calibrate against them: studies calibrate office-recorded")
     console.document(
         {
             "command": "import-recording",

@@ -10,7 +10,8 @@ MORE = """\
 what happens: writes fmus/<name>/case.toml with the FMU's own names, units, start values and bounds, every
 line that needs you marked EDIT; copies the FMU beside it; writes README and example CSV files with the
 right columns into data/<name>/. Nothing is overwritten. Save two CSV files there (measured.csv, and
-inputs.csv where the FMU has inputs), go through the lines marked EDIT, then check, then run.
+inputs.csv where the FMU has inputs), go through the lines marked EDIT, then check, then
+calibrate.
 
 examples:
   studies new Room.fmu

@@ -83,16 +83,21 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
     )
 
 
-def add_calibration(command: argparse.ArgumentParser) -> None:
-    """How far a calibration goes."""
-    command.add_argument(
-        "--max-calls",
-        type=values.whole(1),
-        metavar="N",
-        help="most FMU calls of one polish; default: the profile's (adaptive: of all, default 100)",
-    )
-    target_help = "also say how many calls reached this error (adaptive: go on until there)"
-    command.add_argument("--target", type=values.positive, metavar="MSE", help=target_help)
+def add_calibration(
+    command: argparse.ArgumentParser,
+    *,
+    max_calls: str = "most FMU calls of one polish; default: the profile's",
+    target: str = "also say how many calls reached this error",
+) -> None:
+    """How far a calibration goes.
+
+    Args:
+        command: whose options.
+        max_calls: what --max-calls means there.
+        target: what --target means there.
+    """
+    command.add_argument("--max-calls", type=values.whole(1), metavar="N", help=max_calls)
+    command.add_argument("--target", type=values.positive, metavar="MSE", help=target)
     command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
 
 

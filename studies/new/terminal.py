@@ -50,7 +50,7 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
             "inputs": [v.name for v in case.inputs],
             "outputs": [v.name for v in case.outputs.used],
             "edit": [{"file": name, "line": number, "text": text} for number, text in made.to_edit],
-            "next": [f"studies check {case.place}", f"studies run {case.place}"],
+            "next": [f"studies check {case.place}", f"studies calibrate {case.place}"],
         }
     )
     return OK
@@ -97,7 +97,7 @@ def _next_steps(made: MadeCase, paths: ProjectPaths) -> Iterable[str]:
     yield f"  {number}. save {data}/{MEASURED_FILE}: {_columns(case.outputs.used)}"
     yield f"  {number + 1}. look at the lines marked EDIT of {paths.show(made.file)}: {lines}"
     yield f"  {number + 2}. studies check {case.place}"
-    yield f"  {number + 3}. studies run {case.place}"
+    yield f"  {number + 3}. studies calibrate {case.place}"
 
 
 def _columns(variables: tuple[FmuVariable, ...], most: int = 8) -> str:

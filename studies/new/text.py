@@ -91,7 +91,7 @@ def _head(case: NewCase) -> str:
 # Lines marked {EDIT} need you. Recordings are CSV files with a header line; their column time_s holds
 # seconds, or their column time holds timestamps like 2024-03-01T13:30:00+01:00.
 #   studies check {case.place}    says what is missing or wrong, one thing at a time, and what to do
-#   studies run {case.place}      calibrates
+#   studies calibrate {case.place}    calibrates
 schema = 1
 name = {toml_string(case.name)}
 title = {toml_string(one_line(fmu.model_name) or case.name)}

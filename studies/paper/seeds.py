@@ -68,7 +68,7 @@ def run(plan: Plan) -> ItemResult:
             n_calls["screening checks"] += ledger["n_screen_checks"]
             n_calls["polish"] += ledger["n_polish"]
             rows[n].append({"seed": seed, **row_of(tuned.study, n, outcome.summary)})
-        uses.append(f"studies calibrate {tuned.study.command}")
+        uses.append(f"studies calibrate {tuned.study.command} --method paper")
     error_unit = difference_unit(plan.study.case.outputs[0].unit)
     unit = squared(error_unit)
     agreement, verdict = _verdict(rows, unit)

@@ -151,7 +151,7 @@ def run(plan: Plan) -> ItemResult:
             "In the paper's table the columns 'MSE PELS-VAE + GA' and 'MSE after polish' are equal in all "
             "nine rows, a slip; neither is taken for the surrogate's error here.",
         ),
-        uses=(*tuned.commands(trials), f"studies calibrate {study.command}"),
+        uses=(*tuned.commands(trials), f"studies calibrate {study.command} --method paper"),
     )
 
 

@@ -108,8 +108,8 @@ def run(plan: Plan) -> ItemResult:
         metrics={f"mse/{name}": row["mse"] for name, row in rows.items() if row["mse"] is not None},
         uses=(
             *tuned.commands(trials),
+            f"studies calibrate {study.command} --method paper",
             f"studies calibrate {study.command}",
-            f"studies calibrate {study.command} --method adaptive",
         ),
     )
 

@@ -133,8 +133,7 @@ def adaptive_stage(
         recipe = recipe_of(
             study,
             "adaptive",
-            command="studies calibrate --method adaptive"
-            + ("" if n_free is None else f" --most-relevant {n_free}"),
+            command="studies calibrate" + ("" if n_free is None else f" --most-relevant {n_free}"),
             settings=asdict(settings),
             **more,
         )

@@ -12,6 +12,7 @@ from studies.stages.pipeline import Outcome, Study, Summary
 from studies.stages.restriction import show_restriction
 from studies.stages.results import ADAPTIVE, adaptive_files, n_free_of, read_arrays, restricted
 from studies.stages.validation import show_validation
+from studies.tuning.champion import CHAMPION_FILE
 
 
 def show_adaptive(study: Study, outcome: Outcome) -> None:
@@ -46,6 +47,9 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     if study.case.note:
         console.result(f"Note: {study.case.note}")
     console.result(f"Pictures: studies report {study.command}")
+    console.result(f"How sure it is: studies uncertainty {study.command}")
+    if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
+        console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
 
 
 def judged_adaptive(study: Study, outcome: Outcome) -> Periods:

@@ -217,7 +217,7 @@ def _recipe(study: Study, champion: ChampionInfo, restriction: Restriction | Non
     return recipe_of(
         study,
         "calibration",
-        command="studies calibrate"
+        command="studies calibrate --method paper"
         + ("" if restriction is None else f" --most-relevant {restriction.n_free}"),
         **more,
         n_train=champion.n_train,

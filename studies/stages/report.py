@@ -35,7 +35,9 @@ def report_stage(study: Study) -> Outcome:
         InputError: there is no calibration to report.
     """
     if not any(True for _ in stored_calibrations(study)):
-        raise InputError(f"{study.label} has no calibration to report; type: studies run {study.command}")
+        raise InputError(
+            f"{study.label} has no calibration to report; type: studies calibrate {study.command}"
+        )
     folder = study.paths.report(study.label)
     inputs = {
         "case": study.case.digest,
@@ -142,7 +144,7 @@ def _provenance(study: Study) -> Provenance:
 
 def _adaptive_command(study: Study, found: dict[str, Any]) -> str:
     settings, n_free = found["settings"], n_free_of(found)
-    words = f"studies calibrate {study.command} --method adaptive --max-calls {settings['max_calls']}"
+    words = f"studies calibrate {study.command} --max-calls {settings['max_calls']}"
     if settings["n_parallel"] > 1:
         words += f" --parallel {settings['n_parallel']}"
     if settings["target_mse"] is not None:

@@ -104,9 +104,9 @@ def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] 
         wanted = min(papers, key=lambda one: one.mse, default=None)
     if wanted is None:
         asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
-        how = f"--n-train {sizes[0]}" if sizes else f"--method {method or ADAPTIVE}"
+        how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
         raise InputError(
-            f"{study.label} has no calibration of {asked}; type: studies calibrate {study.command} {how}"
+            f"{study.label} has no calibration of {asked}; type: studies calibrate {study.command}{how}"
         )
     return wanted
 

@@ -39,5 +39,5 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setenv("STUDIES_ROOT", str(root))
         patch.chdir(root)
         assert main(["tune", "--profile", "tiny.toml", "--quiet"]) == 0
-        assert main(["calibrate", "--profile", "tiny.toml", "--quiet"]) == 0
+        assert main(["calibrate", "--method", "paper", "--profile", "tiny.toml", "--quiet"]) == 0
     return root

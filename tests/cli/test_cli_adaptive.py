@@ -1,4 +1,4 @@
-"""`studies calibrate --method adaptive`: from the case alone, resumed after any call, refused in one line."""
+"""`studies calibrate`: from the case alone, resumed after any call, refused in one line."""
 
 import json
 import os
@@ -22,7 +22,7 @@ RECORDED = REPOSITORY / "data" / "office"
 # Parts that are not compacted yet: at least so many rows are stored.
 N_BEFORE_THE_END = 5
 LIMIT_S = 120.0
-ADAPTIVE = ("calibrate", "office", "--method", "adaptive", "--jobs", "1")
+ADAPTIVE = ("calibrate", "office", "--jobs", "1")
 SHORT = (*ADAPTIVE, "--max-calls", "28")
 
 
@@ -90,7 +90,9 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     assert {"calibration-adaptive.png", "convergence-adaptive.png", "parameters-adaptive.csv"} <= {
         file.name for file in folder.iterdir()
     }
-    assert "--method adaptive --max-calls 100" in (folder / "index.html").read_text(encoding="utf-8")
+    assert "studies calibrate office --window 0-10 --max-calls 100" in (folder / "index.html").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "sigkill"])
@@ -150,7 +152,7 @@ def test_it_says_how_it_does_on_days_that_it_did_not_see(project: Path, studies:
         (("--method", "adaptive", "--max-calls", "13"), "does not hold the first design of 14 simulations"),
         (("--method", "adaptive", "--target", "-1"), "'-1' is not a positive number"),
         (("--method", "adaptive", "--parallel", "0"), "'0' is not a whole number of at least 1"),
-        (("--parallel", "2"), "--parallel belongs to --method adaptive"),
+        (("--parallel", "2", "--n-train", "64"), "--parallel belongs to --method adaptive"),
         (("--method", "genetic"), "invalid choice: 'genetic'"),
     ],
 )

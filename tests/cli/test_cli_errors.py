@@ -174,9 +174,11 @@ def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> No
         pytest.param(["tune", "--trials", "0"], ["--trials", "0"], id="trials"),
         pytest.param(["calibrate", "--target", "-1"], ["--target", "-1"], id="target"),
         pytest.param(["calibrate", "--max-calls", "1.5"], ["--max-calls", "1.5"], id="max-calls"),
-        pytest.param(["calibrate"], ["no surrogate", "studies tune office"], id="nothing-tuned"),
+        pytest.param(
+            ["calibrate", "--method", "paper"], ["no surrogate", "studies tune office"], id="nothing-tuned"
+        ),
         pytest.param(["calibrate", "--n-train", "64"], ["64", "--n-train 64"], id="size-not-tuned"),
-        pytest.param(["report"], ["no calibration", "studies run office"], id="nothing-to-report"),
+        pytest.param(["report"], ["no calibration", "studies calibrate office"], id="nothing-to-report"),
         pytest.param(["ui"], ["mlflow.db", "studies run"], id="no-store"),
         pytest.param(["ui", "--port", "99999"], ["99999"], id="port"),
         pytest.param(["frobnicate"], ["frobnicate"], id="command"),
@@ -247,7 +249,7 @@ def test_json_says_errors_on_stdout_too(project: Path, studies: Run, arguments: 
 
 
 @pytest.mark.parametrize(
-    "arguments", [["check", "ofice"], ["check", "--window", "3"], ["calibrate", "--json"]]
+    "arguments", [["check", "ofice"], ["check", "--window", "3"], ["calibrate", "--n-train", "64", "--json"]]
 )
 def test_a_process_of_its_own_answers_the_same(project: Path, arguments: list[str]) -> None:
     done = subprocess.run(
@@ -270,7 +272,7 @@ def test_a_damaged_champion_is_refused(project: Path, studies: Run) -> None:
     folder.mkdir(parents=True)
     (folder / "champion.json").write_text("{", encoding="utf-8")
     assert_refused(studies("calibrate", "--n-train", "64"), "champion.json", "damaged")
-    answer = studies("calibrate")
+    answer = studies("calibrate", "--method", "paper")
     assert answer.code == 2
     assert "n_train = 64 is left out" in answer.err.splitlines()[0]
     shutil.rmtree(folder)

@@ -13,7 +13,7 @@ from simulation.case import load_case
 from studies.doctor.declared import look_at_declaration
 from studies.paths import ProjectPaths
 
-ADAPTIVE = ("calibrate", "office", "--method", "adaptive", "--jobs", "1")
+ADAPTIVE = ("calibrate", "office", "--jobs", "1")
 PRIOR = 'name = "UWin"\nprior = { about = 0.75, within_factor = 1.05 }\n'
 SOBOL = TINY_PROFILE.replace("tiny", "sobol") + "[sensitivity]\nn_base = 8\n"
 P, N_MORRIS, N_CHECK = 14, 60, 15
@@ -145,7 +145,9 @@ def test_the_papers_method_fixes_them_in_surrogate_and_model(
 ) -> None:
     root = copy_project(finished, tmp_path / "project", monkeypatch).root
     kept = stored(root, "n0016", "office-tiny")
-    found = studies("calibrate", "--profile", "tiny.toml", "--most-relevant", "3", "--json").stage
+    found = studies(
+        "calibrate", "--profile", "tiny.toml", "--n-train", "16", "--most-relevant", "3", "--json"
+    ).stage
     told = found["restriction"]
     for point in ("theta", "theta_screened"):
         assert {name: found[point][name] for name in told["fixed"]} == told["fixed"]

@@ -36,10 +36,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
         calls = str(N_CALIBRATION)
-        assert (
-            main(["calibrate", "wall", "--method", "adaptive", "--max-calls", calls, "--jobs", "1", "-q"])
-            == 0
-        )
+        assert main(["calibrate", "wall", "--max-calls", calls, "--jobs", "1", "-q"]) == 0
     return root
 
 
@@ -151,7 +148,7 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
         (("--max-calls", "20"), "does not hold 14 differences (7 parameters) and a sample of 16; give 30"),
         (
             ("--method", "paper"),
-            "has no calibration of --method paper; type: studies calibrate wall --method",
+            "has no calibration of --method paper; type: studies calibrate wall --method paper",
         ),
         (
             ("--n-train", "64"),
@@ -174,7 +171,7 @@ def test_what_cannot_be_done_is_one_line(
 def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run) -> None:
     answer = studies("uncertainty", "office")
     assert answer.code == 2
-    assert "no calibration of any kind; type: studies calibrate office --method adaptive" in answer.err
+    assert "no calibration of any kind; type: studies calibrate office" in answer.err
 
 
 def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(project: Path, studies: Run) -> None:

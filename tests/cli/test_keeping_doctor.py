@@ -182,12 +182,12 @@ def test_a_removed_mlflow_database_is_written_again_by_the_same_command(
     again = ProjectPaths(tmp_path / "again")
     shutil.copytree(paths.root, again.root, ignore=shutil.ignore_patterns("mlflow.db*"))
     enter(again, monkeypatch)
-    answer = studies("calibrate", "--profile", "tiny.toml")
+    answer = studies("calibrate", "--profile", "tiny.toml", "--method", "paper")
     assert "is gone: writing it again from the records" in answer.err
     assert "calibrate-n0016: finished before" in answer.err
     assert told(again) == before
     assert bad_findings(studies) == []
-    assert "is gone" not in studies("calibrate", "--profile", "tiny.toml").err
+    assert "is gone" not in studies("calibrate", "--profile", "tiny.toml", "--method", "paper").err
 
 
 def told(paths: ProjectPaths) -> list[tuple[str, ...]]:

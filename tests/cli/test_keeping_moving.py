@@ -15,7 +15,7 @@ from project_for_tests import TINY_PROFILE, Run, make_project
 
 from studies.paths import ProjectPaths
 
-CALIBRATE = ("calibrate", "--profile", "tiny.toml", "--quiet")
+CALIBRATE = ("calibrate", "--method", "paper", "--profile", "tiny.toml", "--quiet")
 
 
 @pytest.fixture

@@ -86,7 +86,7 @@ def test_a_new_case_says_what_the_fmu_says(project: Path, studies: Run, room: Pa
     answer = studies("new", str(room), "--json")
     assert answer.code == 0, answer.err
     case = case_of(project, "my-room-v2")
-    assert answer.document["next"] == ["studies check my-room-v2", "studies run my-room-v2"]
+    assert answer.document["next"] == ["studies check my-room-v2", "studies calibrate my-room-v2"]
     assert case["fmu"] == "My Room.v2.fmu"
     assert (project / "fmus" / "my-room-v2" / "My Room.v2.fmu").read_bytes() == room.read_bytes()
     assert case["interface"] == "co-simulation"

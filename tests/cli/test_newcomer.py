@@ -14,7 +14,7 @@ def test_from_a_foreign_fmu_to_calibrated_values(
     fmu = build_heated_tank(tmp_path)
     made = studies("new", str(fmu), "--json")
     assert made.code == 0, made.err
-    assert made.document["next"] == ["studies check heatedtank", "studies run heatedtank"]
+    assert made.document["next"] == ["studies check heatedtank", "studies calibrate heatedtank"]
     missing = studies("check", "heatedtank", "--profile", "smoke")
     assert missing.code == 2
     assert "data/heatedtank/measured.csv: no such file (columns time_s, T)" in missing.err
@@ -41,6 +41,11 @@ def test_from_a_foreign_fmu_to_calibrated_values(
         "the same answer again"
     ] == "ok"
 
+    fewest = studies("calibrate", "heatedtank", "--json")
+    assert fewest.code == 0, fewest.err
+    assert_calibrated(fewest.stage["theta"])
+    assert fewest.stage["ledger"]["total_honest"] <= 60
+
     run = studies("run", "heatedtank", "--profile", "smoke", "--n-train", "32")
     assert run.code == 0, run.err
     assert re.search(r"UA\s+W/K\s+12\s+", run.out[run.out.index("calibrated parameters") :])
@@ -50,7 +55,10 @@ def test_from_a_foreign_fmu_to_calibrated_values(
     (found,) = stored.document["stages"]
     assert found["finished_before"]
     assert found["mse_polished"] < 0.02
-    theta = found["theta"]
-    # The equation holds C, UA and eta up to a common factor: test what the data tell.
+    assert_calibrated(found["theta"])
+
+
+def assert_calibrated(theta: dict[str, float]) -> None:
+    """The equation holds C, UA and eta up to a common factor: test what the data tell."""
     assert theta["UA"] / theta["C"] == pytest.approx(LOSS_W_K / HEAT_J_K, rel=0.05)
     assert theta["eta"] / theta["C"] == pytest.approx(EFFICIENCY / HEAT_J_K, rel=0.05)
