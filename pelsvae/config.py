@@ -27,8 +27,7 @@ class SurrogateConfig:
         regressor: What leads from theta to the latent code: layers, or Gaussian processes.
         n_scales: Scales of a process's kernel, each with a length per feature.
         degree: Of the polynomial in a process's kernel, 1 or 2.
-        n_members: Processes with different likely kernels that are averaged, for each group of coordinates;
-            fewer where rows are many.
+        n_members: Most processes with different likely kernels that are averaged; fewer where rows are many.
         n_latent: Dimension of the latent code z.
         n_hidden: Width of every hidden layer.
         n_layers: Linear layers in each of encoder, decoder and regressor (at least 2).
@@ -54,7 +53,7 @@ class SurrogateConfig:
     regressor: Regressor = "network"
     n_scales: int = 3
     degree: int = 2
-    n_members: int = 2
+    n_members: int = 16
     n_latent: int = 64
     n_hidden: int = 128
     n_layers: int = 4

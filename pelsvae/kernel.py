@@ -40,9 +40,13 @@ _WARP = (0.0, 0.15)  # of v itself
 _NOISE = (math.log(1e-3), 0.5)
 _LEAST_WARP = 1e-4  # below, expm1(v x) / v is x to all digits that matter, and 0 / 0 at 0
 _REACH = 5.0  # deviations to either side within which the search stays
+_LOG2_E = math.log2(math.e)  # powers of two are three times as fast as those of e
 
 # Values of one trajectory, and coordinates of many, are far from independent: so many count as independent.
-_N_INDEPENDENT = 12.0
+N_INDEPENDENT = 12.0
+
+Prior = tuple[Array, Array]
+"""Mean and deviation of the hyperparameters. Each of shape (h,)."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,8 @@ class Kernel:
     degree: int
 
     @cached_property
-    def prior(self) -> tuple[Array, Array]:
-        """Mean and deviation of the hyperparameters. Each of shape (h,)."""
+    def prior(self) -> Prior:
+        """What is believed of the hyperparameters without data."""
         rows: list[tuple[float, float]] = []
         for scale in range(self.n_scales):
             longer = _SECOND + (scale - 1) * _LONGER if scale else 0.0
@@ -96,13 +100,24 @@ class Kernel:
         warp = torch.where(warp.abs() < _LEAST_WARP, torch.full_like(warp, _LEAST_WARP), warp)
         return torch.expm1(warp * x) / warp
 
+    def near(self, length: Tensor, warped: Tensor) -> Tensor:
+        """Return what one scale sees of points that are predicted: (f,), (b, f) -> (b, f + 2)."""
+        left = warped / length
+        return torch.cat(
+            [left, torch.ones_like(left[:, :1]), -0.5 * left.square().sum(-1, keepdim=True)], dim=1
+        )
+
+    def far(self, weight: Tensor, length: Tensor, warped: Tensor) -> Tensor:
+        """Return what one scale sees of rows; `near` times this is log2 of its bumps: -> (n, f + 2)."""
+        right = warped / length
+        halves = weight.log() - 0.5 * right.square().sum(-1, keepdim=True)
+        return torch.cat([right, halves, torch.ones_like(halves)], dim=1) * _LOG2_E
+
     def bumps(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return the sum over the scales, of warped features: (h,), (n, f), (m, f) -> (n, m)."""
         total = near.new_zeros(())
         for weight, length in zip(self.weights(hyper), self.lengths(hyper), strict=True):
-            left, right = near / length, far / length
-            halves = 0.5 * left.square().sum(-1)[:, None] + 0.5 * right.square().sum(-1)
-            total = total + weight * (left @ right.T - halves).clamp_max(0.0).exp()
+            total = total + (self.near(length, near) @ self.far(weight, length, far).T).exp2()
         return total
 
     def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
@@ -129,13 +144,17 @@ class Kernel:
         noise = (2.0 * hyper[-1]).exp() + JITTER * matrix.diagonal().sum()
         return matrix + noise * torch.eye(len(x), dtype=x.dtype, device=x.device)
 
-    def loss(self, hyper: Array, x: Tensor, codes: Tensor) -> tuple[float, Array]:
+    def loss(
+        self, hyper: Array, x: Tensor, codes: Tensor, prior: Prior, n_independent: float = N_INDEPENDENT
+    ) -> tuple[float, Array]:
         """Return minus the logarithm of posterior density and its gradient, infinite where none exists.
 
         Args:
             hyper: Hyperparameters. Shape (h,).
             x: Features of the rows. Shape (n, f). [1]
             codes: Their values, whose squares sum up to n. Shape (n, z). [1]
+            prior: Of the hyperparameters.
+            n_independent: As how many independent values the codes of a row count.
 
         Returns:
             Value, and derivatives of shape (h,).
@@ -151,10 +170,10 @@ class Kernel:
             inverse = torch.cholesky_inverse(factor)
             solved = inverse @ codes
             misfit = (codes * solved).sum()
-            value = _N_INDEPENDENT * (factor.diagonal().log().sum() + 0.5 * n * torch.log(misfit / n))
-            slopes = 0.5 * _N_INDEPENDENT * torch.addmm(inverse, solved, solved.T, alpha=-n / float(misfit))
+            value = n_independent * (factor.diagonal().log().sum() + 0.5 * n * torch.log(misfit / n))
+            slopes = 0.5 * n_independent * torch.addmm(inverse, solved, solved.T, alpha=-n / float(misfit))
         matrix.backward(slopes)  # type: ignore[no-untyped-call]
         assert point.grad is not None
-        mean, deviation = self.prior
+        mean, deviation = prior
         step = (hyper - mean) / deviation
         return float(value) + 0.5 * float(step @ step), point.grad.cpu().numpy() + step / deviation

@@ -10,10 +10,33 @@ doi:10.1198/016214507000000888.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
 from pelsvae.kernel import CONSTANT, Kernel
+
+# Covariances of so many rows and training rows are computed at once: 2 MiB, which stay near a core.
+_AT_ONCE = 2**18
+_FEWEST_ROWS = 128
+
+
+class _Member(NamedTuple):
+    """What a member's prediction takes, for the c codes that it has a share in.
+
+    The polynomial is summed over the training rows: large terms of opposite sign meet in the same order
+    whatever is predicted, and a prediction need not sum them again.
+    """
+
+    hyper: Tensor  # (h,)
+    columns: Tensor  # (c,)
+    lengths: Tensor  # (s, f)
+    far: list[Tensor]  # s of (f + 2, n)
+    coefficients: Tensor  # (n, c)
+    constant: Tensor  # (c,)
+    slope: Tensor  # (f, c)
+    bend: Tensor  # (f, c * f)
 
 
 class LinearVae(nn.Module):
@@ -26,7 +49,7 @@ class LinearVae(nn.Module):
         basis: Principal components, orthonormal rows. Shape (z, d).
         x: Features of the training rows. Shape (n, f). [1]
         hyper: Hyperparameters of every member. Shape (m, h).
-        share: Of every member in each code; those in one code sum up to 1. Shape (m, z).
+        share: Of every member in each code, often 0; those in one code sum up to 1. Shape (m, z).
         coefficients: Inverse of each member's covariances times the codes that it has a share in. Shape
             (m, n, z).
         amplitude: Variance of each code under each member. Shape (m, z).
@@ -42,10 +65,6 @@ class LinearVae(nn.Module):
     amplitude: Tensor
     rest: Tensor
     inflation: Tensor
-    warped: Tensor
-    constant: Tensor
-    slope: Tensor
-    bend: Tensor
 
     def __init__(self, kernel: Kernel, **buffers: Tensor) -> None:
         """Take what was learnt.
@@ -58,20 +77,13 @@ class LinearVae(nn.Module):
         self.kernel = kernel
         for name in ("basis", "x", "hyper", "share", "coefficients", "amplitude", "rest", "inflation"):
             self.register_buffer(name, buffers[name])
-        # The polynomial, summed over the training rows: large terms of opposite sign meet in the same order
-        # whatever is predicted, and a prediction need not sum them again.
-        length = torch.stack([kernel.lengths(hyper)[0] for hyper in self.hyper])  # (m, f)
-        squares = torch.stack([kernel.polynomial(hyper) for hyper in self.hyper])  # (m, degree)
-        warped = torch.stack([kernel.warped(hyper, self.x) for hyper in self.hyper])
-        self.register_buffer("warped", warped, persistent=False)
-        far = warped / length[:, None].square()  # (m, n, f)
-        self.register_buffer("constant", CONSTANT * self.coefficients.sum(dim=1), persistent=False)
-        slope = squares[:, :1, None] * (far.transpose(1, 2) @ self.coefficients)
-        self.register_buffer("slope", slope, persistent=False)
-        if kernel.degree == 2:
-            bend = torch.einsum("m,mni,mnj,mnz->mzij", squares[:, 1], far, far, self.coefficients)
-            self.register_buffer("bend", bend, persistent=False)
+        self._known: list[_Member] | None = None
         self._factors: list[Tensor] | None = None
+
+    @property
+    def rows_at_once(self) -> int:
+        """Rows whose prediction fits near a core."""
+        return max(_FEWEST_ROWS, _AT_ONCE // len(self.x))
 
     @property
     def no_draw(self) -> Tensor:
@@ -84,23 +96,24 @@ class LinearVae(nn.Module):
 
     def regressor_mean(self, theta: Tensor) -> Tensor:
         """Mean of varphi(theta), Eq. 6: theta (b, f) -> (b, z)."""
-        total = theta.new_zeros(())
-        for member in range(len(self.hyper)):
-            total = total + self.share[member] * self._member_mean(member, theta)
+        total = theta.new_zeros(len(theta), len(self.basis))
+        for place, member in enumerate(self._members()):
+            share = self.share[place, member.columns]
+            total = total.index_add(1, member.columns, share * self._member_mean(member, theta))
         return total
 
     def regressor_variance(self, theta: Tensor) -> Tensor:
         """Variance of varphi(theta), the members' disagreement included: theta (b, f) -> (b, z)."""
         center = self.regressor_mean(theta)
-        total = theta.new_zeros(())
-        for member, factor in enumerate(self._cholesky_factors()):
-            hyper = self.hyper[member]
-            covariance = self.kernel.matrix(hyper, self.x, theta)  # (n, b)
+        total = torch.zeros_like(center)
+        for place, (member, factor) in enumerate(zip(self._members(), self._cholesky_factors(), strict=True)):
+            columns = member.columns
+            covariance = self.kernel.matrix(member.hyper, self.x, theta)  # (n, b)
             explained = torch.linalg.solve_triangular(factor, covariance, upper=False).square().sum(dim=0)
-            unexplained = (self.kernel.variances(hyper, theta) - explained).clamp_min(0.0)
-            away = self._member_mean(member, theta) - center
-            of_member = unexplained[:, None] * self.amplitude[member] + away.square()
-            total = total + self.share[member] * of_member
+            unexplained = (self.kernel.variances(member.hyper, theta) - explained).clamp_min(0.0)
+            away = self._member_mean(member, theta) - center[:, columns]
+            of_member = unexplained[:, None] * self.amplitude[place, columns] + away.square()
+            total = total.index_add(1, columns, self.share[place, columns] * of_member)
         return total
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
@@ -113,14 +126,48 @@ class LinearVae(nn.Module):
         variance = self.regressor_variance(theta) @ self.basis.square() + self.rest
         return variance.sqrt() * self.inflation
 
-    def _member_mean(self, member: int, theta: Tensor) -> Tensor:
-        """Return a member's mean: theta (b, f) -> (b, z)."""
-        near = self.kernel.warped(self.hyper[member], theta)
-        bumps = self.kernel.bumps(self.hyper[member], near, self.warped[member])
-        mean = bumps @ self.coefficients[member] + self.constant[member] + near @ self.slope[member]
+    def _member_mean(self, member: _Member, theta: Tensor) -> Tensor:
+        """Return a member's mean in its codes: theta (b, f) -> (b, c)."""
+        near = self.kernel.warped(member.hyper, theta)
+        bumps = near.new_zeros(())
+        for length, far in zip(member.lengths, member.far, strict=True):
+            bumps = bumps + (self.kernel.near(length, near) @ far).exp2()
+        mean = bumps @ member.coefficients + member.constant + near @ member.slope
         if self.kernel.degree == 2:
-            mean = mean + torch.einsum("bi,zij,bj->bz", near, self.bend[member], near)
+            bent = (near @ member.bend).reshape(len(near), -1, near.shape[1])  # (b, c, f)
+            mean = mean + (bent @ near[:, :, None])[:, :, 0]
         return mean
+
+    def _members(self) -> list[_Member]:
+        """Return what predictions take, made when first asked for."""
+        if self._known is None:
+            # What inference mode makes could not be differentiated later.
+            with torch.inference_mode(False), torch.no_grad():
+                self._known = [self._member(place) for place in range(len(self.hyper))]
+        return self._known
+
+    def _member(self, place: int) -> _Member:
+        hyper, kernel = self.hyper[place], self.kernel
+        columns = self.share[place].nonzero()[:, 0]
+        coefficients = self.coefficients[place][:, columns].contiguous()
+        lengths, warped = kernel.lengths(hyper), kernel.warped(hyper, self.x)
+        scales = zip(kernel.weights(hyper), lengths, strict=True)
+        far = [kernel.far(weight, length, warped).T.contiguous() for weight, length in scales]
+        squares, across = kernel.polynomial(hyper), warped / lengths[0].square()  # (degree,), (n, f)
+        bend = across.new_zeros(0)
+        if kernel.degree == 2:
+            products = squares[1] * coefficients.T[:, :, None] * across  # (c, n, f)
+            bend = (across.T @ products).permute(1, 0, 2).reshape(across.shape[1], -1)
+        return _Member(
+            hyper=hyper,
+            columns=columns,
+            lengths=lengths,
+            far=far,
+            coefficients=coefficients,
+            constant=CONSTANT * coefficients.sum(dim=0),
+            slope=squares[0] * (across.T @ coefficients),
+            bend=bend,
+        )
 
     def _cholesky_factors(self) -> list[Tensor]:
         """Return every member's factor of the rows' covariances, made when first asked for. m of (n, n)."""

@@ -1,34 +1,26 @@
-"""Fits the linear form: principal components, then likely kernels, then one factorization for each."""
+"""Fits the linear form: principal components, likely kernels, and a mean of those that prove their worth."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from pelsvae.config import SurrogateConfig
 from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.kernel import Kernel
+from pelsvae.kernel_search import Candidate, candidates
 from pelsvae.linear_vae import LinearVae
+from pelsvae.member_shares import best_shares
 from pelsvae.standardize import Array
 
-# Rows on which the kernels are searched for, and how many of them go on from each to the next: a search on
-# few rows costs little, and tells which of several likely kernels is worth more.
-ROWS = (128, 256, 512, 1024)
-SURVIVORS = (6, 2, 1, 1)
-# With more rows one kernel for all codes, searched for on 1,024 of them, costs a third of the predictions;
-# with fewer, kernels for groups of codes, each searched for on 512 at most, are better in the same time.
-MOST_GROUPED_ROWS = 1024
-MOST_AVERAGED_ROWS = 512  # members of a group times rows
-LEADING = 0.9  # part of the variance that the leading codes hold
+MEMBER_ROWS = 4096  # members times rows at most: what a prediction costs
+CHOOSING_ROWS = 1024  # from so many rows at most it is chosen which kernels are members
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
-_SPREAD = 0.7  # of the starts, in deviations of the prior: equal scales would stay equal
 _SHARE = 0.9  # of the validation values that the band shall cover
 
 
@@ -44,14 +36,14 @@ def fit_processes(
 ) -> tuple[LinearVae, list[dict[str, float]]]:
     """Fit principal components and the Gaussian processes of their coordinates.
 
-    The kernels are searched for on few rows first, and the most likely ones go on to more of them.
+    Many kernels are searched for, on few rows first; the validation set says what each counts in each code.
 
     Args:
         config: Scales, degree, members and iterations.
         training: Features of theta, in random order, and standardized trajectories, float64. Shapes (n, f)
             and (n, d). [1]
-        validation: As training, of rows that say how far the stated deviations are right. Shapes (b, f) and
-            (b, d). [1]
+        validation: As training, of rows that say what each kernel's process is worth and how far the stated
+            deviations are right. Shapes (b, f) and (b, d). [1]
         n_outputs: Outputs k of a model; d is times x k.
         validation_error: Judges a network.
         seed: Of the searches' starts.
@@ -67,8 +59,6 @@ def fit_processes(
     history: list[dict[str, float]] = []
 
     def report(network: LinearVae, loss: float, epoch: int) -> None:
-        if epoch <= (history[-1]["epoch"] if history else 0):
-            return
         mae = validation_error(network)
         if not math.isfinite(loss + mae):
             raise TrainingDiverged(f"loss {loss:g}, validation error {mae:g} at epoch {epoch}")
@@ -81,58 +71,52 @@ def fit_processes(
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)
         basis, rest = _principal_components(x, config.n_latent)
         codes = x @ basis.T  # (n, z)
-        groups = _groups(codes)
-        plan = list(_stages(len(x), config.n_members))
-        all_work = len(groups) * sum(n_starts * float(n_rows) ** 3 for n_rows, n_starts, _ in plan)
-        hypers, shares, loss, done = [], [], 0.0, 0.0
-        for place, group in enumerate(groups):
-            likely = _starts(kernel, [seed, place])
-            for n_rows, n_starts, n_kept in plan:
-                rows = slice(n_rows)
-                found: list[tuple[float, Array]] = []
-                for hyper in likely[:n_starts]:
-                    known = codes[rows, group.columns]
-                    loss, better = _most_probable(kernel, features[rows], known, hyper, config.max_epochs)
-                    found.append((loss, better))
-                    done += float(n_rows) ** 3 / all_work
-                    alone = [torch.ones_like(codes[0])]
-                    network = _assembled(kernel, features[rows], codes[rows], basis, rest, [better], alone)
-                    report(network, loss / n_rows, int(done * (config.max_epochs - 1)))
-                found.sort(key=lambda pair: pair[0])
-                likely, loss = [hyper for _, hyper in found[:n_kept]], found[0][0] / n_rows
-            hypers += likely
-            shares += [group.share / len(likely)] * len(likely)
+        found: list[Candidate] = []
+        for one in candidates(kernel, features, codes, seed, config.max_epochs):
+            found.append(one)
+            epoch, last = int(one.done * (config.max_epochs - 1)), history[-1]["epoch"] if history else 0
+            if one.n_rows and epoch > last:
+                alone, rows = np.ones((1, len(basis))), slice(one.n_rows)
+                part = _assembled(kernel, features[rows], codes[rows], basis, rest, one.hyper[None], alone)
+                report(part, one.loss, epoch)
+        hypers, shares = _members(
+            kernel, (features, codes), (validation[0], validation[1] @ basis.T), found, config.n_members
+        )
         network = _assembled(kernel, features, codes, basis, rest, hypers, shares)
         _inflate(network, *validation, n_outputs)
-        report(network, loss, config.max_epochs)
+        report(network, found[0].loss, config.max_epochs)
     return network, history[-1:]
 
 
-class _Group(NamedTuple):
-    """Codes that have kernels of their own: their places, and these kernels' share in each code, (z,)."""
+def _members(
+    kernel: Kernel,
+    training: tuple[Tensor, Tensor],
+    validation: tuple[Tensor, Tensor],
+    found: list[Candidate],
+    n_members: int,
+) -> tuple[Array, Array]:
+    """Choose members by the validation set, whose codes are known as the training set's are.
 
-    columns: slice
-    share: Tensor
-
-
-def _groups(codes: Tensor) -> list[_Group]:
-    """Return all codes together and, of few rows, beside them the leading codes and the others.
-
-    One kernel for all is determined best, by the leading codes, and the others depend on other parameters:
-    the mean of both views is better than either.
+    Returns:
+        Their hyperparameters and their shares in the codes. Shapes (m, h) and (m, z).
     """
+    (features, codes), (known, true) = training, validation
     n, z = codes.shape
-    explained = codes.square().sum(dim=0).cumsum(dim=0)
-    n_leading = int((explained < LEADING * explained[-1]).sum()) + 1
-    whole = torch.ones_like(codes[0])
-    if n > MOST_GROUPED_ROWS or n_leading >= z:
-        return [_Group(slice(z), whole)]
-    leading = (torch.arange(z, device=codes.device) < n_leading).to(codes.dtype)
-    return [
-        _Group(slice(z), 0.5 * whole),
-        _Group(slice(n_leading), 0.5 * leading),
-        _Group(slice(n_leading, z), 0.5 * (whole - leading)),
-    ]
+    hypers = np.array([one.hyper for one in found])
+    believed = np.zeros((len(found), z))
+    for place, one in enumerate(found):
+        believed[place, one.columns] = one.is_final
+    n_most = max(1, min(n_members, MEMBER_ROWS // n))
+    for rows in sorted({min(n, CHOOSING_ROWS), n}):
+        if rows > CHOOSING_ROWS and len(hypers) == 1:
+            break
+        predicted = [
+            (kernel.matrix(hyper, known, features[:rows]) @ solved).cpu().numpy()
+            for hyper, solved in _solved(kernel, features[:rows], codes[:rows], hypers)
+        ]
+        chosen = best_shares(np.array(predicted), true.cpu().numpy(), believed, n_most)
+        hypers, believed = hypers[chosen.members], believed[chosen.members]
+    return hypers, chosen.share
 
 
 def _inflate(network: LinearVae, features: Tensor, x: Tensor, n_outputs: int) -> None:
@@ -162,67 +146,28 @@ def _principal_components(x: Tensor, n_latent: int) -> tuple[Tensor, Tensor]:
     return basis, outside.square().mean(dim=0)
 
 
-def _starts(kernel: Kernel, seed: list[int]) -> list[Array]:
-    """Draw where the searches begin."""
-    mean, deviation = kernel.prior
-    random = np.random.default_rng(seed)
-    return [mean + _SPREAD * deviation * random.standard_normal(mean.size) for _ in range(SURVIVORS[0])]
-
-
-def _stages(n: int, n_members: int) -> Iterator[tuple[int, int, int]]:
-    """Yield rows, kernels that start and kernels that go on, for a training set of n rows."""
-    n_final = max(1, min(n_members, MOST_AVERAGED_ROWS // n))
-    sizes = ROWS[:-1] if n <= MOST_GROUPED_ROWS else ROWS
-    last = next((place for place, rows in enumerate(sizes) if rows >= n), len(sizes) - 1)
-    for place in range(last + 1):
-        n_next = n_final if place == last else SURVIVORS[place + 1]
-        yield min(n, sizes[place]), max(SURVIVORS[place], n_final), max(n_next, n_final)
-
-
-def _most_probable(
-    kernel: Kernel, features: Tensor, codes: Tensor, start: Array, max_iterations: int
-) -> tuple[float, Array]:
-    """Return the smallest loss found from a start, and the hyperparameters there."""
-    total = float(codes.square().sum())
-    if total <= 0.0:  # every trajectory is the same: nothing to learn from
-        return 0.0, kernel.prior[0]
-    found = minimize(
-        kernel.loss,
-        start,
-        args=(features, codes * math.sqrt(len(features) / total)),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=kernel.bounds,
-        options={"maxiter": max_iterations, "maxcor": 20},
-    )
-    return float(found.fun), np.asarray(found.x, dtype=np.float64)
-
-
 def _assembled(
-    kernel: Kernel,
-    features: Tensor,
-    codes: Tensor,
-    basis: Tensor,
-    rest: Tensor,
-    hypers: list[Array],
-    shares: list[Tensor],
+    kernel: Kernel, features: Tensor, codes: Tensor, basis: Tensor, rest: Tensor, hypers: Array, shares: Array
 ) -> LinearVae:
     """Solve for the coefficients of every member."""
-    points = torch.from_numpy(np.array(hypers)).to(features.device)
-    coefficients, amplitudes = [], []
-    for hyper, share in zip(points, shares, strict=True):
-        factor = torch.linalg.cholesky(kernel.noisy(hyper, features))
-        solved = torch.cholesky_solve(codes * (share > 0), factor)
-        coefficients.append(solved)
-        amplitudes.append((codes * solved).sum(dim=0) / len(codes))
+    solved = torch.stack([found for _, found in _solved(kernel, features, codes, hypers)])  # (m, n, z)
+    share = torch.from_numpy(shares).to(features.device)
     return LinearVae(
         kernel,
         basis=basis,
         x=features,
-        hyper=points,
-        share=torch.stack(shares),
-        coefficients=torch.stack(coefficients),
-        amplitude=torch.stack(amplitudes),
+        hyper=torch.from_numpy(hypers).to(features.device),
+        share=share,
+        coefficients=solved * (share > 0)[:, None],
+        amplitude=(codes * solved).sum(dim=1) / len(codes),
         rest=rest,
         inflation=torch.ones_like(rest),
     )
+
+
+def _solved(
+    kernel: Kernel, features: Tensor, codes: Tensor, hypers: Array
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Yield hyperparameters, (h,), and the inverse of their covariances times the codes, (n, z)."""
+    for hyper in torch.from_numpy(hypers).to(features.device):
+        yield hyper, torch.cholesky_solve(codes, torch.linalg.cholesky(kernel.noisy(hyper, features)))

@@ -152,7 +152,8 @@ class Surrogate:
     def _in_chunks(self, theta: npt.ArrayLike, answer: Callable[[Tensor], Tensor], n_jobs: int) -> Array:
         """Return what features are answered with, for all rows. Shape (n, t * k). [1]."""
         rows = self._checked(theta, n_dimensions=2)
-        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else _CHUNK_ROWS
+        size = self.network.rows_at_once if isinstance(self.network, LinearVae) else _CHUNK_ROWS
+        size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else size
         x = np.empty((len(rows), self.shape.n_times * self.shape.n_outputs))
         features = self._features(torch.from_numpy(rows).to(self.eps.device))  # (n, f)
 

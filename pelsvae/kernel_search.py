@@ -1,0 +1,148 @@
+"""Candidates for the kernels: likely hyperparameters for all codes, for parts of them, for single ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+from torch import Tensor
+
+from pelsvae.kernel import N_INDEPENDENT, Kernel, Prior
+from pelsvae.standardize import Array
+
+# Rows on which kernels are searched for, and how many of them go on from each to the next: a search on few
+# rows costs little, and tells which of several likely kernels is worth more.
+ROWS = (128, 256, 512, 1024)
+SURVIVORS = (6, 2, 1, 1)
+# With more rows the kernel of all codes is searched for on 1,024 of them, and leading ones have none.
+MOST_GROUPED_ROWS = 1024
+LEADING = 0.9  # part of the variance that the leading codes hold
+N_FINAL = 2  # kernels of a group that count without validation
+N_SINGLE = 10  # leading codes that have kernels of their own
+CLOSER = 0.7  # deviations of a single code's hyperparameters around those of all codes, in those of the prior
+_SPREAD = 0.7  # of the starts, in deviations of the prior: equal scales would stay equal
+
+
+class Candidate(NamedTuple):
+    """Hyperparameters that are likely for some codes.
+
+    Attributes:
+        hyper: They. Shape (h,).
+        columns: The codes.
+        is_final: Whether they are among the likeliest two of a group's last searches.
+        n_rows: That were searched on; None for a single code.
+        loss: Per row.
+        done: Part of all searches that is done with this one.
+    """
+
+    hyper: Array
+    columns: slice
+    is_final: bool
+    n_rows: int | None
+    loss: float
+    done: float
+
+
+def candidates(
+    kernel: Kernel, features: Tensor, codes: Tensor, seed: int, max_iterations: int
+) -> Iterator[Candidate]:
+    """Search for likely kernels, each group of codes from several starts, then for single codes.
+
+    Args:
+        kernel: Their form.
+        features: Features of theta, in random order. Shape (n, f). [1]
+        codes: Principal coordinates, the leading ones first. Shape (n, z). [1]
+        seed: Of the starts.
+        max_iterations: Of each search.
+
+    Yields:
+        What each search ended with.
+    """
+    n, z = codes.shape
+    groups = _groups(codes)
+    plan = list(_stages(n))
+    n_single = min(N_SINGLE, z)
+    few = slice(ROWS[0])
+    work = [len(groups) * n_starts * float(rows) ** 3 for rows, n_starts in plan]
+    all_work, done = sum(work) + 2 * n_single * float(min(n, ROWS[0])) ** 3, 0.0
+    shared = kernel.prior[0]
+    for place, columns in enumerate(groups):
+        likely = _starts(kernel, [seed, place])
+        for stage, (n_rows, n_starts) in enumerate(plan):
+            known = features[:n_rows], codes[:n_rows, columns]
+            found = [most_probable(kernel, *known, start, max_iterations) for start in likely[:n_starts]]
+            found.sort(key=lambda pair: pair[0])
+            for rank, (loss, hyper) in enumerate(found):
+                done += float(n_rows) ** 3 / all_work
+                is_final = stage == len(plan) - 1 and rank < N_FINAL
+                yield Candidate(hyper, columns, is_final, n_rows, loss / n_rows, done)
+            likely = [hyper for _, hyper in found]
+        if place == 0:
+            shared = likely[0]
+    mean, deviation = kernel.prior
+    for code in range(n_single):
+        for prior in ((shared, CLOSER * deviation), (mean, deviation)):
+            column = slice(code, code + 1)
+            loss, hyper = most_probable(
+                kernel, features[few], codes[few, column], shared, max_iterations, prior, n_independent=1.0
+            )
+            done += float(min(n, ROWS[0])) ** 3 / all_work
+            yield Candidate(hyper, column, False, None, loss / min(n, ROWS[0]), done)
+
+
+def _groups(codes: Tensor) -> list[slice]:
+    """Return all codes together and, of few rows, beside them the leading codes and the others.
+
+    One kernel for all is determined best, by the leading codes, and the others depend on other parameters.
+    """
+    n, z = codes.shape
+    explained = codes.square().sum(dim=0).cumsum(dim=0)
+    n_leading = int((explained < LEADING * explained[-1]).sum()) + 1
+    if n > MOST_GROUPED_ROWS or n_leading >= z:
+        return [slice(0, z)]
+    return [slice(0, z), slice(0, n_leading), slice(n_leading, z)]
+
+
+def _starts(kernel: Kernel, seed: list[int]) -> list[Array]:
+    """Draw where the searches begin."""
+    mean, deviation = kernel.prior
+    random = np.random.default_rng(seed)
+    return [mean + _SPREAD * deviation * random.standard_normal(mean.size) for _ in range(SURVIVORS[0])]
+
+
+def _stages(n: int) -> Iterator[tuple[int, int]]:
+    """Yield rows, and kernels that start, for a training set of n rows."""
+    sizes = ROWS[:-1] if n <= MOST_GROUPED_ROWS else ROWS
+    for rows, n_starts in zip(sizes, SURVIVORS, strict=False):
+        yield min(n, rows), n_starts
+        if rows >= n:
+            return
+
+
+def most_probable(
+    kernel: Kernel,
+    features: Tensor,
+    codes: Tensor,
+    start: Array,
+    max_iterations: int,
+    prior: Prior | None = None,
+    n_independent: float = N_INDEPENDENT,
+) -> tuple[float, Array]:
+    """Return the smallest loss found from a start, and the hyperparameters there."""
+    prior = prior or kernel.prior
+    total = float(codes.square().sum())
+    if total <= 0.0:  # every trajectory is the same: nothing to learn from
+        return 0.0, prior[0]
+    found = minimize(
+        kernel.loss,
+        start,
+        args=(features, codes * math.sqrt(len(features) / total), prior, n_independent),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=kernel.bounds,
+        options={"maxiter": max_iterations, "maxcor": 20},
+    )
+    return float(found.fun), np.asarray(found.x, dtype=np.float64)

@@ -1,0 +1,66 @@
+"""Shares of members in a mean: against a general solver, at their limits, and when members must go."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.optimize import minimize
+
+from pelsvae.member_shares import BELIEF, best_shares
+
+Array = npt.NDArray[np.float64]
+
+
+def members(n_rows: int, n_members: int, seed: int = 0) -> tuple[Array, Array]:
+    """Return what members of different worth predict, (m, b, 2), and the truth, (b, 2)."""
+    random = np.random.default_rng(seed)
+    true = random.normal(size=(n_rows, 2))
+    noise = np.linspace(0.2, 1.0, n_members)[:, None, None] * random.normal(size=(n_members, n_rows, 2))
+    return true + noise, true
+
+
+def test_shares_are_those_of_a_general_solver() -> None:
+    predicted, true = members(50, 4)
+    believed = np.repeat([[0.4], [0.3], [0.2], [0.1]], 2, axis=1)
+    share = best_shares(predicted, true, believed, 4).share
+    for code in range(2):
+        left = true[:, code] - predicted[:, :, code]
+        noise = np.square(believed[:, code] @ left).mean()
+
+        def cost(
+            w: Array, left: Array = left, noise: float = noise, start: Array = believed[:, code]
+        ) -> float:
+            return float(np.square(w @ left).sum() / noise + BELIEF * np.square(w - start).sum())
+
+        found = minimize(
+            cost,
+            believed[:, code],
+            bounds=[(0.0, 1.0)] * 4,
+            constraints={"type": "eq", "fun": lambda w: w.sum() - 1.0},
+            options={"ftol": 1e-12},
+        )
+        np.testing.assert_allclose(share[:, code], found.x, atol=1e-5)
+
+
+def test_few_rows_move_shares_little_and_many_as_far_as_they_say() -> None:
+    believed = np.full((2, 2), 0.5)
+    few, many = (best_shares(*members(n, 2), believed, 2).share for n in (2, 4000))
+    assert np.abs(few - 0.5).max() < 0.1
+    # Independent errors of deviations 0.2 and 1: shares as the inverse variances, 25 to 1.
+    np.testing.assert_allclose(many[0], 25.0 / 26.0, atol=0.02)
+
+
+def test_members_that_matter_least_are_left_out() -> None:
+    predicted, true = members(300, 9)
+    chosen = best_shares(predicted, true, np.full((9, 2), 1.0 / 9.0), 3)
+    assert chosen.members.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(chosen.share.sum(axis=0), 1.0)
+    assert (chosen.share >= 0.0).all()
+
+
+@pytest.mark.parametrize("n_most", [1, 2])
+def test_members_that_all_are_right_keep_their_belief(n_most: int) -> None:
+    true = np.ones((5, 1))
+    share = best_shares(np.ones((2, 5, 1)), true, np.array([[0.75], [0.25]]), n_most).share
+    assert share[:, 0].tolist() == [[1.0], [0.75, 0.25]][n_most - 1]
