@@ -40,20 +40,24 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="what residuals are; default: correlated",
     )
     command.add_argument(
-        "--max-calls", type=values.whole(1), metavar="N", help="most FMU calls; default: 100"
+        "--max-calls",
+        type=values.whole(1),
+        metavar="N",
+        help="most FMU calls; default: 20 per parameter, at least 100",
     )
     command.add_argument("--again", action="store_true", help="do it once more though it is finished")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.uncertainty import MAX_CALLS, UncertaintySettings, uncertainty_stage
+    from studies.stages.uncertainty import UncertaintySettings, uncertainty_stage, usual_calls
     from studies.stages.uncertainty_results import calibration_to_judge
     from studies.stages.uncertainty_shown import show_uncertainty
 
     study = open_study(chosen, console)
     calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
-    settings = UncertaintySettings(noise=chosen.noise, max_calls=chosen.max_calls or MAX_CALLS)
+    max_calls = chosen.max_calls or usual_calls(study.case.parameter_space.n_parameters)
+    settings = UncertaintySettings(noise=chosen.noise, max_calls=max_calls)
     outcome = uncertainty_stage(study, calibration, settings, again=chosen.again)
     show_uncertainty(study, outcome)
     return hand_over(study, "uncertainty", [outcome])

@@ -37,9 +37,16 @@ from studies.uncertainty.noise import NoiseKind, noise_of
 from studies.uncertainty.rows import telling_rows
 from studies.uncertainty.sample import Sampling
 
-MAX_CALLS = 100
+LEAST_BUDGET, BUDGET_PER_PARAMETER = 100, 20
+"""Most calls unless others are asked for; a sample that is good earlier ends earlier."""
+
 TRUSTED = 0.3
 """A sample that is worth less than this share of its size is not to be relied upon."""
+
+
+def usual_calls(n_parameters: int) -> int:
+    """Return how many rows may be asked of the model unless the user says otherwise."""
+    return max(LEAST_BUDGET, BUDGET_PER_PARAMETER * n_parameters)
 
 
 @dataclass(frozen=True)
@@ -51,8 +58,8 @@ class UncertaintySettings:
         max_calls: Most rows that may be asked of the model.
     """
 
-    noise: NoiseKind = "correlated"
-    max_calls: int = MAX_CALLS
+    noise: NoiseKind
+    max_calls: int
 
 
 def uncertainty_stage(

@@ -5,27 +5,38 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from studies.calibration.problem import Evaluation
 
-MOST_ROWS = 250
-"""Rows that the process is fitted to, the best ones; its cost grows with their third power."""
+MOST_KNOWN, MOST_ROWS = 250, 400
+"""Known rows that the process is fitted to, and rows in all; its cost grows with their third power."""
 
 SAME_ROW = 1e-3
 """Rows nearer to a better one than this in the unit cube tell nothing new."""
 
 
-def telling_rows(u: FloatArray, log_density: FloatArray) -> IntArray:
-    """Return the most probable rows without those that repeat a better one. Shape (r,).
+def telling_rows(u: FloatArray, log_density: FloatArray, n_known: int | None = None) -> IntArray:
+    """Return the rows that tell most, the most probable first, none that repeats a better one. Shape (r,).
+
+    Of known rows these are the most probable ones. Rows that a sampler asked come before them: one that
+    turned out improbable is where the surrogate was wrong, and forgotten it would be asked again.
 
     Args:
-        u: Points. Shape (n, p). [1]
+        u: Points, those first that were known before. Shape (n, p). [1]
         log_density: Minus infinity where a simulation failed. Shape (n,). [1]
+        n_known: How many were known before, None for all.
     """
+    n_known = len(u) if n_known is None else n_known
+    is_known = np.arange(len(u)) < n_known
     kept: list[int] = []
-    for row in np.argsort(-log_density, kind="stable"):
-        if len(kept) == MOST_ROWS or not np.isfinite(log_density[row]):
+    n_best = 0
+    for row in np.lexsort((-log_density, is_known)):
+        if len(kept) == MOST_ROWS or n_best == MOST_KNOWN:
             break
+        if not np.isfinite(log_density[row]):
+            continue
         if not kept or float(np.abs(u[kept] - u[row]).max(axis=1).min()) > SAME_ROW:
             kept.append(int(row))
-    return np.array(kept, dtype=np.int64)
+            n_best += bool(is_known[row])
+    rows = np.array(kept, dtype=np.int64)
+    return rows[np.argsort(-log_density[rows], kind="stable")]
 
 
 def joined(parts: list[Evaluation]) -> Evaluation:

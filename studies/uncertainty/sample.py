@@ -151,7 +151,7 @@ class PosteriorSampler:
     def _round(self) -> tuple[Predicted, Particles]:
         """Fit the process to what is known and sample the density that it predicts."""
         density = self._posterior.at(self._u, self._mse)
-        rows = telling_rows(self._u, density)
+        rows = telling_rows(self._u, density, self._n_known)
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
         self._hyper = process.hyper
         predicted = Predicted(process)

@@ -21,6 +21,7 @@ from studies.uncertainty.density import Predicted
 from studies.uncertainty.findings import compensations, knowledge
 from studies.uncertainty.identifiability import difference_rows, judged
 from studies.uncertainty.noise import Noise, noise_of
+from studies.uncertainty.rows import MOST_KNOWN, MOST_ROWS, telling_rows
 from studies.uncertainty.weights import effective_size, normalized, quantiles
 
 TIME = np.linspace(0.0, 1.0, 60)
@@ -326,3 +327,22 @@ def test_a_noise_is_worth_its_independent_samples():
     gain = np.diff(noise.log_likelihood(mse))
     assert gain == pytest.approx(-0.5 * 100 * 0.01 / noise.raised**2)
     assert replace(noise, n_independent=100.0).raised == pytest.approx(0.1)
+
+
+def test_a_row_that_was_asked_is_not_forgotten_for_better_known_ones():
+    rng = np.random.default_rng(0)
+    u = rng.random((MOST_KNOWN + 200 + 50, 3))
+    n_known = MOST_KNOWN + 200
+    density = np.concatenate([-rng.random(n_known), np.full(50, -100.0)])
+    density[-1] = -np.inf  # it failed
+    rows = telling_rows(u, density, n_known)
+    assert set(range(n_known, len(u) - 1)) <= set(rows.tolist())
+    assert len(rows) == MOST_KNOWN + 49 <= MOST_ROWS
+    assert np.all(np.diff(density[rows]) <= 0.0)
+    best_known = np.sort(density[:n_known])[-MOST_KNOWN:]
+    assert np.array_equal(np.sort(density[rows][density[rows] > -50.0]), best_known)
+
+
+def test_a_row_beside_a_better_one_tells_nothing_new():
+    u = np.array([[0.5, 0.5], [0.5, 0.5 + 1e-4], [0.1, 0.9]])
+    assert telling_rows(u, np.array([-1.0, -0.5, -3.0])).tolist() == [1, 2]
