@@ -8,8 +8,8 @@ from studies.console import Console
 HELP = "make a recorded result again and compare every number"
 MORE = """\
 RUN is a trial (office-quick/n0064/t003), a study (office-quick/n0064: its best trial), a calibration
-(office-quick/calibrate-n0064 or -adaptive), office-quick/sensitivity, or MLflow's id of any of them; its
-first digits will do.
+(office-quick/calibrate-n0064 or -adaptive), its uncertainty (office-quick/uncertainty-adaptive),
+office-quick/sensitivity, or MLflow's id of any of them; its first digits will do.
 
 what happens: case, profile, data sets, seed and settings are rebuilt from what was recorded, not from what
 the project holds now; the FMU and the recordings are found by their SHA-256. First it is said what differs:

@@ -9,14 +9,14 @@ from urllib.parse import unquote, urlparse
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.recipe import MEMORY, RECIPE_FILE, checked, unpacked
-from studies.reproduction.recorded import Arrays, Recorded, as_arrays, numbers_of, stage_record
+from studies.reproduction.recorded import REPEATABLE, Arrays, Recorded, as_arrays, numbers_of, stage_record
 from studies.stages.results import read_arrays
 from studies.tuning.trial_record import TrialRecord, best_record, record_from_json
 
 if TYPE_CHECKING:
     from studies.tracking.quiet_mlflow import Run
 
-_STAGES = ("calibration", "sensitivity")
+_STAGES = ("calibration", "uncertainty", "sensitivity")
 _CURVE = "curve/"
 
 
@@ -57,7 +57,7 @@ class MlflowRecords:
             return self._stage(run)
         raise InputError(
             f"run {run.info.run_id[:8]} ({run.info.run_name}) is a {role or 'run of another program'}; "
-            "trials, studies, calibrations and sensitivity can be made again"
+            f"{REPEATABLE} can be made again"
         )
 
     def _one(self, prefix: str) -> "Run | None":
@@ -126,8 +126,9 @@ class MlflowRecords:
         numbers: Mapping[str, Any] = {}
         arrays: Arrays = {}
         if artifacts is not None:
-            for file in artifacts.glob("calibration-*.json"):
-                numbers = json.loads(file.read_text(encoding="utf-8"))
+            for what in ("calibration-*.json", "posterior-*.json"):
+                for file in artifacts.glob(what):
+                    numbers = json.loads(file.read_text(encoding="utf-8"))
             for file in artifacts.glob("*.npz"):
                 arrays = read_arrays(file)
         numbers = numbers or self._json(run, "numbers", "") or _plain_metrics(run)

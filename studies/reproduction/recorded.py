@@ -20,6 +20,8 @@ from studies.stages.results import read_arrays
 from studies.tuning.trial_record import TrialRecord
 
 Arrays = Mapping[str, NDArray[Any]]
+REPEATABLE = "trials, studies, calibrations, their uncertainty and sensitivity"
+"""What can be made again, in words."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Recorded:
 
     @property
     def kind(self) -> str:
-        """What it is: training, calibration, adaptive or sensitivity."""
+        """What it is: training, calibration, adaptive, uncertainty or sensitivity."""
         return str(self.recipe["kind"])
 
 
@@ -71,16 +73,27 @@ def find_recorded(paths: ProjectPaths, run: str) -> Recorded:
         if thing.best is None:
             raise InputError(f"{thing.name} has no completed trial; name one, such as {thing.called}/t000")
         return recorded_trial(paths, thing, thing.best)
-    if isinstance(thing, StageLook) and (thing.is_calibration or thing.stage == "sensitivity"):
-        return recorded_stage(paths, thing.label, thing.stage.removeprefix("calibrate-"))
-    raise InputError(
-        f"{run!r} is a {kind_of(thing)}; trials, studies, calibrations and sensitivity can be made again"
-    )
+    if isinstance(thing, StageLook):
+        stem = _file_stem(thing.stage)
+        if stem is not None:
+            return recorded_stage(paths, thing.label, stem)
+    raise InputError(f"{run!r} is a {kind_of(thing)}; {REPEATABLE} can be made again")
+
+
+def _file_stem(stage: str) -> str | None:
+    """Return what the files of a stage are called, None for one that is not made again."""
+    what, _, name = stage.partition("-")
+    return {
+        "sensitivity": "sensitivity",
+        "calibrate": f"calibration-{name}",
+        "uncertainty": f"posterior-{name}",
+    }.get(what)
 
 
 def _as_named(run: str) -> str:
     """Return the name of what people call `office-quick/n0064 calibration` or `office-quick adaptive`."""
-    run = re.sub(r"[/ ]adaptive(-relevant\d+)?( calibration)?$", r"/calibrate-adaptive\1", run.strip())
+    run = re.sub(r"[/ ](adaptive|n\d{4,}) uncertainty$", r"/uncertainty-\1", run.strip())
+    run = re.sub(r"[/ ]adaptive(-relevant\d+)?( calibration)?$", r"/calibrate-adaptive\1", run)
     return re.sub(
         r"[/ ]n(\d+)(-relevant\d+)? calibration$",
         lambda found: f"/calibrate-n{int(found[1]):04d}{found[2] or ''}",
@@ -120,29 +133,28 @@ def numbers_of(record: TrialRecord) -> dict[str, Any]:
     }
 
 
-def recorded_stage(paths: ProjectPaths, label: str, what: str) -> Recorded:
-    """Return a calibration or the Sobol indices as they lie in the project.
+def recorded_stage(paths: ProjectPaths, label: str, stem: str) -> Recorded:
+    """Return a calibration, its uncertainty or the Sobol indices as they lie in the project.
 
     Args:
         paths: the project.
         label: label of case and profile.
-        what: "n0064", "adaptive" or "sensitivity".
+        stem: name of its files, as "calibration-n0064", "posterior-adaptive" or "sensitivity".
 
     Raises:
         InputError: there is no such stage, or its files are damaged.
     """
     folder = paths.results(label)
-    is_sensitivity = what == "sensitivity"
-    file = folder / ("sensitivity.json" if is_sensitivity else f"calibration-{what}.json")
+    file = folder / f"{stem}.json"
     arrays = file.with_suffix(".npz")
     content = read_json(file)
     if content is None or not arrays.is_file():
         known = [one.stem for one in sorted(folder.glob("calibration-*.json"))]
-        known += [one.stem for one in folder.glob("sensitivity.npz")]
+        known += [one.stem for what in ("posterior-*.json", "sensitivity.npz") for one in folder.glob(what)]
         raise InputError(
-            f"{label} has no finished {what}; it has {', '.join(known) or 'none'} (studies status shows all)"
+            f"{label} has no finished {stem}; it has {', '.join(known) or 'none'} (studies status shows all)"
         )
-    numbers = content["summary"] if is_sensitivity else content
+    numbers = content["summary"] if stem == "sensitivity" else content
     return stage_record(f"{label}/{file.stem}", content, numbers, read_arrays(arrays), place=paths.show(file))
 
 

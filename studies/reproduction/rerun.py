@@ -1,4 +1,4 @@
-"""Making a result again in its rebuilt study: train, calibrate or estimate, on as many threads as then."""
+"""Making a result again in its rebuilt study: train, calibrate, judge or estimate, on as many threads."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pelsvae.config import SurrogateConfig
@@ -48,6 +49,7 @@ def make_again(rebuilt: Rebuilt) -> Made:
         "training": _training,
         "calibration": _calibration,
         "adaptive": _adaptive,
+        "uncertainty": _uncertainty,
         "sensitivity": _sensitivity,
     }
     kind = rebuilt.recorded.kind
@@ -171,6 +173,21 @@ def _adaptive(rebuilt: Rebuilt) -> Made:
     settings = Adaptive(**rebuilt.recorded.recipe["settings"])
     numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, _restriction(rebuilt))
     return numbers, arrays
+
+
+def _uncertainty(rebuilt: Rebuilt) -> Made:
+    from studies.stages.uncertainty import UncertaintySettings, judge_calibration_point
+
+    recipe, arrays = rebuilt.recorded.recipe, rebuilt.recorded.arrays
+    point, case = recipe["calibration"], rebuilt.study.case
+    theta = np.array([point["theta"][name] for name in case.parameter_space.names])
+    known = arrays.get("known_theta")
+    if known is None:
+        raise InputError(f"{rebuilt.recorded.name} does not tell which simulations were known when it began")
+    numbers, made, _ = judge_calibration_point(
+        rebuilt.study, point["name"], theta, UncertaintySettings(**recipe["settings"]), lambda *_: known
+    )
+    return numbers, made
 
 
 def _restriction(rebuilt: Rebuilt) -> "Restriction | None":

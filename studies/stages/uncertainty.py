@@ -5,6 +5,7 @@ and the list of stored rows that was written when the stage first began: interru
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.store.stored_model import StoredModel
-from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model
 from studies.recipe import recipe_of
 from studies.report.wording import count
@@ -23,7 +24,6 @@ from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_
 from studies.stages.results import StoredCalibration, read_arrays
 from studies.stages.simulate import say_reused
 from studies.stages.uncertainty_results import (
-    PosteriorFiles,
     StoredPosterior,
     log_posterior,
     posterior_files,
@@ -35,7 +35,6 @@ from studies.uncertainty.density import Posterior
 from studies.uncertainty.findings import LEVEL, compensations, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
 from studies.uncertainty.rows import telling_rows
-from studies.uncertainty.sample import Sampling
 
 LEAST_BUDGET, BUDGET_PER_PARAMETER = 100, 20
 """Most calls unless others are asked for; a sample that is good earlier ends earlier."""
@@ -91,10 +90,18 @@ def uncertainty_stage(
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        work_of = _Work(study, calibration, settings, sampling, files, digest_of(inputs))
-        numbers, arrays, n_simulated = work_of.done()
+        known = _KnownRows(files.rows, digest_of(inputs))
+        numbers, arrays, n_simulated = judge_calibration_point(
+            study, calibration.name, calibration.point[0], settings, known
+        )
         summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
-        recipe = recipe_of(study, "uncertainty", command="studies uncertainty", settings=asdict(settings))
+        recipe = recipe_of(
+            study,
+            "uncertainty",
+            command="studies uncertainty" + ("" if calibration.is_adaptive else " --method paper"),
+            settings=asdict(settings),
+            calibration={"name": calibration.name, "theta": calibration.numbers["theta"]},
+        )
         numbers |= {"recipe": recipe, "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)
@@ -119,137 +126,150 @@ def uncertainty_stage(
     )
 
 
-@dataclass(frozen=True)
-class _Work:
-    """The stage's work: what it needs, part by part."""
+ChooseRows = Callable[[StoredModel, CalibrationProblem, Posterior], FloatArray]
+"""Which parameter sets the surrogate knows from the beginning. Shape (n, p). [per parameter]"""
 
-    study: Study
-    calibration: StoredCalibration
-    settings: UncertaintySettings
-    sampling: Sampling
-    files: PosteriorFiles
+
+def judge_calibration_point(
+    study: Study, name: str, theta: FloatArray, settings: UncertaintySettings, known_rows: ChooseRows
+) -> tuple[dict[str, Any], dict[str, Any], int]:
+    """Say how sure a calibrated point is, and keep nothing but the simulations.
+
+    Args:
+        study: The study.
+        name: What the calibration is called.
+        theta: The point. Shape (p,). [per parameter]
+        settings: What is asked for.
+        known_rows: Rows that are known beforehand.
+
+    Returns:
+        The numbers, the arrays and how many rows were not stored before.
+    """
+    case = study.case
+    n_parameters = case.parameter_space.n_parameters
+    with open_physical_model(study) as model, study.console.bars() as bars:
+        problem = CalibrationProblem(model, case.measurement, prior_of(case))
+        y = model.simulate(theta[None]).y[0]
+        noise = noise_of(settings.noise, case.measurement, y, n_parameters)
+        known_theta = known_rows(model, problem, Posterior(noise, problem.prior))
+        known = problem.judge(problem.space.to_unit(known_theta), model.simulate(known_theta))
+        found = assess(
+            problem,
+            theta,
+            y,
+            noise=noise,
+            known=known,
+            sampling=sampling_within(settings.max_calls, n_parameters),
+            seed=study.profile.seed,
+            on_phase=bars,
+        )
+    if not np.isfinite(found.sample.drawn.mse).any():
+        raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
+    say_reused(study, f"uncertainty-{name}", model)
+    numbers, arrays = _told(study, name, settings, found)
+    numbers["ledger"] |= {"n_known": known.n}
+    return numbers, arrays | {"known_theta": known_theta}, model.n_simulated
+
+
+@dataclass(frozen=True)
+class _KnownRows:
+    """The stored rows that tell most of the optimum, the same ones when the stage goes on.
+
+    Attributes:
+        file: Where they are noted.
+        digest: Of what the stage is given.
+    """
+
+    file: Path
     digest: str
 
-    def done(self) -> tuple[dict[str, Any], dict[str, Any], int]:
-        """Do it; return numbers, arrays and how many rows were not stored before."""
-        case = self.study.case
-        theta, y = self.calibration.point
-        n_parameters = case.parameter_space.n_parameters
-        noise = noise_of(self.settings.noise, case.measurement, y, n_parameters)
-        with open_physical_model(self.study) as model, self.study.console.bars() as bars:
-            problem = CalibrationProblem(model, case.measurement, prior_of(case))
-            known = self._known_rows(model, problem, Posterior(noise, problem.prior))
-            found = assess(
-                problem,
-                theta,
-                y,
-                noise=noise,
-                known=known,
-                sampling=self.sampling,
-                seed=self.study.profile.seed,
-                on_phase=bars,
-            )
-        if not np.isfinite(found.sample.drawn.mse).any():
-            raise StageError(
-                f"no simulation of the sample succeeded; type: studies check {self.study.command}"
-            )
-        say_reused(self.study, f"uncertainty-{self.calibration.name}", model)
-        numbers, arrays = self._told(found)
-        numbers["ledger"] |= {"n_known": known.n}
-        return numbers, arrays, model.n_simulated
-
-    def _known_rows(
-        self, model: StoredModel, problem: CalibrationProblem, posterior: Posterior
-    ) -> Evaluation:
-        """Return the stored rows that tell most of the optimum, the same ones when the stage goes on."""
-        files, space = self.files, problem.space
-        theta = None
-        if files.rows.is_file():
-            kept = read_arrays(files.rows)
+    def __call__(self, model: StoredModel, problem: CalibrationProblem, posterior: Posterior) -> FloatArray:
+        if self.file.is_file():
+            kept = read_arrays(self.file)
             if str(kept["digest"]) == self.digest and model.store.find(kept["theta"]).all():
-                theta = np.asarray(kept["theta"], dtype=np.float64)
-        if theta is None:
-            theta = _nearest(model, problem, posterior)
-            write_arrays(files.rows, {"digest": self.digest, "theta": theta})
-        return problem.judge(space.to_unit(theta), model.store.read(theta))
+                return np.asarray(kept["theta"], dtype=np.float64)
+        theta = _nearest(model, problem, posterior)
+        write_arrays(self.file, {"digest": self.digest, "theta": theta})
+        return theta
 
-    def _told(self, assessed: Assessment) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the results as numbers and arrays."""
-        case, found, local, noise = self.study.case, assessed.sample, assessed.local, assessed.noise
-        space, measurement, u = case.parameter_space, case.measurement, assessed.sample.particles.u
-        linear = space.from_unit(assessed.linear)
-        ends, known = space.from_unit(assessed.interval), knowledge(space, u)
-        good = np.isfinite(found.drawn.mse)
-        bands = bands_of(
-            found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL
-        )
-        n = len(found.weights)
-        numbers = {
-            "label": self.study.label,
-            "note": case.note,
-            "case_sha256": case.digest,
-            "measurement_sha256": measurement.digest,
-            "calibration": self.calibration.name,
-            "mse": float(assessed.point.mse[0]),
-            "settings": asdict(self.settings),
-            "seed": self.study.profile.seed,
-            "level": LEVEL,
-            "noise": noise.to_dict(),
-            "has_prior": prior_of(case) is not None,
-            "parameters": {
-                name: {
-                    "calibrated": float(assessed.point.theta[0, j]),
-                    "linear": linear[:, j].tolist(),
-                    "interval": ends[[0, 2], j].tolist(),
-                    "median": float(ends[1, j]),
-                    "known": known[name],
-                }
-                for j, name in enumerate(space.names)
-            },
-            "pairs": [pair.to_dict() for pair in compensations(space, u)],
-            "identifiability": local.to_dict(),
-            "sample": {
-                "n": n,
-                "n_effective": found.n_effective,
-                "is_trusted": found.n_effective >= TRUSTED * n,
-                "n_particles": len(found.particles.u),
-                "n_powers": found.particles.n_powers,
-                "acceptance": found.particles.acceptance,
-                "best_mse": found.best_mse,
-                "best_theta": dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
-            },
-            "outputs": {
-                name: {
-                    "share_within_simulated": share_within(measurement, bands.simulated, k),
-                    "share_within_predictive": share_within(measurement, bands.predictive, k),
-                    "mean_width": float(np.mean(bands.simulated[1, :, k] - bands.simulated[0, :, k])),
-                }
-                for k, name in enumerate(measurement.output_names)
-            },
-            "ledger": {
-                "n_differences": assessed.n_differences,
-                "n_taught": found.n_taught,
-                "n_sample": n,
-                "total": assessed.n_calls,
-            },
-        }
-        arrays = {
-            "time": measurement.time,
-            "theta": assessed.point.theta[0],
-            "sample_theta": found.drawn.theta,
-            "sample_mse": found.drawn.mse,
-            "weights": found.weights,
-            "log_ratios": found.log_ratios,
-            "particles_theta": space.from_unit(u),
-            "simulated": bands.simulated,
-            "predictive": bands.predictive,
-            "singular_values": local.singular_values,
-            "directions": local.directions,
-            "spread": local.spread,
-            "correlation": local.correlation,
-            "posterior_correlation": _correlation(u),
-        }
-        return numbers, arrays
+
+def _told(
+    study: Study, name: str, settings: UncertaintySettings, assessed: Assessment
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the results as numbers and arrays."""
+    case, found, local, noise = study.case, assessed.sample, assessed.local, assessed.noise
+    space, measurement, u = case.parameter_space, case.measurement, assessed.sample.particles.u
+    linear = space.from_unit(assessed.linear)
+    ends, known = space.from_unit(assessed.interval), knowledge(space, u)
+    good = np.isfinite(found.drawn.mse)
+    bands = bands_of(found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL)
+    n = len(found.weights)
+    numbers = {
+        "label": study.label,
+        "note": case.note,
+        "case_sha256": case.digest,
+        "measurement_sha256": measurement.digest,
+        "calibration": name,
+        "mse": float(assessed.point.mse[0]),
+        "settings": asdict(settings),
+        "seed": study.profile.seed,
+        "level": LEVEL,
+        "noise": noise.to_dict(),
+        "has_prior": prior_of(case) is not None,
+        "parameters": {
+            parameter: {
+                "calibrated": float(assessed.point.theta[0, j]),
+                "linear": linear[:, j].tolist(),
+                "interval": ends[[0, 2], j].tolist(),
+                "median": float(ends[1, j]),
+                "known": known[parameter],
+            }
+            for j, parameter in enumerate(space.names)
+        },
+        "pairs": [pair.to_dict() for pair in compensations(space, u)],
+        "identifiability": local.to_dict(),
+        "sample": {
+            "n": n,
+            "n_effective": found.n_effective,
+            "is_trusted": found.n_effective >= TRUSTED * n,
+            "n_particles": len(found.particles.u),
+            "n_powers": found.particles.n_powers,
+            "acceptance": found.particles.acceptance,
+            "best_mse": found.best_mse,
+            "best_theta": dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
+        },
+        "outputs": {
+            output: {
+                "share_within_simulated": share_within(measurement, bands.simulated, k),
+                "share_within_predictive": share_within(measurement, bands.predictive, k),
+                "mean_width": float(np.mean(bands.simulated[1, :, k] - bands.simulated[0, :, k])),
+            }
+            for k, output in enumerate(measurement.output_names)
+        },
+        "ledger": {
+            "n_differences": assessed.n_differences,
+            "n_taught": found.n_taught,
+            "n_sample": n,
+            "total": assessed.n_calls,
+        },
+    }
+    arrays = {
+        "time": measurement.time,
+        "theta": assessed.point.theta[0],
+        "sample_theta": found.drawn.theta,
+        "sample_mse": found.drawn.mse,
+        "weights": found.weights,
+        "log_ratios": found.log_ratios,
+        "particles_theta": space.from_unit(u),
+        "simulated": bands.simulated,
+        "predictive": bands.predictive,
+        "singular_values": local.singular_values,
+        "directions": local.directions,
+        "spread": local.spread,
+        "correlation": local.correlation,
+        "posterior_correlation": _correlation(u),
+    }
+    return numbers, arrays
 
 
 def _nearest(model: StoredModel, problem: CalibrationProblem, posterior: Posterior) -> FloatArray:

@@ -55,6 +55,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert main(["tune", *STUDY]) == 0
         assert main(["calibrate", *STUDY, "--method", "paper"]) == 0
         assert main(["calibrate", *STUDY, "--max-calls", "35"]) == 0
+        assert main(["uncertainty", *STUDY, "--max-calls", "44"]) == 0
         assert main(["sensitivity", *STUDY]) == 0
     return root
 
@@ -98,7 +99,7 @@ def test_a_trial_is_made_again_to_the_last_digit(copied: Path, studies: Run, sta
     assert files_below(copied) == before
 
 
-@pytest.mark.parametrize("what", ["n0016 calibration", "adaptive", "sensitivity"])
+@pytest.mark.parametrize("what", ["n0016 calibration", "adaptive", "adaptive uncertainty", "sensitivity"])
 def test_a_stage_is_made_again_to_the_last_digit(copied: Path, studies: Run, what: str) -> None:
     answer = studies("reproduce", f"{LABEL}/{what}", "--json")
     assert answer.code == 0, answer.out
