@@ -18,7 +18,7 @@ from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.uncertainty.noise import independent_samples
+from studies.uncertainty.noise import noise_of
 
 STEP = 1e-4
 """Step of the differences, as a share of the range."""
@@ -180,10 +180,8 @@ def identifiability(model: ForwardModel, measurement: Measurement, theta: FloatA
     problem = CalibrationProblem(counter, measurement)
     u = np.clip(problem.space.to_unit(theta), 0.0, 1.0)
     answer = problem.evaluate(difference_rows(u, STEP))
-    residuals, m = answer.residuals[0], answer.residuals.shape[1]
-    n_independent = independent_samples(residuals)
-    raised = float(np.sqrt(np.sum(residuals**2) / max(m - len(u), 1) * m / n_independent))
-    found = judged(problem.space.names, answer, raised, n_independent, STEP)
+    noise = noise_of("correlated", measurement, answer.y[0], len(u))
+    found = judged(problem.space.names, answer, noise.raised, noise.n_independent, STEP)
     return replace(found, theta=np.array(theta, dtype=np.float64))
 
 

@@ -8,6 +8,11 @@ with s the standard deviation of a residual and n <= m the samples that count as
 n = m. Residuals of a real model follow each other, because the model errs slowly: with correlation rho from
 one sample to the next, m of them are worth m (1 - rho) / (1 + rho). That is exact for outputs that change
 slowly against the noise and too careful for others, and it leaves the best parameters where they were found.
+
+Fitted parameters take away the slow part of the noise, so what is left of it is smaller and seems less
+correlated. Each of p takes away what one independent sample holds, a share p / n of the variance and of the
+covariance from one sample to the next, as in restricted maximum likelihood (Patterson and Thompson 1971,
+doi:10.1093/biomet/58.3.545); put back, both tell n and s.
 """
 
 from dataclasses import dataclass
@@ -22,6 +27,9 @@ from studies.calibration.prior import independent_samples as declared_independen
 from studies.calibration.prior import worth_of
 
 NoiseKind = Literal["correlated", "white", "sensor"]
+MOST_TAKEN = 0.5
+"""Share of the noise's variance that fitted parameters are thought to take away at most."""
+
 NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 
 
@@ -93,20 +101,26 @@ def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_paramet
             "the best simulation equals the measurement to the last digit, so its residuals show no noise; "
             "use --noise sensor"
         )
-    deviation = float(np.sqrt(squares / max(m - n_parameters, 1)))
-    n_independent = sum(independent_samples(part) for part in parts) if kind == "correlated" else float(m)
-    return Noise(kind, deviation, m, n_independent)
+    if kind == "white":
+        return Noise(kind, float(np.sqrt(squares / max(m - n_parameters, 1))), m, float(m))
+    n_independent = sum(independent_samples(part, n_parameters * len(part) / m) for part in parts)
+    left = 1.0 - min(n_parameters / n_independent, MOST_TAKEN)
+    return Noise(kind, float(np.sqrt(squares / m / left)), m, n_independent)
 
 
-def independent_samples(residuals: FloatArray) -> float:
-    """Return how many independent samples residuals are worth, by their correlation from one to the next.
+def independent_samples(residuals: FloatArray, n_fitted: float = 0.0) -> float:
+    """Return how many independent samples noise is worth, by its correlation from one sample to the next.
 
     Args:
-        residuals: In the order of time. Shape (m,).
+        residuals: What a fit left of it, in the order of time. Shape (m,).
+        n_fitted: Parameters that were fitted, p.
     """
     centered = residuals - residuals.mean()
     power = float(centered @ centered)
     if power <= 0.0 or len(residuals) < 3:
         return float(len(residuals))
     rho = min(max(float(centered[1:] @ centered[:-1]) / power, 0.0), 0.999)
-    return worth_of(len(residuals), rho)
+    m = len(residuals)
+    # With x = p / n put back, rho = r + x (1 - r): n = m (1 - rho) / (1 + rho) becomes quadratic in n.
+    half = 0.5 * max(m - n_fitted, 0.0) * (1.0 - rho) / (1.0 + rho)
+    return half + float(np.sqrt(max(half**2 - worth_of(m, rho) * n_fitted, 0.0)))

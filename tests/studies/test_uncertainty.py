@@ -183,8 +183,24 @@ def test_noise_that_follows_itself_widens_intervals():
     white, correlated = (noise_of(kind, measurement, y, 2) for kind in ("white", "correlated"))
     assert white.n_independent == 60
     assert correlated.n_independent < 30
-    assert correlated.deviation == white.deviation
+    assert correlated.deviation >= white.deviation
     assert correlated.raised > 1.4 * white.raised
+
+
+@pytest.mark.parametrize(("rho", "n_fitted"), [(0.0, 14), (0.5, 14), (0.9, 7), (0.9, 14)])
+def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
+    m, rng = 481, np.random.default_rng(5)
+    basis = np.cos(np.pi * np.outer(np.arange(n_fitted), np.arange(m) + 0.5) / m)
+    basis /= np.linalg.norm(basis, axis=1, keepdims=True)
+    measurement = Measurement.on_grid(np.arange(m) * 1.0, np.zeros((m, 1)), ("y",), np.array([1.0]))
+    found = []
+    for _ in range(60):
+        noise = rng.standard_normal(m)
+        for i in range(1, m):
+            noise[i] = rho * noise[i - 1] + np.sqrt(1.0 - rho**2) * noise[i]
+        left = noise - basis.T @ (basis @ noise)
+        found.append(noise_of("correlated", measurement, left[:, None], n_fitted).raised ** 2)
+    assert np.median(found) == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.25)
 
 
 def test_a_perfect_fit_shows_no_noise():
