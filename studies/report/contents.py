@@ -16,14 +16,8 @@ from studies.report.figures_tuning import learning_curves_figure, mae_over_n_fig
 from studies.report.figures_uncertainty import band_figure, interval_figure, pairs_figure, shown_pairs
 from studies.report.records import CalibrationRecord
 from studies.report.records_tuning import LearningCurves
-from studies.report.tables import (
-    Table,
-    calibrations_table,
-    parameters_table,
-    sensitivity_table,
-    tuning_table,
-    validation_table,
-)
+from studies.report.tables import Table, sensitivity_table, tuning_table, validation_table
+from studies.report.tables_of_calibrations import calibrations_table, parameters_table
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.uncertainty_told import (
     band_caption,

@@ -13,16 +13,14 @@ import numpy as np
 
 from simulation.time_unit import told_period
 from studies.report.data import ReportData
-from studies.report.findings import at_bound, mean_over_time, ranking
-from studies.report.records import CalibrationRecord, ParameterBox
+from studies.report.findings import mean_over_time, ranking
+from studies.report.records import CalibrationRecord
 from studies.report.validation import ValidationRecord
 from studies.report.wording import (
     MISSING,
     count,
-    declared,
     difference_unit,
     percent,
-    shown_unit,
     significant,
     squared,
 )
@@ -127,78 +125,6 @@ def _plain(cell: Cell) -> Cell:
 def _markdown_cell(text: str) -> str:
     escaped = text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
     return escaped.replace("\r", " ")
-
-
-_CALIBRATIONS_TITLE = (
-    "Calibrations, one per training-set size. MSE surrogate and MSE screened are both at the screened point: "
-    "by the surrogate and by the model; the paper's count leaves out validation and test sets"
-)
-
-
-def calibrations_table(data: ReportData) -> Table:
-    """Tabulate the calibrations, one row per training-set size (Table 4 of the paper, with honest counts)."""
-    unit = difference_unit(data.measurement.units[0])
-    mse_unit = squared(unit)
-    targets = [reference for reference in data.references if reference.is_target]
-    columns = (
-        Column("n_train", "training set", "", count),
-        Column("test_mae", "test MAE", unit, _two),
-        Column("test_p90", "test P90", unit, _two),
-        Column("mse_surrogate", "MSE surrogate", mse_unit),
-        Column("mse_screened", "MSE screened", mse_unit),
-        Column("screening_gap", "gap", mse_unit),
-        Column("n_polish", "polish calls", "", count),
-        Column("mse_polished", "final MSE", mse_unit),
-        Column("calls_paper", "calls, paper's count", "", count),
-        Column("calls_honest", "calls, all", "", count),
-        *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
-        Column("wall_s", "time", "s", _two),
-        Column("method", "method"),
-    )
-    rows = tuple(
-        (
-            c.n_train, c.test_mae, c.test_p90, c.mse_surrogate, c.mse_screened, c.screening_gap,
-            c.n_polish, c.mse_polished, c.calls_paper, c.calls_honest,
-            *(c.calls_to(target.mse) for target in targets), c.wall_s, c.method,
-        )
-        for c in data.by_size
-    )  # fmt: skip
-    headline = data.headline
-    emphasized = data.by_size.index(headline) if headline else None
-    return Table("calibrations", _CALIBRATIONS_TITLE, columns, rows, emphasized)
-
-
-def _two(value: float) -> str:
-    return significant(value, 2)
-
-
-def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -> Table:
-    """Tabulate the parameters of one calibration with their bounds."""
-    screened = [] if calibration.is_adaptive else [calibration.theta_screened.tolist()]
-    known = [calibration.knowledge] if calibration.knowledge else []
-    columns = (
-        Column("name", "parameter"),
-        Column("unit", "unit"),
-        Column("estimate", "estimate", "", declared),
-        Column("lower", "lower bound", "", declared),
-        Column("upper", "upper bound", "", declared),
-        *(Column("screened", "screened", "", _four) for _ in screened),
-        Column("polished", calibration.final, "", _four),
-        Column("at_bound", "at a bound"),
-        *(Column("knowledge", "known before") for _ in known),
-    )
-    values = zip(
-        parameters.names, map(shown_unit, parameters.units), parameters.estimate.tolist(),
-        parameters.lower.tolist(), parameters.upper.tolist(), *screened,
-        calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known, strict=True,
-    )  # fmt: skip
-    how = f"from {count(calibration.n_train, 'training simulation')}"
-    title = f"Parameters, calibrated {'adaptively' if calibration.is_adaptive else how}"
-    return Table(f"parameters-{calibration.name}", title, columns, tuple(values))
-
-
-def _four(value: float) -> str:
-    return significant(value, 4)
 
 
 def tuning_table(data: ReportData) -> Table | None:

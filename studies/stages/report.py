@@ -8,6 +8,7 @@ from typing import Any
 
 from simulation.errors import InputError
 from simulation.time_unit import told_period
+from studies.profile import Profile
 from studies.report import Provenance, Reference, ReportData, build
 from studies.report.uncertainty import uncertainty_record
 from studies.stages.pipeline import Outcome, Study, Summary, run_stage
@@ -114,11 +115,11 @@ def _provenance(study: Study) -> Provenance:
     methods = [stored.numbers for stored in stored_calibrations(study)]
     adaptive = next((found for found in methods if found.get("method") == ADAPTIVE), None)
     commands = [f"studies ui  # {study.label} in MLflow"]
-    if any(found.get("method") != ADAPTIVE for found in methods):
+    has_surrogates = any(found.get("method") != ADAPTIVE for found in methods)
+    if has_surrogates:
         commands.insert(0, f"studies run {study.command}")
     if adaptive is not None:
         commands.insert(0, _adaptive_command(study, adaptive))
-    budget = profile.tuning
     return Provenance(
         commands=tuple(commands),
         settings=(
@@ -126,11 +127,7 @@ def _provenance(study: Study) -> Provenance:
             ("seed", str(profile.seed)),
             ("window", told_period(case.window_d)),
             ("communication step", f"{case.communication_step_s:g} s"),
-            ("training-set sizes", ", ".join(map(str, profile.data.n_train))),
-            ("validation and test", f"{profile.data.n_validation} and {profile.data.n_test} simulations"),
-            ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
-            ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
-            ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
+            *(_surrogate_settings(profile) if has_surrogates else ()),
             *([("adaptive", _told(adaptive["settings"]))] if adaptive is not None else []),
         ),
         digests=(
@@ -139,6 +136,17 @@ def _provenance(study: Study) -> Provenance:
             ("measurement", case.measurement.digest),
         ),
         versions=tuple(versions().items()),
+    )
+
+
+def _surrogate_settings(profile: Profile) -> tuple[tuple[str, str], ...]:
+    data, budget = profile.data, profile.tuning
+    return (
+        ("training-set sizes", ", ".join(map(str, data.n_train))),
+        ("validation and test", f"{data.n_validation} and {data.n_test} simulations"),
+        ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
+        ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
+        ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
     )
 
 

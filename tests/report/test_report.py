@@ -25,7 +25,8 @@ from records_for_tests import (
 
 from studies.report import CoverageSet, MeasuredSeries, Provenance, Reference, ReportData, build, captions
 from studies.report.findings import at_bound, calls_to_most, enclosed_fraction, largest_by_chance, residual_of
-from studies.report.tables import calibrations_table, parameters_table, sensitivity_table, tuning_table
+from studies.report.tables import sensitivity_table, tuning_table
+from studies.report.tables_of_calibrations import calibrations_table, parameters_table
 from studies.report.wording import count, declared, difference_unit, listed, percent, significant, squared
 
 VOID = {"meta", "img", "br", "link", "hr"}
