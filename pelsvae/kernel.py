@@ -1,6 +1,6 @@
 """The covariance of a Gaussian process over features of theta, and how probable it makes what was simulated.
 
-All principal coordinates of the trajectories share one kernel,
+Principal coordinates of the trajectories, all or some of them, share one kernel,
 
     k = c² + a² <w, w'>_1 + q² <w, w'>_1² + sum over s of b_s² exp(-|w - w'|_s² / 2),
 
@@ -15,7 +15,9 @@ Gaussian Processes for Machine Learning, Eq. 5.8).
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -47,6 +49,11 @@ N_INDEPENDENT = 12.0
 
 Prior = tuple[Array, Array]
 """Mean and deviation of the hyperparameters. Each of shape (h,)."""
+
+
+def summed(scales: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
+    """Return the sum of the bumps of what scales see of points and rows: (n, f + 2), (f + 2, m) -> (n, m)."""
+    return functools.reduce(torch.add, ((near @ far).exp2_() for near, far in scales))
 
 
 @dataclass(frozen=True)
@@ -115,10 +122,8 @@ class Kernel:
 
     def bumps(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return the sum over the scales, of warped features: (h,), (n, f), (m, f) -> (n, m)."""
-        total = near.new_zeros(())
-        for weight, length in zip(self.weights(hyper), self.lengths(hyper), strict=True):
-            total = total + (self.near(length, near) @ self.far(weight, length, far).T).exp2()
-        return total
+        scales = zip(self.weights(hyper), self.lengths(hyper), strict=True)
+        return summed((self.near(length, near), self.far(weight, length, far).T) for weight, length in scales)
 
     def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""

@@ -22,6 +22,7 @@ MOST_GROUPED_ROWS = 1024
 LEADING = 0.9  # part of the variance that the leading codes hold
 N_FINAL = 2  # kernels of a group that count without validation
 N_SINGLE = 10  # leading codes that have kernels of their own
+SINGLE_ROWS = 128  # on which these are searched for
 CLOSER = 0.7  # deviations of a single code's hyperparameters around those of all codes, in those of the prior
 _SPREAD = 0.7  # of the starts, in deviations of the prior: equal scales would stay equal
 
@@ -65,9 +66,9 @@ def candidates(
     groups = _groups(codes)
     plan = list(_stages(n))
     n_single = min(N_SINGLE, z)
-    few = slice(ROWS[0])
+    n_few = min(n, SINGLE_ROWS)
     work = [len(groups) * n_starts * float(rows) ** 3 for rows, n_starts in plan]
-    all_work, done = sum(work) + 2 * n_single * float(min(n, ROWS[0])) ** 3, 0.0
+    all_work, done = sum(work) + 2 * n_single * float(n_few) ** 3, 0.0
     shared = kernel.prior[0]
     for place, columns in enumerate(groups):
         likely = _starts(kernel, [seed, place])
@@ -87,10 +88,16 @@ def candidates(
         for prior in ((shared, CLOSER * deviation), (mean, deviation)):
             column = slice(code, code + 1)
             loss, hyper = most_probable(
-                kernel, features[few], codes[few, column], shared, max_iterations, prior, n_independent=1.0
+                kernel,
+                features[:n_few],
+                codes[:n_few, column],
+                shared,
+                max_iterations,
+                prior,
+                n_independent=1.0,
             )
-            done += float(min(n, ROWS[0])) ** 3 / all_work
-            yield Candidate(hyper, column, False, None, loss / min(n, ROWS[0]), done)
+            done += float(n_few) ** 3 / all_work
+            yield Candidate(hyper, column, False, None, loss / n_few, done)
 
 
 def _groups(codes: Tensor) -> list[slice]:

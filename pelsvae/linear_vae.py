@@ -15,10 +15,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from pelsvae.kernel import CONSTANT, Kernel
+from pelsvae.kernel import CONSTANT, Kernel, summed
 
-# Covariances of so many rows and training rows are computed at once: 2 MiB, which stay near a core.
-_AT_ONCE = 2**18
+# Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core.
+_AT_ONCE = 2**17
 _FEWEST_ROWS = 128
 
 
@@ -129,9 +129,8 @@ class LinearVae(nn.Module):
     def _member_mean(self, member: _Member, theta: Tensor) -> Tensor:
         """Return a member's mean in its codes: theta (b, f) -> (b, c)."""
         near = self.kernel.warped(member.hyper, theta)
-        bumps = near.new_zeros(())
-        for length, far in zip(member.lengths, member.far, strict=True):
-            bumps = bumps + (self.kernel.near(length, near) @ far).exp2()
+        scales = zip(member.lengths, member.far, strict=True)
+        bumps = summed((self.kernel.near(length, near), far) for length, far in scales)
         mean = bumps @ member.coefficients + member.constant + near @ member.slope
         if self.kernel.degree == 2:
             bent = (near @ member.bend).reshape(len(near), -1, near.shape[1])  # (b, c, f)
