@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from studies.report.drawing import (
     INK,
@@ -235,8 +235,10 @@ def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int,
         if box.is_log[k] and high >= LEAST_LOG_RATIO * low:
             (axes.set_xscale if is_x else axes.set_yscale)("log")
             axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 3.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
             axis.set_minor_formatter(NullFormatter())
+        else:
+            axis.set_major_locator(MaxNLocator(4))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
         axis.set_label_text(axis_label(shortened(box.names[k]), shortened(shown_unit(box.units[k]))))
         (axes.set_xlim if is_x else axes.set_ylim)(low, high)
 
