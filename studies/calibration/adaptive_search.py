@@ -1,6 +1,5 @@
 """The rows of an adaptive calibration: first design, legs of a search, trust region and proposals."""
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -8,7 +7,10 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import descend
-from studies.calibration.horizon import LOST, UNDERSTOOD, Horizon
+from studies.calibration.elsewhere import farther_along, least_excluded
+from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
+from studies.calibration.first_design import latin_hypercube
+from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features, ResidualProcess
@@ -24,11 +26,15 @@ SAME_POINT = 1e-4
 GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
 GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
 LEAST_RADIUS = 1e-4
-N_DESIGNS = 200
-# A leg elsewhere begins at the surrogate's minimum within this distance of a random point.
-AWAY = 0.5
 # Relative gain that a leg elsewhere owes in half of `stall_rounds`.
 OWED_ELSEWHERE = 0.2
+# A round is dull below this relative gain, expected and found. So many end a leg at a bottom that is known,
+# or in a beginning, which need not be understood to the end.
+DULL, DULL_IN_A_BEGINNING, DULL_ROUNDS = 1e-4, 0.1, 2
+# A leg elsewhere whose next point is so near the best row has come back.
+AT_HOME = 0.1
+# A search whose best error falls by this factor within so many rounds is not lost.
+FALLING, FALLING_ROUNDS = 0.5, 3
 
 
 class AdaptiveSearch:
@@ -63,8 +69,9 @@ class AdaptiveSearch:
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
         self._first = 0
         self._leg: list[float] = []
-        self._idle = 0
+        self._idle = self._dull = 0
         self._n_elsewhere = 0
+        self._is_far = False
         self.n_rounds = 0
         self.expected_gain = np.inf
 
@@ -85,11 +92,11 @@ class AdaptiveSearch:
                 continue
             self._look_as_far_as_understood()
             if self._leg_is_over():
-                if not self._horizon.is_whole and self._is_home and self._n_elsewhere >= settings.n_elsewhere:
+                is_clear = self._unexplained <= CLEAR or self._n_elsewhere >= settings.n_elsewhere
+                if not self._horizon.is_whole and self._is_home and is_clear:
                     self._look_further()
                     continue
-                is_done = self._n_elsewhere >= settings.n_elsewhere and not self._is_doubtful
-                if self._is_home and is_done and self._idle:
+                if self._is_home and self._may_end and self._idle:
                     return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
                 self._turn()
             self._step()
@@ -97,7 +104,7 @@ class AdaptiveSearch:
     def _look_as_far_as_understood(self) -> None:
         """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
         n_judged = 2 * self._settings.design_size(self._p)
-        if not self._is_judged and self._objective.size >= n_judged:
+        if not self._is_judged and self._objective.size >= n_judged and not self._is_falling:
             self._is_judged = True
             self._was_lost = self._unexplained > LOST
             if self._was_lost:
@@ -105,6 +112,12 @@ class AdaptiveSearch:
                 self._begin_again()
         while not self._horizon.is_whole and self._unexplained <= UNDERSTOOD:
             self._look_further()
+
+    @property
+    def _is_falling(self) -> bool:
+        """Whether the last rounds have brought much."""
+        n_last = min(FALLING_ROUNDS * self._settings.n_parallel, self._settings.design_size(self._p))
+        return bool(self._objective.min() < FALLING * self._objective[:-n_last].min())
 
     def _look_further(self) -> None:
         """Lengthen the horizon and go on from the row that is best then."""
@@ -114,7 +127,8 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present horizon and begin a leg at the best."""
         self._judge()
-        self._first, self._leg, self._idle, self._n_elsewhere = 0, [], 0, 0
+        self._first, self._n_elsewhere = 0, 0
+        self._leg, self._idle, self._dull = [], 0, 0
         self._radius = self._settings.radius
 
     def _judge(self) -> None:
@@ -138,13 +152,25 @@ class AdaptiveSearch:
         best = first + int(np.argmin(self._objective[first:]))
         centre, centre_objective = self._u[best], float(self._objective[best])
         points, expected = self._propose(process, centre)
+        if self._is_far and not self._is_home:
+            home = int(np.argmin(self._objective))
+            is_end = np.abs(points[0] - centre).max() < AT_THE_EDGE * self._radius
+            is_end |= np.abs(points[0] - self._u[home]).max() < AT_HOME
+            if is_end and is_surely_no_better(process, points[0], expected, float(self._objective[home])):
+                self._turn()
+                return
         self._ask(points)
         gain = max(centre_objective - self._leg_best, 0.0)
         promise = centre_objective - expected.value
         self._resize(points - centre, gain, promise)
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
-        is_idle = max(gain, promise) <= self._settings.ftol * centre_objective
-        self._idle = self._idle + 1 if is_idle else 0
+        dull = max(self._settings.ftol, DULL if self._horizon.is_whole else DULL_IN_A_BEGINNING)
+        hope = max(gain, promise)
+        predicted = self._expand(process, points[0], self._settings.caution).value
+        if is_surprised(float(self._objective[-len(points)]), predicted, expected.value, centre_objective):
+            hope = np.inf
+        self._idle = self._idle + 1 if hope <= self._settings.ftol * centre_objective else 0
+        self._dull = self._dull + 1 if hope <= dull * centre_objective else 0
         self._leg.append(self._leg_best)
 
     @property
@@ -163,10 +189,21 @@ class AdaptiveSearch:
         doubtful = self._settings.doubtful_mse
         return doubtful is not None and self._recorder.best_mse > doubtful
 
+    @property
+    def _may_end(self) -> bool:
+        """Whether the search has looked elsewhere and believes what it has found."""
+        return self._n_elsewhere >= self._settings.n_elsewhere and not self._is_doubtful
+
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
         settings = self._settings
-        if self._idle >= settings.patience:
+        is_new = not self._is_home or self._n_elsewhere == 0
+        n_dull, patience = self._dull, settings.patience
+        if self._may_end and self._horizon.is_whole:
+            n_dull = self._idle
+        elif not (self._horizon.is_whole and is_new):
+            patience = DULL_ROUNDS
+        if n_dull >= patience:
             return True
         rounds, owed = settings.stall_rounds, settings.stall_gain
         if not self._is_home:
@@ -179,9 +216,11 @@ class AdaptiveSearch:
         """End a leg: from the best row go elsewhere, from elsewhere back to it."""
         leaves = self._is_home and (self._settings.n_elsewhere > 0 or self._is_doubtful)
         self._n_elsewhere += leaves
+        # A valley that still falls is followed to another place; from its bottom the search goes far.
+        self._is_far = leaves and self._dull >= DULL_ROUNDS
         self._first = self._objective.size if leaves else 0
         self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)
-        self._leg, self._idle = [], 0
+        self._leg, self._idle, self._dull = [], 0, 0
 
     def _ask(self, u: FloatArray) -> None:
         """Simulate rows, as many as the budget still holds, and keep what they answer."""
@@ -212,34 +251,26 @@ class AdaptiveSearch:
         return process
 
     def _expand(self, process: ResidualProcess, u: FloatArray, caution: float) -> Expansion:
-        """Expand the objective around a point: the error is predicted, a prior's penalty is known exactly."""
-        found = process.expand(u, caution)
-        if self._prior is None:
-            return found
-        penalty, gradient, hessian = self._prior.expand(u)
-        return replace(
-            found,
-            value=found.value + penalty,
-            gradient=found.gradient + gradient,
-            hessian=found.hessian + hessian,
-        )
+        return expected_objective(process, self._prior, u, caution)
 
     def _elsewhere(self, process: ResidualProcess) -> FloatArray:
-        """Return the surrogate's minima around points drawn anew, one for each parallel row."""
-        margin = self._settings.margin
-        expand = partial(self._expand, process, caution=self._settings.caution)
-        starts = margin + (1.0 - 2.0 * margin) * self._rng.random((self._settings.n_parallel, self._p))
-        ends = [descend(expand, u, np.maximum(u - AWAY, 0.0), np.minimum(u + AWAY, 1.0)) for u in starts]
-        return np.array([u for u, _ in ends])
+        """Return where a leg elsewhere begins, one point for each parallel row."""
+        expand, shape = partial(self._expand, process), (self._settings.n_parallel, self._p)
+        if self._is_far:
+            best = float(self._objective.min())
+            return least_excluded(expand, best, shape, self._settings.margin, self._rng)
+        return farther_along(expand, self._settings.caution, shape, self._settings.margin, self._rng)
 
     def _propose(self, process: ResidualProcess, centre: FloatArray) -> tuple[FloatArray, Expansion]:
         """Return the points to simulate next, the favourite first, and what is expected of it."""
         points: list[FloatArray] = []
         favourite: Expansion | None = None
+        # From a far valley a random start would find the way back.
+        n_random = 0 if self._is_far and not self._is_home else self._settings.n_descents - 1
         for rank in range(self._settings.n_parallel):
             radius, caution = self._variation(rank)
             lower, upper = np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
-            starts = [centre, *self._rng.uniform(lower, upper, (self._settings.n_descents - 1, self._p))]
+            starts = [centre, *self._rng.uniform(lower, upper, (n_random, self._p))]
             expand = partial(self._expand, process, caution=caution)
             ends = [descend(expand, start, lower, upper) for start in starts]
             u, expected = min(ends, key=lambda end: end[1].value)
@@ -267,16 +298,3 @@ class AdaptiveSearch:
             self._radius = max(self._radius * SHRINK, min(self._radius, self._settings.least_radius))
         elif gain > GOOD_STEP * expected and np.abs(steps[0]).max() > AT_THE_EDGE * self._radius:
             self._radius = min(self._radius * GROW, 1.0)
-
-
-def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
-    """Return the most spread out of many Latin hypercube samples. Shape (n, p). [1]."""
-    chosen, widest = np.empty((n, p)), -1.0
-    for _ in range(N_DESIGNS):
-        cells = rng.permuted(np.tile(np.arange(n), (p, 1)), axis=1).T
-        u = (cells + rng.random((n, p))) / n
-        distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
-        least = float(distances[~np.eye(n, dtype=np.bool_)].min())
-        if least > widest:
-            chosen, widest = u, least
-    return chosen

@@ -13,6 +13,8 @@ from simulation.measurement import Measurement
 
 # Shares of an output's measured variance that the best row leaves unexplained, by the mean squared error.
 LOST, UNDERSTOOD = 0.25, 0.02
+# Where nothing more is gained in a beginning, less is enough to look further: sensors have noise too.
+CLEAR = 0.1
 SHORTEST = 1.0 / 32.0
 
 

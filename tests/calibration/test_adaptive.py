@@ -11,8 +11,8 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.toy import ToyRC
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.adaptive_search import latin_hypercube
 from studies.calibration.box_newton import descend
+from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
 from studies.calibration.residual_process import Expansion, Features, ResidualProcess, balanced

@@ -80,6 +80,14 @@ def test_finds_a_frequency_among_its_many_valleys() -> None:
     assert all(found.mse <= 1.1 * best for found in ends), [found.mse / best for found in ends]
 
 
+@pytest.mark.parametrize("seed", [10, 23])
+def test_a_surrogate_that_errs_is_no_reason_to_end(seed: int) -> None:
+    problem = wave_problem()
+    best = problem.mse(problem.space.to_unit(TRUE_WAVE))[0]
+    found = Adaptive(max_calls=40).minimize(problem, seed=seed)
+    assert not found.converged or found.mse <= 1.1 * best
+
+
 @pytest.mark.parametrize("n_parallel", [1, 3])
 def test_a_short_horizon_repeats_too(n_parallel: int) -> None:
     long, short = (

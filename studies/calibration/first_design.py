@@ -1,0 +1,20 @@
+"""The first rows of a calibration: a Latin hypercube, the most spread out of many."""
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+
+N_DESIGNS = 200
+
+
+def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
+    """Return the most spread out of many Latin hypercube samples. Shape (n, p). [1]."""
+    chosen, widest = np.empty((n, p)), -1.0
+    for _ in range(N_DESIGNS):
+        cells = rng.permuted(np.tile(np.arange(n), (p, 1)), axis=1).T
+        u = (cells + rng.random((n, p))) / n
+        distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
+        least = float(distances[~np.eye(n, dtype=np.bool_)].min())
+        if least > widest:
+            chosen, widest = u, least
+    return chosen

@@ -1,0 +1,77 @@
+"""Where a search goes on, and when what its surrogate expects is to be believed."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from problems_for_tests import rc_problem
+
+from simulation.arrays import FloatArray
+from simulation.toy import ToyRC
+from studies.calibration.elsewhere import farther_along, least_excluded
+from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
+from studies.calibration.residual_process import Expansion, Features, ResidualProcess
+
+
+def two_valleys(u: FloatArray, *, caution: float, unsure_at: float) -> Expansion:
+    """Bottoms of 1.0 at 0.2, known, and of 1.1 at 0.8; the variance is 3 around `unsure_at`."""
+    known, other = 1.0 + 50.0 * (u[0] - 0.2) ** 2, 1.1 + 50.0 * (u[0] - 0.8) ** 2
+    mse, bottom = min((known, 0.2), (other, 0.8))
+    variance = 3.0 * float(abs(u[0] - unsure_at) < 0.1)
+    slope = np.array([100.0 * (u[0] - bottom)])
+    return Expansion(mse + caution * variance, mse, slope, np.array([[100.0]]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_another_valley_is_sought_where_the_surrogate_imagines_one_and_is_unsure(seed: int) -> None:
+    expand = partial(two_valleys, unsure_at=0.8)
+    found = least_excluded(expand, 1.0, (1, 1), 0.15, np.random.default_rng(seed))
+    assert found[0, 0] == pytest.approx(0.8, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_every_valley_is_known_the_least_known_place_is_sought(seed: int) -> None:
+    expand = partial(two_valleys, unsure_at=0.5)
+    found = least_excluded(expand, 1.0, (1, 1), 0.15, np.random.default_rng(seed))
+    assert 0.4 <= found[0, 0] <= 0.6
+
+
+def test_parallel_points_lie_apart() -> None:
+    expand = partial(two_valleys, unsure_at=0.8)
+    found = np.sort(least_excluded(expand, 1.0, (4, 1), 0.15, np.random.default_rng(0))[:, 0])
+    assert (np.diff(found) > 0.05).all()
+    assert least_excluded(expand, 1.0, (40, 1), 0.15, np.random.default_rng(0)).shape == (40, 1)
+
+
+def test_farther_along_are_the_minima_near_points_anywhere() -> None:
+    expand = partial(two_valleys, unsure_at=0.8)
+    found = farther_along(expand, 0.0, (20, 1), 0.15, np.random.default_rng(0))
+    assert set(np.round(found[:, 0], 2)) == {0.2, 0.8}
+
+
+def test_a_known_row_is_surely_no_better_than_itself_and_an_unknown_place_may_be() -> None:
+    problem = rc_problem(noise=0.05)
+    u = 0.3 * np.random.default_rng(0).random((8, 2))
+    residuals = problem.residuals(u)
+    process = ResidualProcess.fit(Features.of(ToyRC().parameter_space), u, residuals)
+    best = int(np.argmin((residuals**2).mean(axis=1)))
+    objective = float((residuals[best] ** 2).mean())
+    for point, is_sure in ((u[best], True), (np.array([0.9, 0.9]), False)):
+        expected = expected_objective(process, None, point, 0.1)
+        assert is_surely_no_better(process, point, expected, objective) is is_sure
+
+
+@pytest.mark.parametrize(
+    ("found", "predicted", "favourite", "best", "expected"),
+    [
+        (1.0, 1.0, 1.0, 1.0, False),
+        (9.0, 1.0, 1.0, 1.0, True),  # It has erred.
+        (9.0, 2.0, 1.0, 1.0, False),  # A point that it did not like.
+        (np.inf, 1.0, 1.0, 1.0, False),
+        (2.0, 2.0, 2.0, 1.0, True),  # It does not know the best row.
+    ],
+)
+def test_a_surprise_is_a_favourite_that_fails_or_a_best_row_that_is_not_known(
+    found: float, predicted: float, favourite: float, best: float, expected: bool
+) -> None:
+    assert is_surprised(found, predicted, favourite, best) is expected
