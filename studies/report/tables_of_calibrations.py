@@ -53,9 +53,9 @@ def _adaptive_table(data: ReportData, targets: list[Reference]) -> Table:
     """Tabulate calibrations that know no training set."""
     columns = (
         Column("method", "method"),
-        Column("calls", "model calls", "", count),
+        Column("calls_honest", "model calls", "", count),
         *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
-        Column("mse", "final MSE", squared(difference_unit(data.measurement.units[0]))),
+        Column("mse_polished", "final MSE", squared(difference_unit(data.measurement.units[0]))),
         Column("wall_s", "time", "s", _two),
     )
     rows = tuple(

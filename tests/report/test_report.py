@@ -359,6 +359,9 @@ def test_an_adaptive_calibration_alone_has_a_report_without_a_surrogate(tmp_path
         in (summary["figures"][1]["caption"])
     )
     assert "screened" not in summary["tables"]["parameters-adaptive"][0]
+    (row,) = summary["tables"]["calibrations"]
+    assert (row["method"], row["calls_honest"]) == ("adaptive", 71)
+    assert not {"test_mae", "mse_screened", "n_polish"} & set(row)
 
 
 def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> None:
