@@ -15,7 +15,10 @@ def add_case(command: argparse.ArgumentParser) -> None:
         help="name, file or folder of a case; default: office",
     )
     command.add_argument(
-        "--profile", default="quick", metavar="NAME", help="budget: quick (default), paper, or a profile file"
+        "--profile",
+        default="quick",
+        metavar="NAME",
+        help="budget: quick (default), thorough, paper, or a profile file",
     )
     command.add_argument(
         "--window",
