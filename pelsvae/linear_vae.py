@@ -1,4 +1,4 @@
-"""The PELS-VAE whose encoder and decoder are linear and whose regressor is a Gaussian process.
+"""The PELS-VAE whose encoder and decoder are linear and whose regressor is a mean of Gaussian processes.
 
 With a linear encoder and decoder the optimum of Eq. 4 is known in closed form: it spans the principal
 components of the trajectories (Tipping and Bishop 1999, doi:10.1111/1467-9868.00196), and encoding is
@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from pelsvae.kernel import CONSTANT, Kernel, summed
+from pelsvae.network_ensemble import NetworkEnsemble
 
 # Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core.
 _AT_ONCE = 2**17
@@ -40,16 +41,19 @@ class _Member(NamedTuple):
 
 
 class LinearVae(nn.Module):
-    """Principal coordinates and the weighted mean of Gaussian processes of one form, m members.
+    """Principal coordinates and the weighted mean of m members, Gaussian processes of one form.
+
+    Where networks are worth it, their mean is one member more.
 
     Shapes: b rows, f features of theta, d outputs (times x outputs), z latent, n training rows, m members.
 
     Attributes:
         kernel: Form of the members' kernels.
+        networks: With a share of their own; None where processes are enough.
         basis: Principal components, orthonormal rows. Shape (z, d).
         x: Features of the training rows. Shape (n, f). [1]
         hyper: Hyperparameters of every member. Shape (m, h).
-        share: Of every member in each code, often 0; those in one code sum up to 1. Shape (m, z).
+        share: Of every process in each code, often 0; with the networks' they sum up to 1. Shape (m, z).
         coefficients: Inverse of each member's covariances times the codes that it has a share in. Shape
             (m, n, z).
         amplitude: Variance of each code under each member. Shape (m, z).
@@ -66,15 +70,17 @@ class LinearVae(nn.Module):
     rest: Tensor
     inflation: Tensor
 
-    def __init__(self, kernel: Kernel, **buffers: Tensor) -> None:
+    def __init__(self, kernel: Kernel, networks: NetworkEnsemble | None = None, **buffers: Tensor) -> None:
         """Take what was learnt.
 
         Args:
             kernel: Form of the kernels.
+            networks: One member more.
             buffers: The tensors among the attributes, by name.
         """
         super().__init__()
         self.kernel = kernel
+        self.networks = networks
         for name in ("basis", "x", "hyper", "share", "coefficients", "amplitude", "rest", "inflation"):
             self.register_buffer(name, buffers[name])
         self._known: list[_Member] | None = None
@@ -100,6 +106,8 @@ class LinearVae(nn.Module):
         for place, member in enumerate(self._members()):
             share = self.share[place, member.columns]
             total = total.index_add(1, member.columns, share * self._member_mean(member, theta))
+        if self.networks is not None:
+            total = total + self.networks.share * self.networks.each(theta).mean(dim=0)
         return total
 
     def regressor_variance(self, theta: Tensor) -> Tensor:
@@ -114,6 +122,9 @@ class LinearVae(nn.Module):
             away = self._member_mean(member, theta) - center[:, columns]
             of_member = unexplained[:, None] * self.amplitude[place, columns] + away.square()
             total = total.index_add(1, columns, self.share[place, columns] * of_member)
+        if self.networks is not None:
+            away = self.networks.each(theta) - center
+            total = total + self.networks.share * away.square().mean(dim=0)
         return total
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
