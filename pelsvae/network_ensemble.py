@@ -19,8 +19,8 @@ N_NETWORKS = 4
 WIDTH = 96
 N_HIDDEN = 6
 STEPS = 300  # at least
-EPOCHS = 150  # at least
-BATCH_ROWS = 512
+EPOCHS = 225  # at least
+BATCH_ROWS = 1024  # half as many cost the oscillator a tenth of its error at n = 1,024
 _LEARNING_RATE = 8e-3
 _WEIGHT_DECAY = 1.5
 _WARM_UP = 0.2  # part of the steps in which the learning rate rises
