@@ -9,6 +9,7 @@ import torch
 from gpytorch.constraints import GreaterThan
 from gpytorch.kernels import Kernel, LinearKernel, MaternKernel, RBFKernel, ScaleKernel
 from gpytorch.priors import LogNormalPrior, NormalPrior
+from linear_operator.utils.errors import NotPSDError
 from scipy.optimize import minimize
 from torch import Tensor
 
@@ -25,6 +26,7 @@ LEFT_OUT = 1e-5  # of the variance
 # Lengths in widths of the box: most probable value, and how far they may spread around it (logarithms).
 PRIORS = ((1.5, 1.0), (3.0, 0.4))
 NOISE_FLOOR = 1e-8
+IMPROBABLE = 1e10
 CHUNK_ROWS = 1000
 
 
@@ -207,8 +209,11 @@ def _maximize_likelihood(process: _Process, steps: int) -> None:
     def loss(point: FloatArray) -> tuple[float, FloatArray]:
         put(point)
         process.zero_grad()
-        with gpytorch.settings.fast_computations(False, False, False):
-            value = -objective(process(x), y)
+        try:
+            with gpytorch.settings.fast_computations(False, False, False):
+                value = -objective(process(x), y)
+        except NotPSDError:  # on some ways to the optimum a matrix is singular to all digits: turn back
+            return IMPROBABLE, np.zeros_like(point)
         value.backward()
         return float(value.detach()), torch.cat([weight.grad.flatten() for weight in weights]).numpy()
 
