@@ -27,10 +27,10 @@ from studies.calibration.prior import independent_samples as declared_independen
 from studies.calibration.prior import worth_of
 
 NoiseKind = Literal["correlated", "white", "sensor"]
+NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
+
 MOST_TAKEN = 0.5
 """Share of the noise's variance that fitted parameters are thought to take away at most."""
-
-NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 
 
 @dataclass(frozen=True)
@@ -123,4 +123,5 @@ def independent_samples(residuals: FloatArray, n_fitted: float = 0.0) -> float:
     m = len(residuals)
     # With x = p / n put back, rho = r + x (1 - r): n = m (1 - rho) / (1 + rho) becomes quadratic in n.
     half = 0.5 * max(m - n_fitted, 0.0) * (1.0 - rho) / (1.0 + rho)
-    return half + float(np.sqrt(max(half**2 - worth_of(m, rho) * n_fitted, 0.0)))
+    found = half + float(np.sqrt(max(half**2 - worth_of(m, rho) * n_fitted, 0.0)))
+    return max(found, 1.0)

@@ -203,6 +203,13 @@ def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
     assert np.median(found) == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.25)
 
 
+def test_more_parameters_than_samples_leave_one_independent_sample():
+    measurement = Measurement.on_grid(np.arange(5) * 1.0, np.zeros((5, 1)), ("y",), np.array([1.0]))
+    noise = noise_of("correlated", measurement, np.array([[1.0], [-1.0], [0.5], [1.5], [-0.5]]), 7)
+    assert noise.n_independent == 1.0
+    assert np.isfinite(noise.raised)
+
+
 def test_a_perfect_fit_shows_no_noise():
     problem = posed(line(), [0.3, -0.4], sigma=0.0)
     y = problem.model.simulate(np.array([[0.3, -0.4]])).y[0]
