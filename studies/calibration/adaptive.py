@@ -1,9 +1,9 @@
 """Adaptive calibration: every simulation goes where a surrogate of all earlier ones expects the optimum.
 
-A few rows fill the box; from then on each round fits a Gaussian process to the residuals of all rows, walks
-downhill on the error that it expects inside a trust region around the best row, and simulates that point. No
-row is spent on differences, validation or a test: the process is its own Jacobian and its own check. Where
-the rows explain too little, the search looks at the beginning of the trajectories first (horizon.py).
+A few rows fill the box; from then on each round fits Gaussian processes to the residuals of all rows, walks
+downhill on the error that they expect inside a trust region around the best row, and simulates that point. No
+row is spent on differences, validation or a test: the processes are their own Jacobian and their own check.
+Where the rows explain too little, the search looks at the beginning of the trajectories first (horizon.py).
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class AdaptiveResult:
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Calibration by a Gaussian process of the residuals in a trust region.
+    """Calibration by Gaussian processes of the residuals in a trust region.
 
     Attributes:
         n_start: Rows of the first, space-filling design; as many as parameters when None, at least 4. [1]

@@ -12,8 +12,9 @@ from studies.calibration.expected_objective import expected_objective, is_surely
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.recorder import Recorder
-from studies.calibration.residual_process import Expansion, Features, ResidualProcess
+from studies.calibration.residual_process import Expansion, Features
 
 if TYPE_CHECKING:
     from studies.calibration.adaptive import Adaptive
@@ -64,7 +65,7 @@ class AdaptiveSearch:
         self._horizon = Horizon(problem.measurement)
         self._is_judged = False
         self._was_lost = False
-        self._hyper: FloatArray | None = None
+        self._hyper: tuple[FloatArray, ...] = ()
         self._radius = settings.radius
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
         self._first = 0
@@ -237,9 +238,9 @@ class AdaptiveSearch:
         self._penalty = np.concatenate([self._penalty, penalty])
         self._judge()
 
-    def _fit(self) -> ResidualProcess:
+    def _fit(self) -> ProcessGroups:
         good = np.isfinite(self._objective)
-        process = ResidualProcess.fit(
+        process = ProcessGroups.fit(
             self._features,
             self._u[good],
             self._horizon.seen(self._residuals[good]),
@@ -250,10 +251,10 @@ class AdaptiveSearch:
         self._hyper = process.hyper
         return process
 
-    def _expand(self, process: ResidualProcess, u: FloatArray, caution: float) -> Expansion:
+    def _expand(self, process: ProcessGroups, u: FloatArray, caution: float) -> Expansion:
         return expected_objective(process, self._prior, u, caution)
 
-    def _elsewhere(self, process: ResidualProcess) -> FloatArray:
+    def _elsewhere(self, process: ProcessGroups) -> FloatArray:
         """Return where a leg elsewhere begins, one point for each parallel row."""
         expand, shape = partial(self._expand, process), (self._settings.n_parallel, self._p)
         if self._is_far:
@@ -261,7 +262,7 @@ class AdaptiveSearch:
             return least_excluded(expand, best, shape, self._settings.margin, self._rng)
         return farther_along(expand, self._settings.caution, shape, self._settings.margin, self._rng)
 
-    def _propose(self, process: ResidualProcess, centre: FloatArray) -> tuple[FloatArray, Expansion]:
+    def _propose(self, process: ProcessGroups, centre: FloatArray) -> tuple[FloatArray, Expansion]:
         """Return the points to simulate next, the favourite first, and what is expected of it."""
         points: list[FloatArray] = []
         favourite: Expansion | None = None

@@ -6,7 +6,10 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
+from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Expansion, ResidualProcess
+
+Surrogate = ResidualProcess | ProcessGroups
 
 # Expected above this part of the best error, with a variance below `DOUBT` of it, is surely no better.
 AS_GOOD, DOUBT = 0.98, 0.1
@@ -14,9 +17,7 @@ AS_GOOD, DOUBT = 0.98, 0.1
 SURPRISE = 0.1
 
 
-def expected_objective(
-    process: ResidualProcess, prior: Prior | None, u: FloatArray, caution: float
-) -> Expansion:
+def expected_objective(process: Surrogate, prior: Prior | None, u: FloatArray, caution: float) -> Expansion:
     """Expand the objective around a point: the error is predicted, a prior's penalty is known exactly."""
     found = process.expand(u, caution)
     if prior is None:
@@ -30,7 +31,7 @@ def expected_objective(
     )
 
 
-def is_surely_no_better(process: ResidualProcess, u: FloatArray, expected: Expansion, best: float) -> bool:
+def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, best: float) -> bool:
     """Tell whether a point is not worth a call: the surrogate is sure that the best row is as good.
 
     Args:

@@ -1,51 +1,24 @@
 """A Gaussian process over the residuals of a calibration: what a model would answer, and how sure that is.
 
 The whole residual vector is predicted, not its error: the mean squared error and its curvature follow from it
-as in Gauss-Newton's method. All residuals share one kernel over features x of the unit cube,
-
-    k(x, x') = c² + exp(-|d|²/2) + a² <x, x'>_L,    d_i = (x_i - x'_i) / L_i,
-
-with one length L_i per feature and a linear part <., .>_L in the same lengths: far from the data the process
-goes on as a linear model instead of falling back to its mean. The features are the coordinates of the cube
-and, for logarithmic parameters, the linear coordinate too: some effects are proportional to a parameter,
-others to its logarithm, and the lengths say which. A row's noise is relative to its own residuals. Lengths,
-slope a and noise are the most probable ones; the amplitude is profiled out. Cost: n³ for n points, whatever
-the number of residuals.
+as in Gauss-Newton's method. All residuals share one kernel (residual_kernel.py) over features of the unit
+cube: its coordinates and, for logarithmic parameters, the linear coordinate too: some effects are
+proportional to a parameter, others to its logarithm, and the kernel's lengths say which.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-from scipy.linalg import lapack
-from scipy.optimize import minimize
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import ParameterSpace
+from studies.calibration.residual_kernel import CONSTANT, Belief, KernelMatrix, inverse_factor, most_probable
 
-# Variance c² of the constant, relative to the bumps': the mean is as good as unknown.
-CONSTANT = 10.0
-
-# Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
-LENGTH_PRIOR = (np.log(1.5), 1.0)
-SLOPE_PRIOR = (np.log(1.0), 1.0)
-# Noise of a row relative to its own residuals.
-NOISE_PRIOR = (np.log(1e-2), 0.5)
 # Rows this much closer to the measurement than the rows are to each other count alike. [squared]
 LEAST_LOOSENESS = 1e-8
 # Components of the residuals far above this multiple of the best row's error count by their root.
 LARGE = 10.0
-LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
-SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
-NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
-# Relative to the kernel matrix's trace: what rounding may cost before a factor no longer exists.
-JITTER = 1e-13
-
-# Residuals of one trajectory are far from independent; this many count as independent in the likelihood.
-N_INDEPENDENT = 12.0
-# A fit goes on where the last one stopped.
-MAX_FIT_ITERATIONS = 15
-# Hyperparameters are kept to so many digits: rounding noise of one fit does not grow into the next.
-FIT_DECIMALS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +51,7 @@ class Features:
     is_log: BoolArray
 
     @classmethod
-    def of(cls, space: ParameterSpace) -> "Features":
+    def of(cls, space: ParameterSpace) -> Self:
         """Return the features of a box."""
         is_log = space.is_log
         return cls(np.log(space.upper[is_log] / space.lower[is_log]), is_log)
@@ -102,6 +75,61 @@ class Features:
         by_u = by_feature[..., : u.size].copy()
         by_u[..., self.is_log] += by_feature[..., u.size :] * slope
         return by_u
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Residuals of n rows in an orthonormal basis of their differences to the best row, r components each.
+
+    Attributes:
+        values: The differences. Shape (n, r). [unit]
+        level: Best row's residuals in the basis. Shape (r,). [unit]
+        outside: Sum of squares of the best row's residuals outside the basis. [unit squared]
+        best: Best row's residuals. Shape (m,). [unit]
+        looseness: Factors of the rows' noise variances: of a row far from the measurement a process need only
+            know that it is far; near it, small differences decide. Shape (n,). [1]
+    """
+
+    values: FloatArray
+    level: FloatArray
+    outside: float
+    best: FloatArray
+    looseness: FloatArray
+
+    @classmethod
+    def of(cls, residuals: FloatArray) -> Self:
+        """Return all components of residuals (n, m)."""
+        squares = (residuals**2).sum(axis=1)
+        best = residuals[int(np.argmin(squares))]
+        basis, triangle = np.linalg.qr((residuals - best).T)
+        level = basis.T @ best
+        size = float(np.square(triangle).sum()) / len(residuals)
+        loose = np.maximum(squares / size, LEAST_LOOSENESS) if size > 0.0 else np.ones(len(residuals))
+        return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, loose)
+
+    def split(self, part: float) -> list[Self]:
+        """Return the fewest components that hold a part of the differences' squares, and the others.
+
+        The basis becomes that of the principal components. What is outside of it stays with the first.
+        """
+        squares, directions = np.linalg.eigh(self.values.T @ self.values)
+        squares, directions = np.maximum(squares[::-1], 0.0), directions[:, ::-1]
+        held = np.cumsum(squares)
+        n_leading = int((held < part * held[-1]).sum()) + 1
+        if n_leading >= len(held) or held[n_leading - 1] == held[-1]:
+            return [self]
+        return [
+            replace(self, values=self.values @ axes, level=self.level @ axes, outside=outside)
+            for axes, outside in (
+                (directions[:, :n_leading], self.outside),
+                (directions[:, n_leading:], 0.0),
+            )
+        ]
+
+    def gram(self, *, balance: bool) -> FloatArray:
+        """Return the products of the rows' differences, perhaps balanced. Shape (n, n). [unit squared]."""
+        gram = self.values @ self.values.T
+        return balanced(gram, self.best) if balance else gram
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +169,7 @@ class ResidualProcess:
         first_guess: FloatArray | None = None,
         *,
         balance: bool = False,
-    ) -> "ResidualProcess":
+    ) -> Self:
         """Fit the process to rows that were simulated.
 
         Args:
@@ -151,21 +179,21 @@ class ResidualProcess:
             first_guess: Hyperparameters of an earlier fit to start from. Shape (f + 2,). [1]
             balance: Whether lengths are to suit small components of the residuals as well as large ones.
         """
-        n, m = residuals.shape
-        best = int(np.argmin((residuals**2).sum(axis=1)))
-        basis, triangle = np.linalg.qr((residuals - residuals[best]).T)
-        values = triangle.T
-        level = basis.T @ residuals[best]
-        outside = max(float((residuals[best] ** 2).sum() - (level**2).sum()), 0.0)
-        x = features.at(u)
-        gram = values @ values.T
-        looseness = _looseness(residuals, gram)
-        weighed = balanced(gram, residuals[best]) if balance else gram
-        hyper = _most_probable(x, weighed, looseness, first_guess)
-        inverse_factor = _inverse_factor(_Kernel.of(x, hyper, looseness).matrix)
-        coefficients = inverse_factor.T @ (inverse_factor @ values)
-        variance = float((values * coefficients).sum()) / (n * m)
-        return cls(features, x, hyper, inverse_factor, coefficients, level, outside, variance, m)
+        components, x = Components.of(residuals), features.at(u)
+        gram = components.gram(balance=balance)
+        hyper = most_probable(x, gram, components.looseness, Belief.of(x.shape[1]), first_guess)
+        return cls.through(features, x, components, hyper)
+
+    @classmethod
+    def through(cls, features: Features, x: FloatArray, components: Components, hyper: FloatArray) -> Self:
+        """Return the process with known hyperparameters (f + 2,) through components of rows at x (n, f)."""
+        factor = inverse_factor(KernelMatrix.of(x, hyper, components.looseness).matrix)
+        coefficients = factor.T @ (factor @ components.values)
+        m = components.best.size
+        variance = float((components.values * coefficients).sum()) / (len(x) * m)
+        return cls(
+            features, x, hyper, factor, coefficients, components.level, components.outside, variance, m
+        )
 
     def expand(self, u: FloatArray, caution: float) -> Expansion:
         """Expand the expected error around a point.
@@ -195,27 +223,6 @@ class ResidualProcess:
         return Expansion(mse + scale * variance, mse, gradient, hessian)
 
 
-@dataclass(frozen=True, eq=False)
-class _Kernel:
-    """The kernel matrix of a design and its parts."""
-
-    matrix: FloatArray
-    bumps: FloatArray
-    linear: FloatArray
-
-    @classmethod
-    def of(cls, x: FloatArray, hyper: FloatArray, looseness: FloatArray) -> "_Kernel":
-        scaled = x * np.exp(-hyper[:-2])
-        products = scaled @ scaled.T
-        squares = np.diag(products)
-        distances = np.maximum(squares[:, None] + squares[None] - 2.0 * products, 0.0)
-        bumps = np.exp(-0.5 * distances)
-        linear = np.exp(2.0 * hyper[-2]) * products
-        matrix = CONSTANT + bumps + linear
-        noise = np.exp(2.0 * hyper[-1]) * looseness + JITTER * float(np.trace(matrix))
-        return cls(matrix + np.diag(noise), bumps, linear)
-
-
 def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
     """Return the Gram matrix with its large components scaled down. Shape (n, n). [unit squared].
 
@@ -229,72 +236,3 @@ def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
     squares = np.maximum(squares, 0.0)
     scale = np.sqrt(squares / len(gram) + LARGE * float(best @ best) + np.finfo(float).tiny)
     return np.asarray((directions * (squares / scale)) @ directions.T, dtype=np.float64)
-
-
-def _looseness(residuals: FloatArray, gram: FloatArray) -> FloatArray:
-    """Return the factors of the rows' noise variances. Shape (n,). [1].
-
-    Of a row far from the measurement the process need only know that it is far; near it, small differences
-    decide.
-    """
-    squares = (residuals**2).sum(axis=1)
-    size = float(np.trace(gram)) / len(gram)
-    if size <= 0.0:
-        return np.ones(len(gram))
-    return np.asarray(np.maximum(squares / size, LEAST_LOOSENESS), dtype=np.float64)
-
-
-def _most_probable(
-    x: FloatArray, gram: FloatArray, looseness: FloatArray, first_guess: FloatArray | None
-) -> FloatArray:
-    """Return the hyperparameters that maximize the profiled likelihood times the priors. Shape (f + 2,)."""
-    n, f = x.shape
-    mean = np.array([LENGTH_PRIOR[0]] * f + [SLOPE_PRIOR[0], NOISE_PRIOR[0]])
-    deviation = np.array([LENGTH_PRIOR[1]] * f + [SLOPE_PRIOR[1], NOISE_PRIOR[1]])
-    total = float(np.trace(gram))
-    if total <= 0.0:
-        return mean
-    gram = gram * (n / total)
-
-    def loss(hyper: FloatArray) -> tuple[float, FloatArray]:
-        value, gradient = _negative_log_likelihood(x, gram, looseness, hyper)
-        step = (hyper - mean) / deviation
-        return value + 0.5 * float(step @ step), gradient + step / deviation
-
-    found = minimize(
-        loss,
-        mean if first_guess is None else first_guess,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[LENGTH_BOUNDS] * f + [SLOPE_BOUNDS, NOISE_BOUNDS],
-        options={"maxiter": MAX_FIT_ITERATIONS},
-    )
-    return np.asarray(np.round(found.x, FIT_DECIMALS), dtype=np.float64)
-
-
-def _negative_log_likelihood(
-    x: FloatArray, gram: FloatArray, looseness: FloatArray, hyper: FloatArray
-) -> tuple[float, FloatArray]:
-    """Return -log p of the residuals' Gram matrix, amplitude profiled out, and its gradient."""
-    n = len(x)
-    kernel = _Kernel.of(x, hyper, looseness)
-    factor = _inverse_factor(kernel.matrix)
-    inverse = factor.T @ factor
-    explained = inverse @ gram
-    trace = float(np.trace(explained))
-    value = 0.5 * N_INDEPENDENT * (-2.0 * float(np.log(np.diag(factor)).sum()) + n * np.log(trace / n))
-    # d value / d kernel matrix
-    slopes = 0.5 * N_INDEPENDENT * (inverse - (n / trace) * (explained @ inverse))
-    gradient = np.empty(hyper.size)
-    bumps = slopes * kernel.bumps
-    mixed = (bumps + np.exp(2.0 * hyper[-2]) * slopes) @ x
-    gradient[:-2] = 2.0 * np.exp(-2.0 * hyper[:-2]) * (bumps.sum(axis=1) @ (x**2) - (x * mixed).sum(axis=0))
-    gradient[-2] = 2.0 * (slopes * kernel.linear).sum()
-    gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * (np.diag(slopes) * looseness).sum()
-    return value, gradient
-
-
-def _inverse_factor(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of the lower Cholesky factor. Shape (n, n)."""
-    inverse, _ = lapack.dtrtri(np.linalg.cholesky(matrix), lower=1)
-    return np.asarray(inverse, dtype=np.float64)

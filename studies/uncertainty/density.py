@@ -15,7 +15,8 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
-from studies.calibration.residual_process import CONSTANT, ResidualProcess
+from studies.calibration.residual_kernel import CONSTANT
+from studies.calibration.residual_process import ResidualProcess
 from studies.uncertainty.noise import Noise
 
 BOX_PRECISION = 12.0

@@ -12,10 +12,12 @@ from simulation.errors import InputError
 from simulation.toy import ToyRC
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.box_newton import descend
+from studies.calibration.expected_objective import Surrogate
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.recorder import Progress
-from studies.calibration.residual_process import Expansion, Features, ResidualProcess, balanced
+from studies.calibration.residual_process import Components, Expansion, Features, ResidualProcess, balanced
 
 FEATURES = Features.of(ToyRC().parameter_space)
 SHORT = Adaptive(max_calls=60)
@@ -160,10 +162,11 @@ def test_the_process_passes_through_its_rows_and_knows_it() -> None:
         assert there.value - there.mse < 0.01 * process.variance
 
 
+@pytest.mark.parametrize("surrogate", [ResidualProcess, ProcessGroups])
 @pytest.mark.parametrize("caution", [0.0, 0.3])
-def test_the_gradient_is_that_of_the_value(caution: float) -> None:
+def test_the_gradient_is_that_of_the_value(surrogate: type[Surrogate], caution: float) -> None:
     _, u, residuals = rows(12)
-    process = ResidualProcess.fit(FEATURES, u, residuals)
+    process = surrogate.fit(FEATURES, u, residuals)
     for point in np.random.default_rng(5).random((5, 2)):
         numeric = approx_fprime(point, lambda v: process.expand(v, caution).value, 1e-7)
         gradient = process.expand(point, caution).gradient
@@ -189,9 +192,44 @@ def test_large_components_of_the_residuals_count_by_their_root_and_small_ones_as
     assert scaled[3] / scaled[2] == pytest.approx(2.0, rel=1e-3)
 
 
-def test_rows_that_all_answer_the_same_are_no_reason_to_fail() -> None:
-    process = ResidualProcess.fit(FEATURES, np.random.default_rng(0).random((5, 2)), np.ones((5, 3)))
+@pytest.mark.parametrize("surrogate", [ResidualProcess, ProcessGroups])
+def test_rows_that_all_answer_the_same_are_no_reason_to_fail(surrogate: type[Surrogate]) -> None:
+    process = surrogate.fit(FEATURES, np.random.default_rng(0).random((5, 2)), np.ones((5, 3)))
     assert process.expand(np.array([0.5, 0.5]), 0.1).mse == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.999])
+def test_groups_of_components_hold_all_that_the_residuals_hold(part: float) -> None:
+    _, _, residuals = rows(9)
+    residuals = residuals + np.random.default_rng(1).standard_normal(residuals.shape)
+    whole = Components.of(residuals)
+    groups = whole.split(part)
+    assert len(groups) == 2
+    held = [float(np.square(group.values).sum()) for group in groups]
+    assert sum(held) == pytest.approx(np.square(whole.values).sum(), rel=1e-12)
+    assert held[0] >= part * sum(held) * (1.0 - 1e-12)
+    fewer = np.square(groups[0].values[:, :-1]).sum()
+    assert fewer < part * sum(held)
+    for i in range(9):
+        there = sum(float(np.square(group.level + group.values[i]).sum()) + group.outside for group in groups)
+        assert there == pytest.approx(float(residuals[i] @ residuals[i]), rel=1e-9)
+
+
+def test_small_components_have_lengths_of_their_own() -> None:
+    """A large component that follows the first parameter, and a small one that follows the second."""
+    rng = np.random.default_rng(0)
+    u, fresh = rng.random((25, 2)), rng.random((50, 2))
+
+    def residuals(at: FloatArray) -> FloatArray:
+        return np.stack([30.0 * np.sin(5.0 * at[:, 0]), 0.3 * np.sin(5.0 * at[:, 1]), np.zeros(len(at))], 1)
+
+    features = Features(np.empty(0), np.zeros(2, dtype=np.bool_))
+    error = {}
+    for surrogate in (ResidualProcess, ProcessGroups):
+        process = surrogate.fit(features, u, residuals(u))
+        predicted = np.array([process.expand(point, 0.0).mse for point in fresh])
+        error[surrogate] = np.median(np.abs(predicted - np.mean(residuals(fresh) ** 2, axis=1)))
+    assert error[ProcessGroups] < 0.8 * error[ResidualProcess], error
 
 
 def test_a_quadratic_is_minimized_in_a_box() -> None:

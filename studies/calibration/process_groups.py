@@ -1,0 +1,82 @@
+"""Processes for groups of the residuals' components, each with a kernel of its own.
+
+The components that vary most, far from the measurement, say little of what moves the others, on which a
+calibration ends: one kernel for all follows the former. Components are orthogonal, so that errors add up.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from studies.calibration.residual_kernel import N_INDEPENDENT, Belief, most_probable
+from studies.calibration.residual_process import Components, Expansion, Features, ResidualProcess
+
+# Part of the differences' squares that the leading group holds.
+LEADING = 0.9
+# A group's lengths are believed to be those of all components, in this part of the priors' deviations; a
+# component counts as so many independent values in its likelihood.
+CLOSER, PER_COMPONENT = 0.7, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessGroups:
+    """The processes of the leading components and of the others; make it with `fit`.
+
+    Attributes:
+        processes: One per group.
+        hyper: Hyperparameters of all components together, then of each group.
+    """
+
+    processes: tuple[ResidualProcess, ...]
+    hyper: tuple[FloatArray, ...]
+
+    @classmethod
+    def fit(
+        cls,
+        features: Features,
+        u: FloatArray,
+        residuals: FloatArray,
+        first_guess: tuple[FloatArray, ...] = (),
+        *,
+        balance: bool = False,
+    ) -> Self:
+        """Fit the processes to rows that were simulated.
+
+        Args:
+            features: The coordinates that the kernels shall see.
+            u: Points, at least two. Shape (n, p). [1]
+            residuals: Their residuals, finite. Shape (n, m). [unit]
+            first_guess: Hyperparameters of an earlier fit to start from.
+            balance: Whether lengths are to suit small components of the residuals as well as large ones.
+        """
+        x, belief = features.at(u), Belief.of(features.at(u).shape[1])
+        components = Components.of(residuals)
+
+        def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:
+            guess = first_guess[place] if place < len(first_guess) else None
+            return most_probable(x, group.gram(balance=balance), group.looseness, belief, guess)
+
+        groups = components.split(LEADING)
+        hyper = [hyper_of(components, belief, 0)]
+        for place, group in enumerate(groups, start=1):
+            n_independent = min(PER_COMPONENT * group.level.size, N_INDEPENDENT)
+            hyper.append(hyper_of(group, belief.around(hyper[0], CLOSER, n_independent), place))
+        through = zip(groups, hyper[1:], strict=True)
+        processes = tuple(ResidualProcess.through(features, x, group, own) for group, own in through)
+        return cls(processes, tuple(hyper))
+
+    def expand(self, u: FloatArray, caution: float) -> Expansion:
+        """Expand the expected error around a point.
+
+        Args:
+            u: The point. Shape (p,). [1]
+            caution: Part of the predictive variance that is added to the squared mean. [1]
+        """
+        value, mse, gradient, hessian = 0.0, 0.0, np.zeros(u.size), np.zeros((u.size, u.size))
+        for process in self.processes:
+            found = process.expand(u, caution)
+            value, mse = value + found.value, mse + found.mse
+            gradient, hessian = gradient + found.gradient, hessian + found.hessian
+        return Expansion(value, mse, gradient, hessian)

@@ -1,0 +1,148 @@
+"""The kernel of the residual processes, and its most probable hyperparameters.
+
+    k(x, x') = c² + exp(-|d|²/2) + a² <x, x'>_L,    d_i = (x_i - x'_i) / L_i,
+
+with one length L_i per feature and a linear part <., .>_L in the same lengths: far from the data a process
+goes on as a linear model instead of falling back to its mean. A row's noise is relative to its own residuals.
+Lengths, slope a and noise are the most probable ones; the amplitude is profiled out. Cost: n³ for n points,
+whatever the number of residuals.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.optimize import minimize
+
+from simulation.arrays import FloatArray
+
+# Variance c² of the constant, relative to the bumps': the mean is as good as unknown.
+CONSTANT = 10.0
+
+# Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
+LENGTH_PRIOR = (np.log(1.5), 1.0)
+SLOPE_PRIOR = (np.log(1.0), 1.0)
+# Noise of a row relative to its own residuals.
+NOISE_PRIOR = (np.log(1e-2), 0.5)
+LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
+SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
+NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
+# Relative to the kernel matrix's trace: what rounding may cost before a factor no longer exists.
+JITTER = 1e-13
+
+# Residuals of one trajectory are far from independent; this many count as independent in the likelihood.
+N_INDEPENDENT = 12.0
+# A fit goes on where the last one stopped.
+MAX_FIT_ITERATIONS = 15
+# Hyperparameters are kept to so many digits: rounding noise of one fit does not grow into the next.
+FIT_DECIMALS = 4
+
+
+class Belief(NamedTuple):
+    """What is believed of hyperparameters before the rows are seen, and how many values these count.
+
+    Attributes:
+        mean: Of their logarithms: f lengths, slope and noise. Shape (f + 2,). [1]
+        deviation: Of the same. Shape (f + 2,). [1]
+        n_independent: Values of a row that count as independent.
+    """
+
+    mean: FloatArray
+    deviation: FloatArray
+    n_independent: float
+
+    @classmethod
+    def of(cls, n_features: int) -> Self:
+        """Return what is believed of any model."""
+        mean, deviation = np.array([LENGTH_PRIOR] * n_features + [SLOPE_PRIOR, NOISE_PRIOR]).T
+        return cls(mean, deviation, N_INDEPENDENT)
+
+    def around(self, hyper: FloatArray, closer: float, n_independent: float) -> Self:
+        """Return the belief that hyperparameters are near known ones, in `closer` times the deviations."""
+        return self._replace(mean=hyper, deviation=closer * self.deviation, n_independent=n_independent)
+
+
+@dataclass(frozen=True, eq=False)
+class KernelMatrix:
+    """The kernel matrix of a design and its parts."""
+
+    matrix: FloatArray
+    bumps: FloatArray
+    linear: FloatArray
+
+    @classmethod
+    def of(cls, x: FloatArray, hyper: FloatArray, looseness: FloatArray) -> Self:
+        """Compute it: points (n, f), hyperparameters (f + 2,), factors of the rows' noise variances (n,)."""
+        scaled = x * np.exp(-hyper[:-2])
+        products = scaled @ scaled.T
+        squares = np.diag(products)
+        distances = np.maximum(squares[:, None] + squares[None] - 2.0 * products, 0.0)
+        bumps = np.exp(-0.5 * distances)
+        linear = np.exp(2.0 * hyper[-2]) * products
+        matrix = CONSTANT + bumps + linear
+        noise = np.exp(2.0 * hyper[-1]) * looseness + JITTER * float(np.trace(matrix))
+        return cls(matrix + np.diag(noise), bumps, linear)
+
+
+def most_probable(
+    x: FloatArray, gram: FloatArray, looseness: FloatArray, belief: Belief, first_guess: FloatArray | None
+) -> FloatArray:
+    """Return the hyperparameters that maximize the profiled likelihood times the priors. Shape (f + 2,).
+
+    Args:
+        x: Points. Shape (n, f). [1]
+        gram: Products of the rows' residuals. Shape (n, n). [unit squared]
+        looseness: Factors of the rows' noise variances. Shape (n,). [1]
+        belief: The priors.
+        first_guess: Where the search begins, the priors' mean when None. Shape (f + 2,). [1]
+    """
+    n, f = x.shape
+    mean, deviation, n_independent = belief
+    total = float(np.trace(gram))
+    if total <= 0.0:
+        return mean
+    gram = gram * (n / total)
+
+    def loss(hyper: FloatArray) -> tuple[float, FloatArray]:
+        value, gradient = _negative_log_likelihood(x, gram, looseness, hyper, n_independent)
+        step = (hyper - mean) / deviation
+        return value + 0.5 * float(step @ step), gradient + step / deviation
+
+    found = minimize(
+        loss,
+        mean if first_guess is None else first_guess,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[LENGTH_BOUNDS] * f + [SLOPE_BOUNDS, NOISE_BOUNDS],
+        options={"maxiter": MAX_FIT_ITERATIONS},
+    )
+    return np.asarray(np.round(found.x, FIT_DECIMALS), dtype=np.float64)
+
+
+def _negative_log_likelihood(
+    x: FloatArray, gram: FloatArray, looseness: FloatArray, hyper: FloatArray, n_independent: float
+) -> tuple[float, FloatArray]:
+    """Return -log p of the residuals' Gram matrix, amplitude profiled out, and its gradient."""
+    n = len(x)
+    kernel = KernelMatrix.of(x, hyper, looseness)
+    factor = inverse_factor(kernel.matrix)
+    inverse = factor.T @ factor
+    explained = inverse @ gram
+    trace = float(np.trace(explained))
+    value = 0.5 * n_independent * (-2.0 * float(np.log(np.diag(factor)).sum()) + n * np.log(trace / n))
+    # d value / d kernel matrix
+    slopes = 0.5 * n_independent * (inverse - (n / trace) * (explained @ inverse))
+    gradient = np.empty(hyper.size)
+    bumps = slopes * kernel.bumps
+    mixed = (bumps + np.exp(2.0 * hyper[-2]) * slopes) @ x
+    gradient[:-2] = 2.0 * np.exp(-2.0 * hyper[:-2]) * (bumps.sum(axis=1) @ (x**2) - (x * mixed).sum(axis=0))
+    gradient[-2] = 2.0 * (slopes * kernel.linear).sum()
+    gradient[-1] = 2.0 * np.exp(2.0 * hyper[-1]) * (np.diag(slopes) * looseness).sum()
+    return value, gradient
+
+
+def inverse_factor(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of the lower Cholesky factor. Shape (n, n)."""
+    inverse, _ = lapack.dtrtri(np.linalg.cholesky(matrix), lower=1)
+    return np.asarray(inverse, dtype=np.float64)
