@@ -3,7 +3,7 @@
     k(x, x') = c² + exp(-|d|²/2) + a² <x, x'>_L,    d_i = (x_i - x'_i) / L_i,
 
 with one length L_i per feature and a linear part <., .>_L in the same lengths: far from the data a process
-goes on as a linear model instead of falling back to its mean. A row's noise is relative to its own residuals.
+goes on as a linear model instead of falling back to its mean. A row's noise grows with its error.
 Lengths, slope a and noise are the most probable ones; the amplitude is profiled out. Cost: n³ for n points,
 whatever the number of residuals.
 """
@@ -23,8 +23,8 @@ CONSTANT = 10.0
 # Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
 LENGTH_PRIOR = (np.log(1.5), 1.0)
 SLOPE_PRIOR = (np.log(1.0), 1.0)
-# Noise of a row relative to its own residuals.
-NOISE_PRIOR = (np.log(1e-2), 0.5)
+# Noise of a row whose residuals are as large as rows differ, relative to these; it falls with their square.
+NOISE_PRIOR = (np.log(3e-2), 0.5)
 LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
 SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
 NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
