@@ -136,13 +136,12 @@ def _members(
         return members
     if seen < n:
         predicted = _predicted(kernel, training, validation[0], hypers)
-    return _with_networks(members, predicted, believed, training, validation, seed)
+    return _with_networks(members, predicted, training, validation, seed)
 
 
 def _with_networks(
     members: _Members,
     predicted: Array,
-    believed: Array,
     training: tuple[Tensor, Tensor],
     validation: tuple[Tensor, Tensor],
     seed: int,
@@ -152,16 +151,17 @@ def _with_networks(
     Args:
         members: Processes alone.
         predicted: Their codes of the validation set. Shape (m, b, z). [1]
-        believed: Their shares without validation. Shape (m, z).
         training: Features and codes. Shapes (n, f), (n, z). [1]
         validation: As training, b rows.
         seed: Of the networks.
     """
     networks, true = trained_networks(*training, seed), validation[1].cpu().numpy()
     mean = networks.each(validation[0]).mean(dim=0, keepdim=True).cpu().numpy()  # (1, b, z)
-    everything, zero = np.concatenate([predicted, mean]), np.zeros((1, true.shape[1]))
-    chosen = best_shares(everything, true, np.concatenate([believed, zero]), len(everything))
-    share = np.concatenate([np.zeros_like(members.share), zero])
+    everything, whole = np.concatenate([predicted, mean]), np.ones((1, true.shape[1]))
+    in_all = _best_part(np.einsum("mbz,mz->bz", predicted, members.share), mean[0], true)
+    believed = np.concatenate([(1.0 - in_all) * members.share, in_all * whole])
+    chosen = best_shares(everything, true, believed, len(everything))
+    share = np.zeros_like(believed)
     share[chosen.members] = chosen.share
     if _left(everything, share, true) > (1.0 - _WORTH) * _left(predicted, members.share, true):
         return members
@@ -169,6 +169,13 @@ def _with_networks(
     used = share[:-1].max(axis=1) > 0.0
     used[0] = True  # the form has a process at least
     return _Members(members.hypers[used], share[:-1][used], networks)
+
+
+def _best_part(first: Array, second: Array, true: Array) -> float:
+    """Return the part of `second` in a mean with `first` that leaves the least squares. Shapes (b, z)."""
+    apart = second - first
+    square = float(np.square(apart).sum())
+    return float(np.clip(((true - first) * apart).sum() / square, 0.0, 1.0)) if square > 0.0 else 0.0
 
 
 def _left(predicted: Array, share: Array, true: Array) -> float:
