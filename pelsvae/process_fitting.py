@@ -25,6 +25,9 @@ CHOOSING_ROWS = 1024  # from so many rows at most it is chosen which kernels are
 # Part of the validation set's squared codes that processes leave, above which networks are tried. Where they
 # leave 2 to 9 %, on 64 rows of buildings, networks improve the error by 0 to 1.3 %.
 UNEXPLAINED = 0.1
+# Of so many rows few processes can be averaged, and networks are tried in any case: they improve the error of
+# buildings by 0 to 12 %, its 90th percentile by 10 to 16 %.
+MANY_ROWS = 1024
 _WORTH = 0.01  # part of the squares left by processes that networks must explain to be kept
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
 _SHARE = 0.9  # of the validation values that the band shall cover
@@ -132,7 +135,7 @@ def _members(
         hypers, believed, predicted = (values[chosen.members] for values in (hypers, believed, predicted))
         seen = rows
     members = _Members(hypers, chosen.share)
-    if _left(predicted, chosen.share, true) <= UNEXPLAINED * np.square(true).sum():
+    if n < MANY_ROWS and _left(predicted, chosen.share, true) <= UNEXPLAINED * np.square(true).sum():
         return members
     if seen < n:
         predicted = _predicted(kernel, training, validation[0], hypers)
@@ -157,6 +160,8 @@ def _with_networks(
     """
     networks, true = trained_networks(*training, seed), validation[1].cpu().numpy()
     mean = networks.each(validation[0]).mean(dim=0, keepdim=True).cpu().numpy()  # (1, b, z)
+    if not np.isfinite(mean).all():
+        return members
     everything, whole = np.concatenate([predicted, mean]), np.ones((1, true.shape[1]))
     in_all = _best_part(np.einsum("mbz,mz->bz", predicted, members.share), mean[0], true)
     believed = np.concatenate([(1.0 - in_all) * members.share, in_all * whole])

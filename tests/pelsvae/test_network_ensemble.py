@@ -12,7 +12,7 @@ from rc_step_for_tests import PROCESSES, TIME_S, rc_step
 
 from pelsvae import network_ensemble, process_fitting
 from pelsvae.linear_vae import LinearVae
-from pelsvae.network_ensemble import N_NETWORKS, trained_networks
+from pelsvae.network_ensemble import N_NETWORKS, NetworkEnsemble, trained_networks
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import fit
 
@@ -66,6 +66,17 @@ def test_networks_are_not_tried_where_processes_do_well() -> None:
     assert network_of(fitted(rc_step(60, seed=1), rc_step(40, seed=2))).networks is None
 
 
+def test_networks_are_tried_in_any_case_where_rows_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
+    monkeypatch.setattr(process_fitting, "_WORTH", -np.inf)  # whatever they explain
+    assert network_of(fitted(rc_step(60, seed=1), rc_step(40, seed=2))).networks is not None
+
+
+def test_networks_that_diverge_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(network_ensemble, "_LEARNING_RATE", 1e6)
+    assert network_of(fitted(waves(80, seed=1), waves(60, seed=2))).networks is None
+
+
 def test_networks_that_explain_nothing_more_are_left_out() -> None:
     assert network_of(fitted(noise(40, seed=1), noise(300, seed=2))).networks is None
 
@@ -111,6 +122,33 @@ def test_loaded_surrogate_is_the_same_bit_for_bit(surrogate: Surrogate, tmp_path
     np.testing.assert_array_equal(loaded.predict(theta), surrogate.predict(theta))
     np.testing.assert_array_equal(loaded.deviation(theta), surrogate.deviation(theta))
     np.testing.assert_array_equal(loaded.jacobian(theta[0]), surrogate.jacobian(theta[0]))
+
+
+def test_what_layers_say_is_multiplied_by_powers_of_the_parameters() -> None:
+    shapes = {
+        "share": (1,),
+        "power": (3, 2, 1),
+        "origin": (3, 1, 1),
+        "weight_0": (3, 2, 1),
+        "bias_0": (3, 1, 1),
+    }
+    random = np.random.default_rng(0)
+    made = {name: torch.from_numpy(random.normal(size=shape)) for name, shape in shapes.items()}
+    theta = torch.from_numpy(random.normal(size=(5, 2)))
+    said = torch.exp(theta @ made["power"]) * (theta @ made["weight_0"] + made["bias_0"])
+    torch.testing.assert_close(NetworkEnsemble(made).each(theta), made["origin"] + said)
+
+
+def test_many_rows_are_fitted_more_closely(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(network_ensemble, "STEPS", 100)
+    monkeypatch.setattr(network_ensemble, "EPOCHS", 1)
+    random = np.random.default_rng(0)
+    features, codes = (torch.from_numpy(random.normal(size=(128, size))) for size in (2, 1))
+    left = []
+    for few_rows in (128, 1):  # of the second, 128 are many
+        monkeypatch.setattr(network_ensemble, "_FEW_ROWS", few_rows)
+        left.append(float((trained_networks(features, codes, 0).each(features) - codes).square().mean()))
+    assert left[1] < 0.9 * left[0]
 
 
 def test_same_seed_same_networks_and_other_seed_others(monkeypatch: pytest.MonkeyPatch) -> None:
