@@ -16,7 +16,7 @@ from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.kernel import Kernel
 from pelsvae.kernel_search import Candidate, candidates
 from pelsvae.linear_vae import LinearVae
-from pelsvae.member_shares import best_shares
+from pelsvae.member_shares import best_part, best_shares
 from pelsvae.network_ensemble import NetworkEnsemble, trained_networks
 from pelsvae.standardize import Array
 
@@ -162,25 +162,19 @@ def _with_networks(
     mean = networks.each(validation[0]).mean(dim=0, keepdim=True).cpu().numpy()  # (1, b, z)
     if not np.isfinite(mean).all():
         return members
-    everything, whole = np.concatenate([predicted, mean]), np.ones((1, true.shape[1]))
-    in_all = _best_part(np.einsum("mbz,mz->bz", predicted, members.share), mean[0], true)
-    believed = np.concatenate([(1.0 - in_all) * members.share, in_all * whole])
+    everything = np.concatenate([predicted, mean])
+    in_all, weight = best_part(np.einsum("mbz,mz->bz", predicted, members.share), mean[0], true)
+    believed = np.concatenate([(1.0 - in_all) * members.share, np.full((1, true.shape[1]), in_all)])
+    everything, true = weight * everything, weight * true
     chosen = best_shares(everything, true, believed, len(everything))
     share = np.zeros_like(believed)
     share[chosen.members] = chosen.share
-    if _left(everything, share, true) > (1.0 - _WORTH) * _left(predicted, members.share, true):
+    if _left(everything, share, true) > (1.0 - _WORTH) * _left(everything[:-1], members.share, true):
         return members
     networks.share.copy_(torch.from_numpy(share[-1]))
     used = share[:-1].max(axis=1) > 0.0
     used[0] = True  # the form has a process at least
     return _Members(members.hypers[used], share[:-1][used], networks)
-
-
-def _best_part(first: Array, second: Array, true: Array) -> float:
-    """Return the part of `second` in a mean with `first` that leaves the least squares. Shapes (b, z)."""
-    apart = second - first
-    square = float(np.square(apart).sum())
-    return float(np.clip(((true - first) * apart).sum() / square, 0.0, 1.0)) if square > 0.0 else 0.0
 
 
 def _left(predicted: Array, share: Array, true: Array) -> float:
