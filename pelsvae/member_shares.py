@@ -13,6 +13,7 @@ from pelsvae.standardize import Array
 # As so many rows counts the belief that a share is what it would be without validation: few rows then move
 # little, and of ten the shares are not worse than without.
 BELIEF = 30.0
+_LEAST_NOISE = 1e-10  # in what all members leave; below, their squares are singular to all digits
 _LEAST = 0.01  # share below which a member is left out of a code
 _KEPT = 2.0 / 3.0  # of the members that remain when some are left out: the others' worth changes with it
 
@@ -66,7 +67,7 @@ def _of_code(left: Array, believed: Array) -> Array:
     m = len(left)
     total = believed.sum()
     believed = believed / total if total > 0.0 else np.full(m, 1.0 / m)
-    noise = float(np.square(believed @ left).mean())
+    noise = max(float(np.square(believed @ left).mean()), _LEAST_NOISE * float(np.square(left).mean()))
     if noise <= 0.0:
         return believed
     away = np.eye(m) - np.outer(believed, np.ones(m))
