@@ -50,11 +50,15 @@ class NetworkEnsemble(nn.Module):
 
         Args:
             layers: "share", "power", "origin", and by layer from 0 "weight_0", "bias_0" and so on.
+
+        Raises:
+            KeyError: One of the first three is missing.
         """
         super().__init__()
-        for name, value in layers.items():
-            self.register_buffer(name, value)
-        self._n_layers = (len(layers) - 3) // 2
+        others = ("share", "power", "origin")
+        for name in (*others, *(name for name in layers if name not in others)):
+            self.register_buffer(name, layers[name])
+        self._n_layers = (len(layers) - len(others)) // 2
 
     @property
     def layers(self) -> list[tuple[Tensor, Tensor]]:

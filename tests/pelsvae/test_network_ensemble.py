@@ -139,6 +139,13 @@ def test_what_layers_say_is_multiplied_by_powers_of_the_parameters() -> None:
     torch.testing.assert_close(NetworkEnsemble(made).each(theta), made["origin"] + said)
 
 
+def test_networks_without_powers_are_refused() -> None:
+    with pytest.raises(KeyError, match="power"):
+        NetworkEnsemble(
+            {"share": torch.ones(1), "weight_0": torch.ones(1, 2, 1), "bias_0": torch.ones(1, 1, 1)}
+        )
+
+
 def test_many_rows_are_fitted_more_closely(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network_ensemble, "STEPS", 100)
     monkeypatch.setattr(network_ensemble, "EPOCHS", 1)
