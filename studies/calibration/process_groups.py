@@ -18,6 +18,9 @@ LEADING = 0.9
 # A group's lengths are believed to be those of all components, in this part of the priors' deviations; a
 # component counts as so many independent values in its likelihood.
 CLOSER, PER_COMPONENT = 0.7, 2.0
+# A row's noise falls with its error, in a single process with the error's root: a search only has to know its
+# best rows, and those far off bend their surroundings less.
+NOISE_POWER, NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +54,8 @@ class ProcessGroups:
             first_guess: Hyperparameters of an earlier fit to start from.
             balance: Whether lengths are to suit small components of the residuals as well as large ones.
         """
-        x, belief = features.at(u), Belief.of(features.at(u).shape[1])
-        components = Components.of(residuals)
+        x, components = features.at(u), Components.of(residuals, NOISE_POWER)
+        belief = Belief.of(x.shape[1], NOISE_PRIOR)
 
         def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:
             guess = first_guess[place] if place < len(first_guess) else None

@@ -23,8 +23,8 @@ CONSTANT = 10.0
 # Normal priors of the logarithms: mean and standard deviation. The unit cube is 1 wide.
 LENGTH_PRIOR = (np.log(1.5), 1.0)
 SLOPE_PRIOR = (np.log(1.0), 1.0)
-# Noise of a row whose residuals are as large as rows differ, relative to these; it falls with their square.
-NOISE_PRIOR = (np.log(3e-2), 0.5)
+# Noise of a row that differs from the measurement as much as rows differ, relative to that.
+NOISE_PRIOR = (np.log(1e-2), 0.5)
 LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
 SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
 NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
@@ -53,9 +53,9 @@ class Belief(NamedTuple):
     n_independent: float
 
     @classmethod
-    def of(cls, n_features: int) -> Self:
+    def of(cls, n_features: int, noise: tuple[float, float] = NOISE_PRIOR) -> Self:
         """Return what is believed of any model."""
-        mean, deviation = np.array([LENGTH_PRIOR] * n_features + [SLOPE_PRIOR, NOISE_PRIOR]).T
+        mean, deviation = np.array([LENGTH_PRIOR] * n_features + [SLOPE_PRIOR, noise]).T
         return cls(mean, deviation, N_INDEPENDENT)
 
     def around(self, hyper: FloatArray, closer: float, n_independent: float) -> Self:

@@ -15,7 +15,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.residual_kernel import CONSTANT, Belief, KernelMatrix, inverse_factor, most_probable
 
-# Rows whose error is below the root of this part of what rows differ count alike. [1]
+# Rows with factors of the noise variance below this one count alike. [1]
 LEAST_LOOSENESS = 1e-8
 # Components of the residuals far above this multiple of the best row's error count by their root.
 LARGE = 10.0
@@ -86,9 +86,9 @@ class Components:
         level: Best row's residuals in the basis. Shape (r,). [unit]
         outside: Sum of squares of the best row's residuals outside the basis. [unit squared]
         best: Best row's residuals. Shape (m,). [unit]
-        looseness: Factors of the rows' noise variances, the squares of their errors by what rows differ: of a
-            row far from the measurement a process need only know that it is far; near it, small differences
-            decide. Shape (n,). [1]
+        looseness: Factors of the rows' noise variances, which grow with their errors: of a row far from the
+            measurement a process need only know that it is far; near it, small differences decide.
+            Shape (n,). [1]
     """
 
     values: FloatArray
@@ -98,14 +98,16 @@ class Components:
     looseness: FloatArray
 
     @classmethod
-    def of(cls, residuals: FloatArray) -> Self:
-        """Return all components of residuals (n, m)."""
+    def of(cls, residuals: FloatArray, power: int = 1) -> Self:
+        """Return all components of residuals (n, m); noise variances are errors to a power."""
         squares = (residuals**2).sum(axis=1)
         best = residuals[int(np.argmin(squares))]
         basis, triangle = np.linalg.qr((residuals - best).T)
         level = basis.T @ best
         size = float(np.square(triangle).sum()) / len(residuals)
-        loose = np.maximum((squares / size) ** 2, LEAST_LOOSENESS) if size > 0.0 else np.ones(len(residuals))
+        loose = (
+            np.maximum((squares / size) ** power, LEAST_LOOSENESS) if size > 0.0 else np.ones(len(residuals))
+        )
         return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, loose)
 
     def split(self, part: float) -> list[Self]:
