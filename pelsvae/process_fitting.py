@@ -169,7 +169,9 @@ def _with_networks(
     chosen = best_shares(everything, true, believed, len(everything))
     share = np.zeros_like(believed)
     share[chosen.members] = chosen.share
-    if _left(everything, share, true) > (1.0 - _WORTH) * _left(everything[:-1], members.share, true):
+    is_worth = _left(everything, share, true) <= (1.0 - _WORTH) * _left(everything[:-1], members.share, true)
+    # What other shares of the processes gain is not the networks' merit.
+    if not (is_worth and share[-1].any()):
         return members
     networks.share.copy_(torch.from_numpy(share[-1]))
     used = share[:-1].max(axis=1) > 0.0

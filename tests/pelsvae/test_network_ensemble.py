@@ -67,9 +67,25 @@ def test_networks_are_not_tried_where_processes_do_well() -> None:
 
 
 def test_networks_are_tried_in_any_case_where_rows_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def noted(features: torch.Tensor, codes: torch.Tensor, seed: int) -> NetworkEnsemble:
+        tried.append(len(features))
+        return trained_networks(features, codes, seed)
+
+    monkeypatch.setattr(process_fitting, "trained_networks", noted)
+    fitted(rc_step(60, seed=1), rc_step(40, seed=2))
+    assert tried == []
     monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
-    monkeypatch.setattr(process_fitting, "_WORTH", -np.inf)  # whatever they explain
-    assert network_of(fitted(rc_step(60, seed=1), rc_step(40, seed=2))).networks is not None
+    fitted(rc_step(60, seed=1), rc_step(40, seed=2))
+    assert tried == [60]
+
+
+def test_networks_without_a_share_in_any_code_do_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside networks, shares of processes are chosen anew, which may gain more than networks must."""
+    monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
+    monkeypatch.setattr(process_fitting, "_WORTH", -np.inf)  # whatever is gained
+    assert network_of(fitted(rc_step(60, seed=1), rc_step(40, seed=2))).networks is None
 
 
 def test_networks_that_diverge_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
