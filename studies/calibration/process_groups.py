@@ -13,6 +13,8 @@ from simulation.arrays import FloatArray
 from studies.calibration.residual_kernel import N_INDEPENDENT, Belief, most_probable
 from studies.calibration.residual_process import Components, Expansion, Features, ResidualProcess
 
+# Components of the residuals far above this multiple of the best row's error count by their root.
+LARGE = 10.0
 # Part of the differences' squares that the leading group holds.
 LEADING = 0.9
 # A group's lengths are believed to be those of all components, in this part of the priors' deviations; a
@@ -59,7 +61,8 @@ class ProcessGroups:
 
         def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:
             guess = first_guess[place] if place < len(first_guess) else None
-            return most_probable(x, group.gram(balance=balance), group.looseness, belief, guess)
+            gram = balanced(group.gram, group.best) if balance else group.gram
+            return most_probable(x, gram, group.looseness, belief, guess)
 
         groups = components.split(LEADING)
         hyper = [hyper_of(components, belief, 0)]
@@ -83,3 +86,18 @@ class ProcessGroups:
             value, mse = value + found.value, mse + found.mse
             gradient, hessian = gradient + found.gradient, hessian + found.hessian
         return Expansion(value, mse, gradient, hessian)
+
+
+def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
+    """Return the Gram matrix with its large components scaled down. Shape (n, n). [unit squared].
+
+    What moves the residuals most would else decide alone, also the lengths of what hardly moves them.
+
+    Args:
+        gram: Products of the rows' residuals. Shape (n, n). [unit squared]
+        best: Best row's residuals. Shape (m,). [unit]
+    """
+    squares, directions = np.linalg.eigh(gram)
+    squares = np.maximum(squares, 0.0)
+    scale = np.sqrt(squares / len(gram) + LARGE * float(best @ best) + np.finfo(float).tiny)
+    return np.asarray((directions * (squares / scale)) @ directions.T, dtype=np.float64)

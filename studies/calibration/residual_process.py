@@ -17,8 +17,6 @@ from studies.calibration.residual_kernel import CONSTANT, Belief, KernelMatrix, 
 
 # Rows with factors of the noise variance below this one count alike. [1]
 LEAST_LOOSENESS = 1e-8
-# Components of the residuals far above this multiple of the best row's error count by their root.
-LARGE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +127,10 @@ class Components:
             )
         ]
 
-    def gram(self, *, balance: bool) -> FloatArray:
-        """Return the products of the rows' differences, perhaps balanced. Shape (n, n). [unit squared]."""
-        gram = self.values @ self.values.T
-        return balanced(gram, self.best) if balance else gram
+    @property
+    def gram(self) -> FloatArray:
+        """Products of the rows' differences. Shape (n, n). [unit squared]."""
+        return self.values @ self.values.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +168,6 @@ class ResidualProcess:
         u: FloatArray,
         residuals: FloatArray,
         first_guess: FloatArray | None = None,
-        *,
-        balance: bool = False,
     ) -> Self:
         """Fit the process to rows that were simulated.
 
@@ -180,11 +176,10 @@ class ResidualProcess:
             u: Points, at least two. Shape (n, p). [1]
             residuals: Their residuals, finite. Shape (n, m). [unit]
             first_guess: Hyperparameters of an earlier fit to start from. Shape (f + 2,). [1]
-            balance: Whether lengths are to suit small components of the residuals as well as large ones.
         """
         components, x = Components.of(residuals), features.at(u)
-        gram = components.gram(balance=balance)
-        hyper = most_probable(x, gram, components.looseness, Belief.of(x.shape[1]), first_guess)
+        belief = Belief.of(x.shape[1])
+        hyper = most_probable(x, components.gram, components.looseness, belief, first_guess)
         return cls.through(features, x, components, hyper)
 
     @classmethod
@@ -224,18 +219,3 @@ class ResidualProcess:
         gradient = gradient + 2.0 * scale * (dprior - dknown.T @ known)
         hessian = hessian + 2.0 * scale * (roots.T @ roots - dknown.T @ dknown)
         return Expansion(mse + scale * variance, mse, gradient, hessian)
-
-
-def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
-    """Return the Gram matrix with its large components scaled down. Shape (n, n). [unit squared].
-
-    What moves the residuals most would else decide alone, also the lengths of what hardly moves them.
-
-    Args:
-        gram: Products of the rows' residuals. Shape (n, n). [unit squared]
-        best: Best row's residuals. Shape (m,). [unit]
-    """
-    squares, directions = np.linalg.eigh(gram)
-    squares = np.maximum(squares, 0.0)
-    scale = np.sqrt(squares / len(gram) + LARGE * float(best @ best) + np.finfo(float).tiny)
-    return np.asarray((directions * (squares / scale)) @ directions.T, dtype=np.float64)

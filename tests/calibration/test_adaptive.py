@@ -15,9 +15,9 @@ from studies.calibration.box_newton import descend
 from studies.calibration.expected_objective import Surrogate
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.process_groups import ProcessGroups, balanced
 from studies.calibration.recorder import Progress
-from studies.calibration.residual_process import Components, Expansion, Features, ResidualProcess, balanced
+from studies.calibration.residual_process import Components, Expansion, Features, ResidualProcess
 
 FEATURES = Features.of(ToyRC().parameter_space)
 SHORT = Adaptive(max_calls=60)
