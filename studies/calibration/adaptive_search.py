@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.box_newton import descend
 from studies.calibration.elsewhere import farther_along, least_excluded
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.proposals import Surroundings, liked, telling
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 # Points are rounded to this many decimals of the unit cube: should the last bits of the linear algebra differ
 # from run to run, the rows that are simulated do not, and a store of simulations finds them again.
 DECIMALS = 5
-SAME_POINT = 1e-4
 
 GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
 GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
@@ -264,32 +263,17 @@ class AdaptiveSearch:
 
     def _propose(self, process: ProcessGroups, centre: FloatArray) -> tuple[FloatArray, Expansion]:
         """Return the points to simulate next, the favourite first, and what is expected of it."""
-        points: list[FloatArray] = []
-        favourite: Expansion | None = None
         # From a far valley a random start would find the way back.
-        n_random = 0 if self._is_far and not self._is_home else self._settings.n_descents - 1
-        for rank in range(self._settings.n_parallel):
-            radius, caution = self._variation(rank)
-            lower, upper = np.maximum(centre - radius, 0.0), np.minimum(centre + radius, 1.0)
-            starts = [centre, *self._rng.uniform(lower, upper, (n_random, self._p))]
-            expand = partial(self._expand, process, caution=caution)
-            ends = [descend(expand, start, lower, upper) for start in starts]
-            u, expected = min(ends, key=lambda end: end[1].value)
-            favourite = favourite or expected
-            known = np.array([*self._u, *points])
-            if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
-                u = self._rng.uniform(centre - 0.3 * (centre - lower), centre + 0.3 * (upper - centre))
-            points.append(u)
-        assert favourite is not None, "n_parallel is at least 1"
-        return np.array(points), favourite
-
-    def _variation(self, rank: int) -> tuple[float, float]:
-        """Return trust radius and caution of one of the parallel points."""
-        if rank == 0:
-            return self._radius, self._settings.caution
-        radius = min(self._radius * (1.0, 0.5, 2.0)[rank % 3], 1.0)
-        decades = 0.5 * ((rank + 1) // 2) * (-1.0) ** rank
-        return radius, float(self._settings.caution * 10.0**decades)
+        is_abroad = self._is_far and not self._is_home
+        surroundings = Surroundings(
+            process, self._prior, centre, self._radius, self._u, 1 if is_abroad else self._settings.n_descents
+        )
+        n_parallel, caution = self._settings.n_parallel, self._settings.caution
+        points, favourite = liked(surroundings, (n_parallel + 1) // 2, caution, self._rng)
+        if len(points) < n_parallel:
+            n_more = n_parallel - len(points)
+            points = np.concatenate([points, telling(surroundings, points, favourite, n_more, self._rng)])
+        return points, favourite
 
     def _resize(self, steps: FloatArray, gain: float, expected: float) -> None:
         """Widen or shrink the trust region by what the last round has brought."""

@@ -87,6 +87,16 @@ class ProcessGroups:
             gradient, hessian = gradient + found.gradient, hessian + found.hessian
         return Expansion(value, mse, gradient, hessian)
 
+    def errors(self, u: FloatArray) -> FloatArray:
+        """Return the mean squared errors at points (n, p) if the mean predictions are right. Shape (n,)."""
+        errors: FloatArray = np.sum([process.errors(u) for process in self.processes], axis=0)
+        return errors
+
+    def covariance(self, u: FloatArray) -> FloatArray:
+        """Return what the rows leave of the covariance of a residual at points (n, p). Shape (n, n)."""
+        covariance: FloatArray = np.sum([process.covariance(u) for process in self.processes], axis=0)
+        return covariance
+
 
 def balanced(gram: FloatArray, best: FloatArray) -> FloatArray:
     """Return the Gram matrix with its large components scaled down. Shape (n, n). [unit squared].

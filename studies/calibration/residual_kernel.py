@@ -85,6 +85,20 @@ class KernelMatrix:
         return cls(matrix + np.diag(noise), bumps, linear)
 
 
+def between(x: FloatArray, others: FloatArray, hyper: FloatArray) -> FloatArray:
+    """Return the covariances of points (n, f) with others (m, f), hyperparameters (f + 2,). Shape (n, m)."""
+    shrink = np.exp(-hyper[:-2])
+    x, others = x * shrink, others * shrink
+    products = x @ others.T
+    squares = np.sum(x**2, axis=1)[:, None] + np.sum(others**2, axis=1)
+    covariances: FloatArray = (
+        CONSTANT
+        + np.exp(-0.5 * np.maximum(squares - 2.0 * products, 0.0))
+        + np.exp(2.0 * hyper[-2]) * products
+    )
+    return covariances
+
+
 def most_probable(
     x: FloatArray, gram: FloatArray, looseness: FloatArray, belief: Belief, first_guess: FloatArray | None
 ) -> FloatArray:

@@ -13,7 +13,14 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.parameters import ParameterSpace
-from studies.calibration.residual_kernel import CONSTANT, Belief, KernelMatrix, inverse_factor, most_probable
+from studies.calibration.residual_kernel import (
+    CONSTANT,
+    Belief,
+    KernelMatrix,
+    between,
+    inverse_factor,
+    most_probable,
+)
 
 # Rows with factors of the noise variance below this one count alike. [1]
 LEAST_LOOSENESS = 1e-8
@@ -219,3 +226,17 @@ class ResidualProcess:
         gradient = gradient + 2.0 * scale * (dprior - dknown.T @ known)
         hessian = hessian + 2.0 * scale * (roots.T @ roots - dknown.T @ dknown)
         return Expansion(mse + scale * variance, mse, gradient, hessian)
+
+    def errors(self, u: FloatArray) -> FloatArray:
+        """Return the mean squared errors at points (n, p) if the mean prediction is right. Shape (n,)."""
+        k = between(self.features.at(u), self.x, self.hyper)
+        residuals = self.level + k @ self.coefficients
+        errors: FloatArray = (self.outside + np.sum(residuals**2, axis=1)) / self.n_residuals
+        return errors
+
+    def covariance(self, u: FloatArray) -> FloatArray:
+        """Return what the rows leave of the covariance of a residual at points (n, p). Shape (n, n)."""
+        x = self.features.at(u)
+        known = self.inverse_factor @ between(self.x, x, self.hyper)
+        covariance: FloatArray = self.variance * (between(x, x, self.hyper) - known.T @ known)
+        return covariance

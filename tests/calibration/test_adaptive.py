@@ -173,6 +173,16 @@ def test_the_gradient_is_that_of_the_value(surrogate: type[Surrogate], caution: 
         np.testing.assert_allclose(gradient, numeric, rtol=GRADIENT_RTOL, atol=1e-4 * np.abs(gradient).max())
 
 
+@pytest.mark.parametrize("surrogate", [ResidualProcess, ProcessGroups])
+def test_many_points_are_predicted_as_single_ones_are(surrogate: type[Surrogate]) -> None:
+    _, u, residuals = rows(12)
+    process, points = surrogate.fit(FEATURES, u, residuals), np.random.default_rng(5).random((6, 2))
+    alone = [process.expand(point, 1.0) for point in points]
+    np.testing.assert_allclose(process.errors(points), [one.mse for one in alone], rtol=1e-8)
+    variances = np.diag(process.covariance(points))
+    np.testing.assert_allclose(variances, [one.value - one.mse for one in alone], rtol=1e-5)
+
+
 def test_predictions_do_not_depend_on_the_order_of_rows() -> None:
     _, u, residuals = rows(10)
     forward, backward = (

@@ -52,10 +52,11 @@ def test_calls_are_those_of_the_model():
             while True:
                 asked.evaluate(rng.random((3, asked.space.n_parameters)))
 
-        run = run_once(search, problem.on(counter), 0, max_calls=10, best=1e-9, factor=1.02)
+        run = run_once(search, problem.on(counter), 0, max_calls=10, best=1e-9, factor=1.02, at_once=2)
     assert run.ended == "budget"
     assert run.n_calls == counter.n_calls == 9
     assert set(run.calls) <= {3, 6, 9}
+    assert run.rounds == [2 * calls // 3 for calls in run.calls]
     assert run.mse == sorted(run.mse, reverse=True)
 
 

@@ -62,7 +62,15 @@ def _run_missing(
             run = kept.get(entry.name, name, seed)
             if run is not None and run.is_complete(FACTORS[-1] * best, max_calls):
                 continue
-            run = run_once(method.search, problem, seed, max_calls=max_calls, best=best, factor=FACTORS[-1])
+            run = run_once(
+                method.search,
+                problem,
+                seed,
+                max_calls=max_calls,
+                best=best,
+                factor=FACTORS[-1],
+                at_once=method.at_once,
+            )
             kept.put(entry.name, name, seed, run)
             was_missing = True
             if run.ended not in ("target", "budget", "method"):

@@ -1,5 +1,6 @@
 """One counter for all methods: it stands between a method and the model, and ends a run."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,18 +31,22 @@ class WatchedModel(WrappedModel):
     A batch is one entry: its rows were bought together.
     """
 
-    def __init__(self, problem: CalibrationProblem, *, max_calls: int, target: float) -> None:
+    def __init__(
+        self, problem: CalibrationProblem, *, max_calls: int, target: float, at_once: int = 1
+    ) -> None:
         """Begin at zero.
 
         Args:
             problem: The problem whose model is watched.
             max_calls: Most rows; the batch beyond is refused and simulates nothing.
             target: Error at which the run is over. [first output's unit squared]
+            at_once: Rows that are simulated side by side, in a round.
         """
         self._counter = CountingModel(problem.model, budget=max_calls)
         super().__init__(self._counter)
         self._measurement = problem.measurement
         self._target = target
+        self._at_once = at_once
         self.best_mse = float("inf")
         self.n_rounds = 0
         self.entries: list[tuple[int, float, int]] = []
@@ -61,7 +66,7 @@ class WatchedModel(WrappedModel):
         if self.best_mse <= self._target:
             raise TargetReachedError
         answer = self._counter.simulate(theta)
-        self.n_rounds += 1
+        self.n_rounds += math.ceil(len(theta) / self._at_once)
         mse = float(self._measurement.mse(answer.y).min())
         if mse < self.best_mse:
             self.best_mse = mse
@@ -109,7 +114,7 @@ class Run:
     Attributes:
         calls: Rows paid for where the best error fell. Length h.
         mse: Best error then. Length h. [first output's unit squared]
-        rounds: Batches until then. Length h.
+        rounds: Rounds until then: rows that are simulated side by side are one. Length h.
         n_calls: Rows in all.
         max_calls: The budget.
         ended: "target", "budget", "method" or what went wrong.
@@ -134,7 +139,7 @@ class Run:
         return float("inf") if index is None else float(self.calls[index])
 
     def rounds_to(self, target: float) -> float:
-        """Return the batches until the target, infinite if never."""
+        """Return the rounds until the target, infinite if never."""
         index = self.first(target)
         return float("inf") if index is None else float(self.rounds[index])
 
@@ -163,7 +168,14 @@ def one_thread() -> Iterator[None]:
 
 
 def run_once(
-    method: Any, problem: CalibrationProblem, seed: int, *, max_calls: int, best: float, factor: float
+    method: Any,
+    problem: CalibrationProblem,
+    seed: int,
+    *,
+    max_calls: int,
+    best: float,
+    factor: float,
+    at_once: int = 1,
 ) -> Run:
     """Run a method until the target, its budget or its own end.
 
@@ -174,8 +186,9 @@ def run_once(
         max_calls: Most rows.
         best: Best error known. [first output's unit squared]
         factor: The target as a multiple of it.
+        at_once: Rows that make a round.
     """
-    watched = WatchedModel(problem, max_calls=max_calls, target=factor * best)
+    watched = WatchedModel(problem, max_calls=max_calls, target=factor * best, at_once=at_once)
     began, ended = process_time(), "method"
     try:
         with one_thread():

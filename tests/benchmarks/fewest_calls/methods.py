@@ -28,7 +28,7 @@ class Method:
         seeds: Runs per problem unless the command line says otherwise: fewer where a run costs minutes.
         needs: Packages, as Python imports them.
         is_ours: Whether it is this project's.
-        in_rounds: Whether it asks several rows at once, so that rounds count beside calls.
+        at_once: Rows that it asks in a round; where more than one, rounds count beside calls.
     """
 
     search: Search
@@ -36,7 +36,7 @@ class Method:
     seeds: int = 10
     needs: tuple[str, ...] = ()
     is_ours: bool = False
-    in_rounds: bool = False
+    at_once: int = 1
 
     @property
     def missing(self) -> list[str]:
@@ -62,9 +62,9 @@ def adaptive_as_shipped(problem: CalibrationProblem, seed: int, max_calls: int) 
 METHODS: dict[str, Method] = {
     "adaptive": Method(adaptive(), max_calls=300, is_ours=True),
     "adaptive, own end": Method(adaptive_as_shipped, max_calls=300, is_ours=True),
-    "adaptive, 2 parallel": Method(adaptive(n_parallel=2), max_calls=300, is_ours=True, in_rounds=True),
-    "adaptive, 4 parallel": Method(adaptive(n_parallel=4), max_calls=300, is_ours=True, in_rounds=True),
-    "adaptive, 8 parallel": Method(adaptive(n_parallel=8), max_calls=300, is_ours=True, in_rounds=True),
+    "adaptive, 2 parallel": Method(adaptive(n_parallel=2), max_calls=300, is_ours=True, at_once=2),
+    "adaptive, 4 parallel": Method(adaptive(n_parallel=4), max_calls=300, is_ours=True, at_once=4),
+    "adaptive, 8 parallel": Method(adaptive(n_parallel=8), max_calls=300, is_ours=True, at_once=8),
     "broyden": Method(peers_least_squares.broyden),
     "dfols": Method(peers_least_squares.dfols, needs=("dfols",)),
     "trf": Method(peers_least_squares.trf),

@@ -51,7 +51,7 @@ def lines(kept: Kept) -> Iterator[str]:
     yield ""
     yield from _by_problem(kept)
     yield ""
-    yield from _rounds(kept)
+    yield from _by_family(kept, in_rounds=True)
     yield from _losses(kept)
     yield ""
     yield from _runs_fewer(kept)
@@ -74,21 +74,28 @@ def details(kept: Kept) -> Iterator[str]:
                 yield f"| {problem} | {method} | {len(runs)} | " + " | ".join(cells) + f" | {seconds:.2g} |"
 
 
-def _by_family(kept: Kept) -> Iterator[str]:
-    families = [f for f in FAMILIES if any(one.family == f for one in kept.problems.values())]
+def _by_family(kept: Kept, *, in_rounds: bool = False) -> Iterator[str]:
+    methods = order(kept)
+    if in_rounds:
+        methods = [name for name in methods if name in METHODS and METHODS[name].at_once > 1]
+    if not methods:
+        return
+    counted = "Rounds of parallel calls" if in_rounds else "Calls"
+    met = [one for one in kept.problems.values() if any(kept.runs(one.name, name) for name in methods)]
+    families = [f for f in FAMILIES if any(one.family == f for one in met)]
     for factor in (FACTORS[0], FACTORS[-1]):
-        yield f"Calls to {factor:g} times the best error known: median (worst) over problems and seeds"
+        yield f"{counted} to {factor:g} times the best error known: median (worst) over problems and seeds"
         yield ""
         yield "| method | " + " | ".join(FAMILIES[f].replace(", ", ",<br>") for f in families) + " |"
         yield "|---" * (1 + len(families)) + "|"
-        for method in order(kept):
+        for method in methods:
             cells = [
                 cell(
                     [
                         count
-                        for problem in kept.problems.values()
+                        for problem in met
                         if problem.family == family
-                        for count in counts_to(kept, problem.name, method, factor)
+                        for count in counts_to(kept, problem.name, method, factor, in_rounds=in_rounds)
                     ]
                 )
                 for family in families
@@ -127,23 +134,6 @@ def _by_problem(kept: Kept) -> Iterator[str]:
             name = peer if theirs and _median(theirs) < NEVER else ""
             cells.append(f"{cell(theirs)} {name}".strip() if name else ("none arrives" if theirs else ""))
         yield f"| {problem.name} | {problem.best:.4g} {problem.unit} | " + " | ".join(cells) + " |"
-
-
-def _rounds(kept: Kept) -> Iterator[str]:
-    batched = [name for name in order(kept) if name in METHODS and METHODS[name].in_rounds]
-    if not batched:
-        return
-    yield "Rounds of parallel calls, median (worst) over all problems and seeds that were run so:"
-    yield ""
-    yield "| method | " + " | ".join(f"to {f:g} times" for f in FACTORS) + " |"
-    yield "|---" * (1 + len(FACTORS)) + "|"
-    for method in batched:
-        cells = []
-        for factor in FACTORS:
-            pooled = [n for p in kept.problems for n in counts_to(kept, p, method, factor, in_rounds=True)]
-            cells.append(cell(pooled))
-        yield f"| {method} | " + " | ".join(cells) + " |"
-    yield ""
 
 
 def _losses(kept: Kept) -> Iterator[str]:

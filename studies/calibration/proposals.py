@@ -1,0 +1,144 @@
+"""The points of a round: those that the surrogate likes best, and those from which it would learn most.
+
+A point that is asked alone is the surrogate's favourite. Of points that are asked together, more favourites
+lie near the first and bring little beside it; so half of them are asked where least is known, among places
+that may be as good.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from studies.calibration.box_newton import descend
+from studies.calibration.expected_objective import expected_objective
+from studies.calibration.prior import Prior
+from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.residual_process import Expansion
+
+SAME_POINT = 1e-4
+# Places may be as good whose objective is expected to be greater by this part, in the mean of random ones and
+# at most.
+SPREAD, MOST_SPREAD = 0.02, 0.06
+N_PLACES = 200
+# Relative to the greatest variance: below, two points tell the same.
+LEAST_VARIANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The trust region of a round and what is known there.
+
+    Attributes:
+        process: The surrogate.
+        prior: Of the parameters, None where nothing is known.
+        centre: The row that the leg goes on from. Shape (p,). [1]
+        radius: Half width of the trust region. [1]
+        known: Points that were simulated. Shape (n, p). [1]
+        n_descents: Descents for a favourite, the first from the centre.
+    """
+
+    process: ProcessGroups
+    prior: Prior | None
+    centre: FloatArray
+    radius: float
+    known: FloatArray
+    n_descents: int
+
+    def box(self, radius: float) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and upper corners within a half width of the centre. Shapes (p,)."""
+        return np.maximum(self.centre - radius, 0.0), np.minimum(self.centre + radius, 1.0)
+
+    def expand(self, u: FloatArray, caution: float) -> Expansion:
+        """Expand the expected objective around a point; caution is the part of the variance in it."""
+        return expected_objective(self.process, self.prior, u, caution)
+
+    def objectives(self, u: FloatArray) -> FloatArray:
+        """Return the objectives at points (n, p) if the mean predictions are right. Shape (n,)."""
+        errors = self.process.errors(u)
+        return errors if self.prior is None else errors + self.prior.penalty(u)
+
+
+def liked(
+    surroundings: Surroundings, n: int, caution: float, rng: np.random.Generator
+) -> tuple[FloatArray, Expansion]:
+    """Return the favourite and what is expected of it, and favourites with other radii and cautions.
+
+    Args:
+        surroundings: Where to look.
+        n: Points.
+        caution: The favourite's. [1]
+        rng: Source of the descents' starts.
+
+    Returns:
+        The points, of shape (n, p), and the first one's expansion.
+    """
+    centre, points, expansions = surroundings.centre, list[FloatArray](), list[Expansion]()
+    for rank in range(n):
+        lower, upper = surroundings.box(_radius(surroundings.radius, rank))
+        starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
+        expand = partial(surroundings.expand, caution=_caution(caution, rank))
+        ends = [descend(expand, start, lower, upper) for start in starts]
+        u, expected = min(ends, key=lambda end: end[1].value)
+        known = np.array([*surroundings.known, *points])
+        if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
+            u = rng.uniform(centre - 0.3 * (centre - lower), centre + 0.3 * (upper - centre))
+        points.append(u)
+        expansions.append(expected)
+    return np.array(points), expansions[0]
+
+
+def _radius(radius: float, rank: int) -> float:
+    return radius if rank == 0 else min(radius * (1.0, 0.5, 2.0)[rank % 3], 1.0)
+
+
+def _caution(caution: float, rank: int) -> float:
+    decades = 0.5 * ((rank + 1) // 2) * (-1.0) ** rank
+    return float(caution * 10.0**decades)
+
+
+def telling(
+    surroundings: Surroundings,
+    asked: FloatArray,
+    favourite: Expansion,
+    n: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return the points, one after the other, of which least is known when those before will be.
+
+    They are chosen among places around the favourite that may be as good by the surrogate's curvature there.
+
+    Args:
+        surroundings: Where to look.
+        asked: Points of the same round, the favourite first. Shape (m, p). [1]
+        favourite: What is expected of it.
+        n: Points.
+        rng: Source of the places.
+
+    Returns:
+        Shape (n, p). [1]
+    """
+    p, (lower, upper) = surroundings.centre.size, surroundings.box(surroundings.radius)
+    objective = float(surroundings.objectives(surroundings.centre[None])[0])
+    # Of steps drawn with this variance times the inverse of the curvature the mean costs SPREAD.
+    variance = 2.0 * SPREAD * objective / p
+    ridge = variance / surroundings.radius**2 + 1e-12 * np.trace(favourite.hessian) + np.finfo(float).tiny
+    factor = np.linalg.cholesky(favourite.hessian + ridge * np.eye(p))
+    steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, N_PLACES))).T
+    places = np.clip(asked[0] + steps, lower, upper)
+    excess = surroundings.objectives(places) - favourite.value
+    n_least = max(n, N_PLACES // 10)
+    places = places[excess <= max(MOST_SPREAD * objective, float(np.sort(excess)[n_least - 1]))]
+    left = surroundings.process.covariance(np.concatenate([asked, places]))
+    least = LEAST_VARIANCE * float(np.diag(left).max()) + np.finfo(float).tiny
+    order = list(range(len(asked)))
+    for rank in range(len(asked) + n):
+        if rank >= len(asked):
+            variances = np.diag(left).copy()
+            variances[: len(asked)] = variances[order] = -np.inf
+            order.append(int(np.argmax(variances)))
+        one = order[rank]
+        left = left - np.outer(left[one], left[one]) / (left[one, one] + least)
+    chosen: FloatArray = places[np.array(order[len(asked) :]) - len(asked)]
+    return chosen
