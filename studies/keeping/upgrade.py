@@ -71,6 +71,9 @@ def _database(paths: ProjectPaths, console: Console, one: Version, *, is_copied:
             except Exception as error:
                 said = f"{type(error).__name__}: {hide_passwords(str(error).splitlines()[0])}"
                 place = f"the copy is {paths.show(copy)}" if copy else "put your copy back"
+                if one.store == "MLflow" and paths.storage is None:
+                    file = paths.show(paths.tracking_database)
+                    place += f"; if you remove {file}, it is written again from the records"
                 raise InputError(f"the upgrade of {one.where} failed ({said}); {place}") from error
     kept = f", the copy is {paths.show(copy)} ({readable(copy.stat().st_size)})" if copy else ""
     return f"{one.where} from {one.found} to {one.spoken}{kept}"

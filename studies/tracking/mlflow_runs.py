@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlparse
 
 from studies.paths import ProjectPaths
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import Param, Run, connect
+from studies.tracking.quiet_mlflow import Param, Run, connect, make_database
 from studies.tracking.tracker import RunStatus
 from studies.tuning.claim import is_dead, this_machine, this_owner
 from studies.tuning.trial_store import named_lock, open_trials
@@ -39,6 +39,8 @@ class RunStore:
         paths.artifacts.mkdir(parents=True, exist_ok=True)
         # Two processes that make a schema or an experiment at the same moment would get in each other's way.
         with self.lock("mlflow"):
+            if paths.storage is None and not paths.tracking_database.is_file():
+                make_database(paths.tracking_database)
             self.client = connect(paths.tracking_uri)
         self._origin = origin_tags(paths.root)
         self._experiments: dict[str, str] = {}

@@ -2,7 +2,10 @@
 
 import logging
 import os
+import sqlite3
 import warnings
+from contextlib import closing
+from pathlib import Path
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow is imported
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars are the command line's
@@ -26,6 +29,7 @@ __all__ = [
     "Run",
     "RunTag",
     "connect",
+    "make_database",
 ]
 
 
@@ -36,3 +40,23 @@ def connect(uri: str) -> MlflowClient:
         client = MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client
+
+
+def make_database(file: Path) -> None:
+    """Make an SQLite store that is there whole or not at all, where none is.
+
+    MLflow gives it a schema in dozens of steps, each kept at once: killed between two of them, it would leave
+    a database that no version of it opens.
+
+    Args:
+        file: Of the store, in a folder that exists; the caller's lock keeps others out.
+    """
+    making, made = file.with_name(f".{file.name}-making"), file.with_name(f".{file.name}-made")
+    for old in file.parent.glob(f".{file.name}-ma*"):
+        old.unlink()
+    connect(f"sqlite:///{making.resolve().as_posix()}")
+    # MLflow keeps its connections, so the file is copied and not renamed.
+    with closing(sqlite3.connect(making)) as source, closing(sqlite3.connect(made)) as target:
+        source.backup(target)
+    made.replace(file)
+    making.unlink()

@@ -4,7 +4,10 @@ import errno
 import json
 import logging
 import math
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,6 +18,7 @@ from tuning_checks import ignore
 
 from studies.paths import ProjectPaths
 from studies.report.wording import significant
+from studies.tracking.mlflow_runs import RunStore
 from studies.tracking.mlflow_tracker import MlflowTracker
 from studies.tracking.tracker import NullTracker, PatientTracker, StageRun, Tracker
 from studies.tuning.study_spec import StudySpec
@@ -335,3 +339,21 @@ def test_a_machine_that_does_not_reach_the_files_says_so_once_and_goes_on(
     assert str(elsewhere) in line
     assert not elsewhere.exists()
     assert len(runs(tracker, "tags.role = 'trial'")) == N
+
+
+def test_a_database_whose_making_was_killed_is_made_again(tmp_path: Path) -> None:
+    paths = ProjectPaths(tmp_path)
+    code = (
+        "import sys; from pathlib import Path; from studies.paths import ProjectPaths; "
+        "from studies.tracking.mlflow_runs import RunStore; RunStore(ProjectPaths(Path(sys.argv[1])))"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) as making:
+        deadline = time.monotonic() + 60.0
+        while not any(file.stat().st_size for file in paths.mlruns.glob(".mlflow.db-making")):
+            assert making.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        making.kill()
+    assert not paths.tracking_database.exists()
+    assert RunStore(paths).experiment("toy-small")
+    assert [file.name for file in paths.mlruns.glob("*mlflow.db*")] == ["mlflow.db"]
