@@ -1,5 +1,6 @@
 """The rows of an adaptive calibration: first design, legs of a search, trust region and proposals."""
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -227,7 +228,7 @@ class AdaptiveSearch:
         left = self._settings.max_calls - self._recorder.n_calls
         u = np.round(u, DECIMALS)
         answer = self._recorder.evaluate(u[: max(left, 1)])
-        self.n_rounds += 1
+        self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._u = np.concatenate([self._u, answer.u])
         earlier = self._residuals.reshape(self._penalty.size, answer.residuals.shape[1])
         self._residuals = np.concatenate([earlier, answer.residuals])

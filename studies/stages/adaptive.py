@@ -1,5 +1,6 @@
 """The stage that calibrates without a surrogate: it needs the case alone, and nothing it was told is lost."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -207,7 +208,9 @@ def calibrate_adaptively(
         "mse": result.mse,
         "outputs": _outputs(case, result.y),
         "ledger": ledger.to_dict(),
-        "n_rounds": result.n_rounds,
+        "n_rounds": result.n_rounds + math.ceil(ledger.n_relevance / settings.n_parallel),
+        "n_failed": len(result.failures),
+        "first_failure": next(iter(result.failures), None),
         "stop_reason": result.stop_reason + told_kept(result.converged, settings.max_calls, n_kept),
         "converged": result.converged,
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,

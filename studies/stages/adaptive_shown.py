@@ -27,6 +27,11 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {count(n_calls, 'model call')}{rounds} "
         f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
     )
+    if n_failed := found.get("n_failed", 0):
+        console.warn(
+            f"{count(n_failed, 'simulation')} failed, the first one: {found['first_failure']} "
+            "(--retry-failed asks again)"
+        )
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:

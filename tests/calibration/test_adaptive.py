@@ -1,5 +1,6 @@
 """Adaptive calibration: few calls, exact counts, repeats, failures, and the process it rests on."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -56,7 +57,7 @@ def test_counts_exactly_the_rows_that_were_simulated(n_parallel: int) -> None:
     diary = Diary(problem.model)
     found = replace(SHORT, n_parallel=n_parallel).minimize(problem.on(diary), seed=1)
     assert found.n_calls == len(diary.rows) == found.history.n_calls[-1]
-    assert found.n_rounds == len(diary.batches)
+    assert found.n_rounds == sum(math.ceil(len(batch) / n_parallel) for batch in diary.batches)
     assert problem.space.contains(diary.rows).all()
     assert {len(batch) for batch in diary.batches[1:-1]} == {n_parallel}
 
@@ -117,7 +118,10 @@ def test_an_error_that_is_too_large_is_no_end_while_calls_are_left() -> None:
 
 def test_finds_the_optimum_beside_a_failed_region() -> None:
     problem = problem_on(ToyRC(), TRUE_RC).on(FailsInBand(ToyRC(), 2.0, 5.0))
-    assert SHORT.minimize(problem, seed=0).mse < 1e-2
+    found = SHORT.minimize(problem, seed=0)
+    assert found.mse < 1e-2
+    assert found.failures
+    assert set(found.failures) == {"in the band"}
 
 
 def test_ends_at_the_edge_when_the_optimum_cannot_be_simulated() -> None:

@@ -1,6 +1,7 @@
 """`studies calibrate`: from the case alone, resumed after any call, refused in one line."""
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -128,7 +129,7 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     assert "it ended because the target is reached" in answer.out
     stage = studies(*arguments, "--json").stage
     assert stage["mse"] <= 0.1
-    assert stage["n_rounds"] == 1 + (stage["ledger"]["n_adaptive"] - 14) / 4
+    assert stage["n_rounds"] == math.ceil(14 / 4) + (stage["ledger"]["n_adaptive"] - 14) / 4
 
 
 def test_it_says_how_it_does_on_days_that_it_did_not_see(project: Path, studies: Run) -> None:
@@ -165,6 +166,17 @@ def test_what_does_not_go_together_is_one_line(
     assert line.startswith("studies: error: ")
     assert words in line
     assert not parts_of(project)
+
+
+def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [18, 27]"))
+    answer = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20")
+    assert answer.code == 0, answer.err
+    (line,) = [line for line in answer.err.splitlines() if "failed" in line]
+    tables = [pyarrow.parquet.read_table(part, columns=["_failure"]) for part in parts_of(project)]
+    reasons = [reason for table in tables for reason in table["_failure"].to_pylist() if reason]
+    assert f"{len(reasons)} simulations failed, the first one: output" in line
 
 
 def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: Run) -> None:
