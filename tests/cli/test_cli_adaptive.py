@@ -170,13 +170,14 @@ def test_what_does_not_go_together_is_one_line(
 
 def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     case = project / "fmus" / "office" / "case.toml"
-    case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [18, 27]"))
+    case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [19, 26]"))
     answer = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20")
     assert answer.code == 0, answer.err
     (line,) = [line for line in answer.err.splitlines() if "failed" in line]
     tables = [pyarrow.parquet.read_table(part, columns=["_failure"]) for part in parts_of(project)]
     reasons = [reason for table in tables for reason in table["_failure"].to_pylist() if reason]
-    assert f"{len(reasons)} simulations failed, the first one: output" in line
+    assert line.startswith(f"studies: {len(reasons)} simulation")
+    assert "failed, the first one: output" in line
 
 
 def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: Run) -> None:
