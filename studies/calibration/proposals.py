@@ -24,6 +24,7 @@ SPREAD, MOST_SPREAD = 0.02, 0.06
 N_PLACES = 200
 # Relative to the greatest variance: below, two points tell the same.
 LEAST_VARIANCE = 1e-6
+LEAST_CURVATURE = 1e-8  # relative to the sum of all
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +124,9 @@ def telling(
     objective = float(surroundings.objectives(surroundings.centre[None])[0])
     # Of steps drawn with this variance times the inverse of the curvature the mean costs SPREAD.
     variance = 2.0 * SPREAD * objective / p
-    ridge = variance / surroundings.radius**2 + 1e-12 * np.trace(favourite.hessian) + np.finfo(float).tiny
+    # At an error of zero rounding may make the curvature indefinite.
+    ridge = max(variance / surroundings.radius**2, LEAST_CURVATURE * np.trace(favourite.hessian))
+    ridge += np.finfo(float).tiny
     factor = np.linalg.cholesky(favourite.hessian + ridge * np.eye(p))
     steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, N_PLACES))).T
     places = np.clip(asked[0] + steps, lower, upper)
