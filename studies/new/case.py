@@ -1,8 +1,9 @@
 """`studies new`: from an FMU's own description to a case file, a data folder and example CSV files."""
 
 import re
+import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,7 +69,8 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         wishes: What the user asks for.
 
     Raises:
-        InputError: The FMU cannot be used, a wish cannot be met, or a file of that name exists already.
+        InputError: The FMU cannot be used, a wish cannot be met, a file of that name exists already, or the
+            folder cannot be written.
     """
     fmu = describe(fmu_file)
     folder = _folder(fmu_file, paths, wishes.folder)
@@ -77,7 +79,7 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     data = paths.data / name if is_named else folder
     case = NewCase(
         name=name,
-        place=name if is_named else paths.show(folder),
+        place=name if is_named else shlex.quote(paths.show(folder)),
         fmu=fmu,
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
@@ -94,19 +96,32 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     texts = {folder / "case.toml": text, data / "README.md": data_readme(case)}
     texts |= {data / file: content for file, content in example_files(case).items()}
     copied = folder / fmu_file.name
+    try:
+        _write(texts, fmu_file, copied, paths)
+    except OSError as error:
+        place = paths.show(Path(error.filename or folder))
+        raise InputError(
+            f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
+            "--to FOLDER"
+        ) from None
+    return MadeCase(case, folder / "case.toml", (*texts, copied), tuple(lines_to_edit(text)))
+
+
+def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> None:
+    """Write the texts and copy the FMU, or nothing where one of the files is there already."""
     is_there = copied.exists() and copied.samefile(fmu_file)
     for file in [*texts, *([] if is_there else [copied])]:
         if file.exists():
             raise InputError(
                 f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
             )
-    folder.mkdir(parents=True, exist_ok=True)
+    for folder in dict.fromkeys(file.parent for file in (copied, *texts)):
+        folder.mkdir(parents=True, exist_ok=True)
     if not is_there:
         shutil.copyfile(fmu_file, copied)
     for file, content in texts.items():
         with whole_file(file) as stream:
             stream.write(content.encode())
-    return MadeCase(case, folder / "case.toml", (*texts, copied), tuple(lines_to_edit(text)))
 
 
 def describe(fmu_file: Path) -> FmuDescription:

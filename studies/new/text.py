@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -24,7 +25,7 @@ class NewCase:
 
     Attributes:
         name: Name of the case.
-        place: What the user types to mean the case.
+        place: What the user types to mean the case, quoted for a shell.
         fmu: The FMU.
         fmu_file: The FMU's file, from the case's folder.
         data: The folder of the recordings, from the case's folder.
@@ -243,7 +244,8 @@ def _fixed(case: NewCase) -> str:
     for variable in shown:
         meaning = one_line(f"{variable.kind} {variable.description}")
         lines.append(f"# {_key(variable.name)} = {_start(variable)}   # {meaning}")
-    lines += [f"# ... and {n_hidden} more: studies new {case.fmu.path.name} --list"] * bool(n_hidden)
+    file = shlex.quote(case.fmu.path.name)
+    lines += [f"# ... and {n_hidden} more: studies new {file} --list"] * bool(n_hidden)
     return "\n".join(lines)
 
 
@@ -260,9 +262,7 @@ def _start(variable: FmuVariable) -> str:
     text = variable.start_text
     if variable.kind == "Boolean":
         return "true" if text.strip().lower() in ("true", "1") else "false"
-    if variable.kind == "String":
-        return toml_string(text)
-    return text or "0"
+    return toml_string(text) if variable.kind == "String" else text or "0"
 
 
 def _shown(
@@ -274,17 +274,17 @@ def _shown(
         parts.append(f"# Further {what}s: remove the # of those to use.")
         parts += [write(variable) for variable in shown]
     if n_hidden:
+        file = shlex.quote(case.fmu.path.name)
         parts.append(
-            f"# ... and {n_hidden} more {what}s. See them: studies new {case.fmu.path.name} --list\n"
+            f"# ... and {n_hidden} more {what}s. See them: studies new {file} --list\n"
             f"# Have them used: --{what} NAME or a pattern; have all written here: --all"
         )
     return parts
 
 
 def _limited(case: NewCase, variables: Sequence[FmuVariable]) -> tuple[Sequence[FmuVariable], int]:
-    if case.show_all or len(variables) <= MOST_SHOWN:
-        return variables, 0
-    return variables[:MOST_SHOWN], len(variables) - MOST_SHOWN
+    most = len(variables) if case.show_all else MOST_SHOWN
+    return variables[:most], max(0, len(variables) - most)
 
 
 def _commented(block: str) -> str:

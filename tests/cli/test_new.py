@@ -1,5 +1,6 @@
 """`studies new`: a case file from what an FMU says about itself, right at once, nothing overwritten."""
 
+import shlex
 import tomllib
 import zipfile
 from pathlib import Path
@@ -182,6 +183,35 @@ def test_a_folder_of_ones_own_holds_everything(project: Path, studies: Run, room
         "inputs.example.csv",
         "measured.example.csv",
     }
+
+
+def test_the_next_steps_can_be_typed_whatever_the_folder_is_called(
+    project: Path, studies: Run, room: Path
+) -> None:
+    folder = project / "new rooms" / "ä ö"
+    answer = studies("new", str(room), "--to", str(folder), "--json")
+    typed = [shlex.split(step) for step in answer.document["next"]]
+    assert typed == [["studies", word, "new rooms/ä ö"] for word in ("check", "calibrate")]
+    for file in ("case.toml", "README.md"):
+        assert "studies check 'new rooms/ä ö'" in (folder / file).read_text(encoding="utf-8")
+    # The case is found by it; its recordings are what is missing.
+    assert "measured.csv: no such file" in studies(*typed[0][1:]).err
+
+
+@pytest.mark.parametrize("below", ["", "below"])
+def test_a_folder_that_cannot_be_made_is_one_line(
+    project: Path, studies: Run, room: Path, below: str
+) -> None:
+    taken = project / "taken"
+    taken.write_text("a file", encoding="utf-8")
+    before = sorted(project.rglob("*"))
+    answer = studies("new", str(room), "--to", str(taken / below))
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    for fragment in ("taken: the case cannot be written there", "--to FOLDER"):
+        assert fragment in line.replace("/below", "")
+    assert sorted(project.rglob("*")) == before
+    assert taken.read_text(encoding="utf-8") == "a file"
 
 
 def test_an_fmu_below_fmus_stays_where_it_is(project: Path, studies: Run, room: Path) -> None:
