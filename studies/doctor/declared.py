@@ -179,14 +179,27 @@ def _outside_the_fmus_bounds(case: Case) -> Iterator[Finding]:
     for variable, lower, upper in zip(variables, convert(space.lower), convert(space.upper), strict=True):
         low, high = variable.minimum, variable.maximum
         if (low is not None and lower < low) or (high is not None and upper > high):
-            ends = " to ".join("..." if end is None else f"{end:g}" for end in (low, high))
-            beyond.append(f"{variable.name} ({ends})")
+            beyond.append(f"{variable.name} ({_ends(low, high)})")
     if beyond:
         yield Finding(
             "bounds inside the FMU's min and max",
             "warn",
             f"wider than the FMU allows: {_listed(beyond)}",
             "narrow lower and upper; tools differ in what they do beyond",
+        )
+    held = []
+    for name, value in case.fixed.items():
+        low, high = case.fmu.variables[name].minimum, case.fmu.variables[name].maximum
+        if isinstance(value, str | bool):
+            continue
+        if (low is not None and value < low) or (high is not None and value > high):
+            held.append(f"{name} = {value:g} ({_ends(low, high)})")
+    if held:
+        yield Finding(
+            "fixed values inside the FMU's min and max",
+            "warn",
+            f"beyond what the FMU allows: {_listed(held)}",
+            "correct them under [fixed]; tools differ in what they do beyond",
         )
     odd = [
         f"{variable.name} = {value:g} K"
@@ -200,6 +213,10 @@ def _outside_the_fmus_bounds(case: Case) -> Iterator[Finding]:
             f"the FMU says kelvin: {_listed(odd)}",
             "see whether its equations count in degC, or the estimate does",
         )
+
+
+def _ends(low: float | None, high: float | None) -> str:
+    return " to ".join("..." if end is None else f"{end:g}" for end in (low, high))
 
 
 def base_point(space: ParameterSpace) -> FloatArray:

@@ -1,16 +1,17 @@
 """The doctor on the real office, on a sound case and on spoilt ones."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from bad_cases_for_tests import counted, make_bad_case
-from project_for_tests import Answer, Run
+from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.case import load_case
 from studies.doctor.answers import look_at_influence
-from studies.doctor.declared import look_at_data, temperature_doubt
+from studies.doctor.declared import look_at_data, look_at_declaration, temperature_doubt
 from studies.doctor.patience import EXAMINATION_S, FIRST_S, Patience
 
 EXAMINED = {
@@ -166,6 +167,19 @@ def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     assert found["units of the data"].level == "warn"
     assert "TAmb" in found["units of the data"].found
     assert "ySupTAC" in found["series that never change"].found
+
+
+@pytest.mark.parametrize(("value", "said"), [("-5.0", "GOut = -5 (0 to ...)"), ("200.0", ""), ("0", "")])
+def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
+    tmp_path: Path, value: str, said: str
+) -> None:
+    for folder in ("fmus/wall", "data/wall"):
+        shutil.copytree(REPOSITORY / folder, tmp_path / folder)
+    file = tmp_path / "fmus" / "wall" / "case.toml"
+    edit(file, "GOut = 200.0", f"GOut = {value}")
+    beyond = [one for one in look_at_declaration(load_case(file)) if one.what.startswith("fixed values")]
+    assert [one.level for one in beyond] == (["warn"] if said else [])
+    assert all(said in one.found and "[fixed]" in one.remedy for one in beyond)
 
 
 @pytest.mark.parametrize(
