@@ -196,7 +196,7 @@ def load_profile(profile: str) -> Profile:
     """
     file = _find_profile(profile)
     try:
-        return _READER.validate_python(tomllib.loads(file.read_text(encoding="utf-8")))
+        return _READER.validate_python(tomllib.loads(file.read_text(encoding="utf-8-sig")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{file} is no TOML: {error}") from None
     except ValidationError as error:

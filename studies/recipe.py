@@ -40,7 +40,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
 
     case = study.case
     declared = read_case_file(case.path)
-    text = case.path.read_text(encoding="utf-8")
+    text = case.path.read_text(encoding="utf-8-sig")
     uses = [("inputs", one.file) for one in declared.inputs] + [
         ("measurement", o.file) for o in declared.outputs
     ]

@@ -230,7 +230,7 @@ class Ancestry:
 
     def _text_state(self, place: str, digest: str) -> State:
         try:
-            text = (self._paths.root / place).read_text(encoding="utf-8")
+            text = (self._paths.root / place).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError):
             return "missing"
         return "unchanged" if text_digest(text) == digest else "changed"

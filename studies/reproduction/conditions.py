@@ -138,7 +138,7 @@ def _case_file(recorded: Recorded, paths: ProjectPaths) -> Iterator[Difference]:
     told = recorded.recipe["case"]
     file = paths.root / told["place"]
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError):
         yield Difference(f"case file {told['place']}", told["text_sha256"][:12], "missing", is_decisive=False)
         return

@@ -31,6 +31,15 @@ def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
     assert (profile.name, profile.data.n_train, profile.tuning.n_trials, profile.seed) == ("mine", (8,), 1, 0)
 
 
+def test_a_profile_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    text = 'name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 1\n'
+    file.write_text(text, encoding="utf-8-sig")
+    marked = load_profile(str(file))
+    file.write_text(text, encoding="utf-8")
+    assert marked == load_profile(str(file))
+
+
 def test_a_profile_cannot_be_changed() -> None:
     with pytest.raises(AttributeError):
         load_profile("smoke").seed = 3  # type: ignore[misc]

@@ -108,6 +108,13 @@ def test_the_digest_does_not_see_the_place(decay_case: Path, tmp_path: Path):
     assert load_case(moved).digest == load_case(decay_case).digest
 
 
+def test_the_digest_does_not_see_the_byte_order_mark_that_editors_leave(decay_case: Path):
+    digest, file = load_case(decay_case).digest, decay_case / "case.toml"
+    file.write_text(file.read_text(encoding="utf-8"), encoding="utf-8-sig")
+    assert file.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert load_case(decay_case).digest == digest
+
+
 def test_the_digest_sees_the_fmu_and_the_inputs(decay_case: Path):
     before = load_case(decay_case)
     recording = decay_case / "data" / "recording.csv"
