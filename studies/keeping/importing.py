@@ -65,7 +65,8 @@ def import_archive(paths: ProjectPaths, file: Path, console: Console) -> Importe
         InputError: the archive cannot be used, or a trial here says something else; nothing is changed then.
     """
     if not file.is_file():
-        raise InputError(f"there is no file {file}; give an archive that studies export has written")
+        said = f"{file} is a folder" if file.is_dir() else f"there is no file {file}"
+        raise InputError(f"{said}; give an archive that studies export has written")
     paths.mlruns.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=paths.mlruns, prefix=".import-", suffix="-new") as scratch:
         with console.progress("unpacking", 1) as advance:

@@ -156,6 +156,7 @@ def test_archives_that_cannot_be_trusted_are_refused_in_one_line(
         (evil, "holds '../../evil.txt', which is none of ours; nothing was imported"),
         (other, "mlruns/x is missing"),
         (tmp_path / "nothing.tar.gz", "there is no file"),
+        (tmp_path, "is a folder; give an archive"),
     ):
         answer = studies("import", str(file))
         assert answer.code == 2
