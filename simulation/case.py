@@ -216,7 +216,7 @@ def load_case(
     path = Path(path)
     if path.is_dir():
         path = path / "case.toml"
-    file = read_case_file(path)
+    file = declared = read_case_file(path)
     if communication_step_s is not None:
         step = {"communication_step_s": communication_step_s}
         file = file.model_copy(update={"time": file.time.model_copy(update=step)})
@@ -224,8 +224,8 @@ def load_case(
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
     window = window_d if window_d is not None else file.time.window
-    case = _compared_over(path, file, fmu, data, plain_period(path, file, window))
-    period = validation_period(path, file, window, is_overridden=window_d is not None)
+    case = _compared_over(path, file, fmu, data, plain_period(path, declared, window))
+    period = validation_period(path, declared, window, is_overridden=window_d is not None)
     if period is None:
         return case
     return replace(case, validation=_compared_over(path, file, fmu, data, period))

@@ -12,7 +12,7 @@ from simulation.measurement import Samples
 from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
 from simulation.time_unit import DAYS, TimeUnit
-from simulation.timestamps import zero_of
+from simulation.timestamps import zero_of, zone_named
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
@@ -142,6 +142,8 @@ def read_data(path: Path, file: CaseFile) -> CaseData:
         columns.setdefault(table.file, []).append(table.column)
     for source in file.inputs:
         columns.setdefault(source.file, []).extend(source.weights)
+    if file.timezone is not None:
+        zone_named(file.timezone, str(path))
     folder = path.parent / file.data
     recordings = {
         name: read_recording(
@@ -153,6 +155,12 @@ def read_data(path: Path, file: CaseFile) -> CaseData:
         )
         for name, wanted in columns.items()
     }
+    used = list(dict.fromkeys(recording.time_column for recording in recordings.values()))
+    if file.time_column is not None and file.time_column not in used:
+        raise InputError(
+            f'{path}: time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
+            f"stand in {', '.join(used)}; correct it, or drop the key"
+        )
     first = recordings[file.outputs[0].file]
     for recording in recordings.values():
         if recording.clock != first.clock:

@@ -205,7 +205,7 @@ def read_case_file(path: Path) -> CaseFile:
         InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a case is a folder with a case.toml") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -232,6 +232,10 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
         return f"key {key} is missing; add it"
     if location[:1] == ("fixed",):
         return f"{key} = {fault['input']!r}: {_FIXED_REMEDY}"
+    if fault["type"] == "model_type" and location[-1:] == ("prior",):
+        return (
+            f"{key} = {fault['input']!r}: {_prior_remedy(fault['input'], content['parameters'][location[1]])}"
+        )
     value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
     told = _PLAIN.get(fault["type"], fault["msg"].removeprefix("Value error, "))
     return f"{key}{value}: {told}" + ("" if "; " in told else "; correct it")
@@ -240,12 +244,20 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
 _PLAIN = {
     "tuple_type": "is no pair; write two numbers, like [0, 10]",
     "too_long": "holds too much; write two numbers, like [0, 10]",
+    "model_type": "is no table; write its keys as a table, like the other ones of the file",
+    "list_type": "is no list of tables; write its name in two brackets, [[...]], over each of them",
     "string_pattern_mismatch": "a name has letters, digits, - and _ only",
 }
 """What to say of faults that the schema tells in words of Python."""
 _FIXED_REMEDY = (
     'give a number, true or false, a text, { value = 20.0, unit = "degC" } or { first_measured = "<output>" }'
 )
+
+
+def _prior_remedy(value: object, parameter: dict[str, Any]) -> str:
+    about = value if isinstance(value, int | float) and not isinstance(value, bool) else "<value>"
+    width = "within_factor = 1.5" if parameter.get("scale") == "log" else "within = <in its unit>"
+    return f"a prior says how sure it is; write prior = {{ about = {about}, {width} }}"
 
 
 def _key(location: tuple[int | str, ...], content: Any) -> str:

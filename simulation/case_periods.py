@@ -13,6 +13,9 @@ from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.time_unit import DAY_S, TimeUnit
 
+MOST_STEPS = 10_000_000
+"""Communication steps of a simulation; more of them do not fit into memory."""
+
 
 @dataclass(frozen=True)
 class Period:
@@ -42,7 +45,7 @@ def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> P
         window_d: The window. [d]
 
     Raises:
-        InputError: If window and start contradict each other.
+        InputError: If window and start contradict each other, or there are too many steps.
     """
     unit = file.time.unit
     begin_d, end_d = _rising(path, "window", window_d, unit)
@@ -57,6 +60,7 @@ def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> P
             f"{path}: time.shared_warmup = true, but the simulation starts with the window, "
             f"{unit.moment(begin_d)}; set an earlier start_{unit.symbol}, or drop shared_warmup"
         )
+    _check_n_steps(path, file, start_d, end_d)
     return Period("window", start_d, (begin_d, end_d), (begin_d, end_d))
 
 
@@ -75,7 +79,7 @@ def validation_period(
             left out then.
 
     Raises:
-        InputError: If it overlaps with the window, or begins before the simulation.
+        InputError: If it overlaps with the window, begins before the simulation, or has too many steps.
     """
     if file.time.validation is None:
         return None
@@ -97,6 +101,7 @@ def validation_period(
         return None
     if wrong:
         raise InputError(f"{where} {wrong}")
+    _check_n_steps(path, file, start_d, end_d)
     reported = (min(window_d[0], begin_d), end_d)
     seen_d = next((day for day in (begin_d, end_d) if day in window_d), None)
     return Period("time.validation", start_d, reported, (begin_d, end_d), seen_d)
@@ -198,6 +203,17 @@ def _rising(path: Path, key: str, days: tuple[float, float], unit: TimeUnit) -> 
             f"{unit.moment(0.0)}; correct it"
         )
     return begin_d, end_d
+
+
+def _check_n_steps(path: Path, file: CaseFile, start_d: float, end_d: float) -> None:
+    """Check that the steps of a simulation [d] fit into memory."""
+    span_s, step, unit = (end_d - start_d) * DAY_S, file.time.communication_step_s, file.time.unit
+    if span_s / step > MOST_STEPS:
+        raise InputError(
+            f"{path}: time.communication_step_s = {step:g} makes {span_s / step:.3g} steps from "
+            f"{unit.moment(start_d)} to {unit.moment(end_d)}, and {MOST_STEPS:g} is the most; "
+            f"write at least {span_s / MOST_STEPS:.3g}, or shorten the simulation"
+        )
 
 
 def _whole_steps(span_d: float, output_step: float, where: str) -> int:

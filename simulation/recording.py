@@ -36,12 +36,14 @@ class Recording:
         columns: One series per column asked for, NaN where a cell is empty. Shape (m,) each.
         clock: What the times count from: "seconds" as the file says, "local" a clock without time zone,
             "utc" timestamps with one; the last two in seconds since 1970.
+        time_column: Column that the times were read from.
     """
 
     path: Path
     time: FloatArray
     columns: dict[str, FloatArray]
     clock: Clock = "seconds"
+    time_column: str = TIME_COLUMN
 
     @property
     def step_s(self) -> float:
@@ -123,7 +125,7 @@ def read_recording(
         time, clock = stamps.read(cells[time_name], first_line=FIRST_LINE)
     _check_rising(path, time_name, time, cells[time_name])
     columns = {name: _numbers(path, name, cells[name], delimiter) for name in column_names}
-    return Recording(path, time, columns, clock)
+    return Recording(path, time, columns, clock, time_name)
 
 
 def _rows(path: Path) -> tuple[list[list[str]], str]:

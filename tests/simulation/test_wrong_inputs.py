@@ -56,6 +56,34 @@ WRONG: dict[str, tuple[Change, str]] = {
         r"case\.toml: no such file; a case is a folder with a case\.toml",
     ),
     "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line"),
+    "far too small a step": (
+        toml("communication_step_s = 600", "communication_step_s = 1e-3"),
+        r"case\.toml: time\.communication_step_s = 0\.001 makes 4\.32e\+07 steps .* at least 0\.00432,",
+    ),
+    "prior is a number": (
+        toml('scale = "log"', 'scale = "log"\nprior = 1e-4'),
+        r"parameters\[k\]\.prior = 0\.0001: .*write prior = \{ about = 0\.0001, within_factor = 1\.5 \}",
+    ),
+    "prior of a linear scale is a text": (
+        toml("upper = 6", 'upper = 6\nprior = "low"'),
+        r"parameters\[mode\]\.prior = 'low': .*write prior = \{ about = <value>, within = ",
+    ),
+    "number for a table": (
+        toml("schema = 1", "schema = 1\nsimulation = 3"),
+        r"case\.toml: simulation = 3: is no table; ",
+    ),
+    "one bracket for two": (
+        toml("[[outputs]]", "[outputs]"),
+        r"case\.toml: outputs: is no list of tables; write its name in two brackets",
+    ),
+    "time zone that is not needed and not there": (
+        toml("schema = 1", 'schema = 1\ntimezone = "Europe/Berln"'),
+        r'case\.toml: timezone = "Europe/Berln" is not known; write one like "Europe/Berlin"',
+    ),
+    "time column that no file has": (
+        toml("schema = 1", 'schema = 1\ntime_column = "Zeit"'),
+        r'case\.toml: time_column = "Zeit" is in none of recording\.csv, whose times stand in time_s;',
+    ),
     "newer schema": (toml("schema = 1", "schema = 2"), r"case\.toml: schema = 2: .*1"),
     "missing key of a table": (
         toml("output_step_s", "output_steps"),
