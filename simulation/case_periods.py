@@ -212,7 +212,7 @@ def _check_n_steps(path: Path, file: CaseFile, start_d: float, end_d: float) -> 
         raise InputError(
             f"{path}: time.communication_step_s = {step:g} makes {span_s / step:.3g} steps from "
             f"{unit.moment(start_d)} to {unit.moment(end_d)}, and {MOST_STEPS:g} is the most; "
-            f"write at least {span_s / MOST_STEPS:.3g}, or shorten the simulation"
+            f"write at least {1.01 * span_s / MOST_STEPS:.3g}, or shorten the simulation"
         )
 
 

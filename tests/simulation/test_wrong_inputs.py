@@ -58,7 +58,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line"),
     "far too small a step": (
         toml("communication_step_s = 600", "communication_step_s = 1e-3"),
-        r"case\.toml: time\.communication_step_s = 0\.001 makes 4\.32e\+07 steps .* at least 0\.00432,",
+        r"case\.toml: time\.communication_step_s = 0\.001 makes 4\.32e\+07 steps .* at least 0\.00436,",
     ),
     "prior is a number": (
         toml('scale = "log"', 'scale = "log"\nprior = 1e-4'),
