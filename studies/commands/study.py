@@ -18,7 +18,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     """Put together case, profile and the words that change them.
 
     Raises:
-        InputError: any of them is wrong.
+        InputError: any of them is wrong, or the label holds results of another case file.
     """
     from studies.profile import load_profile
 
@@ -46,12 +46,11 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     from simulation.case import load_case
     from simulation.workers.parallel import available_cores
     from studies.keeping.rebuild import rebuild_mlflow
+    from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
 
     case = load_case(file, window_d=None if chosen.window is None else chosen.window.days)
-    if not given.get("dry_run"):
-        rebuild_mlflow(paths, console)
-    return Study(
+    study = Study(
         case=case,
         profile=profile,
         paths=paths,
@@ -63,6 +62,11 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         dask=given.get("dask"),
         max_hours=given.get("max_hours"),
     )
+    # Before anything else: some stages take away what is no longer whole before they begin.
+    refuse_other_case(study)
+    if not given.get("dry_run"):
+        rebuild_mlflow(paths, console)
+    return study
 
 
 def _command(chosen: argparse.Namespace) -> str:

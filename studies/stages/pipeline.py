@@ -1,7 +1,7 @@
 """Stages with a memory: a stage whose inputs have a known digest and whose files exist is finished.
 
-Each stage leaves a manifest beside the results: digest, inputs, files, versions, wall time, host, seeds. It
-is written last and in one step, so that an interruption at any moment leaves a finished stage or none.
+Each stage leaves a manifest beside the results: digest, case file, inputs, files, versions, wall time, host,
+seeds. It is written last and in one step, so that an interruption leaves a finished stage or none.
 """
 
 import hashlib
@@ -145,6 +145,7 @@ def run_stage(
         {
             "stage": stage,
             "digest": digest,
+            "case_file": study.paths.show(study.case.path),
             "inputs": inputs,
             "summary": summary,
             "files": {study.paths.relative(made): made.stat().st_size for made in files},

@@ -1,0 +1,38 @@
+"""A label holds the results of one case file: another one of the same name must not replace them."""
+
+import tomllib
+from pathlib import Path
+
+from simulation.errors import InputError
+from studies.stages.pipeline import Study, read_json
+
+
+def refuse_other_case(study: Study) -> None:
+    """Refuse a study whose label holds results of another case file that still has this case's name.
+
+    The same file edited in place is no other one, wherever the project was moved: what lies in the project is
+    recorded by its place below the root. A file that is gone or was renamed has given its name away.
+
+    Raises:
+        InputError: there is such a file.
+    """
+    case, paths = study.case, study.paths
+    for manifest in sorted(study.results.glob("*.json")):
+        recorded = (read_json(manifest) or {}).get("case_file")
+        other = paths.root / str(recorded)
+        if recorded is None or other.resolve() == case.path.resolve() or _name_in(other) != case.name:
+            continue
+        raise InputError(
+            f'{paths.show(case.path)}: name = "{case.name}" is also that of {paths.show(other)}, whose '
+            f"results {paths.show(study.results)} holds; give one of the two another name, or move that "
+            "folder away"
+        )
+
+
+def _name_in(file: Path) -> str | None:
+    """Return the name that a case file declares, None where there is none."""
+    try:
+        name = tomllib.loads(file.read_text(encoding="utf-8")).get("name")
+    except (OSError, ValueError):
+        return None
+    return name if isinstance(name, str) else None

@@ -1,0 +1,91 @@
+"""Results of a case are not replaced by those of another case file of the same name."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from project_for_tests import REPOSITORY, Run, copy_of, make_project
+
+from studies.cli import main
+from studies.paths import ProjectPaths
+
+CALIBRATE = ("--max-calls", "8", "--jobs", "1", "-q")
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a wall that was hastily calibrated."""
+    from studies.tracking.mlflow_tracker import MlflowTracker
+
+    root = make_project(tmp_path_factory.mktemp("template") / "project")
+    for folder in ("fmus/wall", "data/wall"):
+        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
+    MlflowTracker(ProjectPaths(root))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        assert main(["calibrate", "wall", *CALIBRATE]) == 0
+    return root
+
+
+@pytest.fixture
+def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return copy_of(template, tmp_path / "project", monkeypatch)
+
+
+@pytest.fixture
+def other(project: Path) -> Path:
+    """The wall's case file, copied elsewhere and changed, under the same name."""
+    folder = shutil.copytree(project / "fmus" / "wall", project.parent / "w2")
+    edit(folder / "case.toml", '"../../data/wall"', f'"{project / "data" / "wall"}"')
+    edit(folder / "case.toml", "GOut = 200.0", "GOut = 100.0")
+    return folder / "case.toml"
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def results_in(project: Path) -> dict[str, bytes]:
+    return {f.name: f.read_bytes() for f in (project / "mlruns" / "results" / "wall-quick").iterdir()}
+
+
+def test_another_case_file_of_the_name_is_refused_and_touches_nothing(
+    project: Path, studies: Run, other: Path
+) -> None:
+    before = results_in(project)
+    for command in (["calibrate"], ["uncertainty"], ["simulate"], ["calibrate", "--again"]):
+        answer = studies(command[0], str(other), *command[1:])
+        assert answer.code == 2
+        assert answer.err.count("\n") == 1
+        for said in (str(other), "fmus/wall/case.toml", 'name = "wall"', "mlruns/results/wall-quick"):
+            assert said in answer.err
+    assert results_in(project) == before
+
+
+def test_the_same_case_file_may_be_edited_and_given_in_other_words(project: Path, studies: Run) -> None:
+    assert studies("calibrate", "fmus/wall/../wall/case.toml", *CALIBRATE).code == 0
+    before = results_in(project)
+    edit(project / "fmus" / "wall" / "case.toml", "GOut = 200.0", "GOut = 100.0")
+    assert studies("calibrate", "wall", *CALIBRATE).code == 0
+    assert results_in(project)["calibration-adaptive.json"] != before["calibration-adaptive.json"]
+
+
+def test_a_project_goes_on_elsewhere_though_the_first_still_stands(
+    project: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy_of(project, tmp_path / "moved", monkeypatch)
+    answer = studies("calibrate", "wall", "--max-calls", "8", "--jobs", "1")
+    assert answer.code == 0
+    assert "finished before" in answer.err
+
+
+@pytest.mark.parametrize("is_kept", [True, False], ids=["renamed", "removed"])
+def test_a_name_that_was_given_away_is_free(project: Path, studies: Run, other: Path, is_kept: bool) -> None:
+    first = project / "fmus" / "wall" / "case.toml"
+    if is_kept:
+        edit(first, 'name = "wall"', 'name = "first-wall"')
+    else:
+        first.unlink()
+    assert "wall-quick has no calibration" in studies("uncertainty", str(other)).err
