@@ -196,7 +196,7 @@ def sample_sentence(record: UncertaintyRecord) -> str:
     cost = (
         f"{count(ledger['total'], 'model call')}: {ledger['n_differences']} differences, "
         f"{ledger['n_taught']} that taught the surrogate, {ledger['n_sample']} of the sample; "
-        f"{count(ledger['n_known'], 'stored simulation')} reused"
+        f"{count(ledger['n_known'], 'simulation')} stored before taught it, too"
     )
     worth = (
         f"The sample of {count(len(r.weights), 'simulated parameter set')} is worth {r.n_effective:.0f} of "

@@ -120,11 +120,18 @@ def simulate_stage(study: Study) -> Outcome:
     )
 
 
-def say_reused(study: Study, stage: str, model: StoredModel) -> None:
-    """Say how many of a stage's rows were simulated before."""
-    if model.n_reused:
-        n_asked = model.n_reused + model.n_simulated
-        study.console.say(f"{stage}: {model.n_reused} of {n_asked} simulations reused")
+def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:
+    """Say how many of a stage's rows were simulated before.
+
+    Args:
+        study: the study.
+        stage: what the stage is called.
+        model: the model that was asked.
+        n_repeated: rows that the stage asked for once more; they do not count again.
+    """
+    n_reused = model.n_reused - n_repeated
+    if n_reused:
+        study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
 
 
 def show_sets(study: Study, outcome: Outcome) -> None:

@@ -165,7 +165,9 @@ def judge_calibration_point(
         )
     if not np.isfinite(found.sample.drawn.mse).any():
         raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
-    say_reused(study, f"uncertainty-{name}", model)
+    # The point is asked first, to know the noise, and then among the known rows once more.
+    n_repeated = int(np.all(known_theta == theta, axis=1).sum())
+    say_reused(study, f"uncertainty-{name}", model, n_repeated=n_repeated)
     numbers, arrays = _told(study, name, settings, found)
     numbers["ledger"] |= {"n_known": known.n}
     return numbers, arrays | {"known_theta": known_theta}, model.n_simulated
