@@ -1,16 +1,17 @@
-"""`studies best`: the best model per training-set size, and the best calibration."""
+"""`studies best`: the best model per training-set size, and the best calibration of each case."""
 
 import argparse
 
 from studies.commands import options
 from studies.console import Console
 
-HELP = "show the best model per size and the best calibration"
+HELP = "show the best model per size and the best calibration of each case"
 MORE = """\
 what happens: over all labels of a case (profiles, windows, seeds) the completed trial of least
 validation error is taken per training-set size. Only models judged on the same validation set stand in
 one table. "tuning" is what was gained on the default configuration, which is always trial 0. Below: how
-to load the champion in Python, and the parameter values of the best calibration. Changes nothing.
+to load the champion in Python, and of each case the parameter values of the best calibration on its
+latest window and measurement. Changes nothing.
 
 examples:
   studies best                             everything there is

@@ -1,4 +1,4 @@
-"""What `studies best` shows: the best model per size over all labels of a case, and the best calibration."""
+"""What `studies best` shows: the best model per size over all labels of a case, and its best calibration."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -106,13 +106,18 @@ def _best_model(project: Project, studies: Sequence[StudyLook]) -> BestModel:
     return BestModel(study, trial, n_trials, project.paths.show(folder) if is_champion else "")
 
 
-def best_calibration(project: Project, labels: Sequence[str]) -> StageLook | None:
-    """Return the calibration of least error among those of the latest case and measurement."""
-    found = [stage for stage in project.calibrations if stage.label in labels and math.isfinite(stage.mse)]
-    if not found:
-        return None
-    latest = _target(max(found, key=lambda stage: str(stage.manifest.get("finished"))))
-    return min((stage for stage in found if _target(stage) == latest), key=lambda stage: stage.mse)
+def best_calibrations(project: Project, labels: Sequence[str]) -> list[StageLook]:
+    """Return each case's calibration of least error on its latest data; the case calibrated last is first."""
+    by_case: dict[str, list[StageLook]] = {}
+    for stage in sorted(
+        project.calibrations, key=lambda one: str(one.manifest.get("finished")), reverse=True
+    ):
+        if stage.label in labels and math.isfinite(stage.mse):
+            by_case.setdefault(project.case_of(stage.label) or stage.label, []).append(stage)
+    return [
+        min((stage for stage in found if _target(stage) == _target(found[0])), key=lambda stage: stage.mse)
+        for found in by_case.values()
+    ]
 
 
 def _target(stage: StageLook) -> tuple[Any, Any]:
@@ -133,15 +138,13 @@ def best_blocks(project: Project, labels: Sequence[str], sizes: Sequence[int] | 
     champions = [model for model in (found[0].models if found else ()) if model.champion]
     if champions:
         blocks += _how_to_load(min(champions, key=lambda model: model.trial.metrics["val/mae"]))
-    calibration = best_calibration(project, labels)
-    if calibration:
+    for calibration in best_calibrations(project, labels):
         blocks += _calibration(project, calibration)
     return blocks
 
 
 def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] | None) -> dict[str, Any]:
     """Return what a program reads."""
-    calibration = best_calibration(project, labels)
     return {
         "command": "best",
         "labels": list(labels),
@@ -170,13 +173,17 @@ def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] 
             }
             for bench in benches(project, labels, sizes)
         ],
-        "calibration": calibration
-        and {
-            "name": calibration.name,
-            "mse": calibration.mse,
-            "n_calls_paper": calibration.n_calls,
-            "theta": dict(calibration.summary["theta"]),
-        },
+        "calibrations": [
+            {
+                "case": project.case_of(calibration.label),
+                "name": calibration.name,
+                "mse": calibration.mse,
+                "unit": squared(project.unit_of(calibration.label)),
+                "n_calls_paper": calibration.n_calls,
+                "theta": dict(calibration.summary["theta"]),
+            }
+            for calibration in best_calibrations(project, labels)
+        ],
     }
 
 
@@ -265,6 +272,9 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
     how = f"{count(stage.n_calls, 'model call')} in the paper's count"
     rows = [[name, f"{value:.6g}"] for name, value in stage.summary["theta"].items()]
     return [
-        Said(f"\nBest calibration: MSE {quantity(stage.mse, unit, 4)}, {how}"),
+        Said(
+            f"\n{project.case_of(stage.label) or stage.label}: best calibration: "
+            f"MSE {quantity(stage.mse, unit, 4)}, {how}"
+        ),
         Table(stage.name, [Column("parameter"), Column("calibrated", True)], rows, is_dense=True),
     ]

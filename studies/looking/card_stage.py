@@ -104,7 +104,7 @@ def _mse(value: float, unit: str) -> str:
 
 
 def _convergence(project: Project, stage: StageLook, unit: str) -> str:
-    file = stage.file.with_name(f"calibration-{stage.stage.removeprefix('calibrate-')}.npz")
+    file = stage.result_file.with_suffix(".npz")
     try:
         with np.load(file, allow_pickle=False) as arrays:
             calls, mse = arrays["history_calls"], arrays["history_mse"]

@@ -2,6 +2,7 @@
 
 import math
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -131,6 +132,20 @@ class StageLook:
         return self.stage.startswith("calibrate-")
 
     @property
+    def result_file(self) -> Path:
+        """Where all numbers of a calibration lie."""
+        return self.file.with_name(f"calibration-{self.stage.removeprefix('calibrate-')}.json")
+
+    @cached_property
+    def case_file(self) -> Mapping[str, Any]:
+        """What the case file of a calibration declared, empty where its recipe is lost."""
+        recipe = (read_json(self.result_file) or {}).get("recipe", {})
+        try:
+            return tomllib.loads(recipe["case"]["text"])
+        except (KeyError, tomllib.TOMLDecodeError):
+            return {}
+
+    @property
     def mse(self) -> float:
         """Final error of a calibration, infinite where it has none. [first output's unit squared]."""
         value = self.summary.get("mse_polished", self.summary.get("mse"))
@@ -169,11 +184,21 @@ class Project:
 
     def case_of(self, label: str) -> str:
         """Return the name of the case behind a label, empty where nothing tells."""
-        return next((study.entry.case_name for study in self.studies if study.label == label), "")
+        names = [study.entry.case_name for study in self.studies if study.label == label]
+        return next(iter(names), "") or str(self._case_file(label).get("name", ""))
 
     def unit_of(self, label: str) -> str:
         """Return the unit of a label's errors, empty where nothing tells."""
-        return next((study.unit for study in self.studies if study.label == label), "")
+        units = [study.unit for study in self.studies if study.label == label]
+        if units:
+            return units[0]
+        outputs = self._case_file(label).get("outputs", ())
+        return difference_unit(outputs[0]["unit"]) if outputs else ""
+
+    def _case_file(self, label: str) -> Mapping[str, Any]:
+        """Return what the case file behind a label's calibrations declared, empty where nothing tells."""
+        files = (stage.case_file for stage in self.calibrations if stage.label == label)
+        return next((file for file in files if file), {})
 
 
 def look_at(paths: ProjectPaths) -> Project:

@@ -1,6 +1,7 @@
 """What `studies status` and `studies best` say of records, without a training."""
 
 import fcntl
+import json
 import os
 import pty
 import signal
@@ -163,10 +164,51 @@ def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studie
             "measurement_sha256": "2",
         }
         write_manifest(project, "office-quick", f"calibrate-n{n_train:04d}", summary)
-    found = studies("best", "--json").document["calibration"]
+    (found,) = studies("best", "--json").document["calibrations"]
     assert (found["name"], found["theta"]) == ("office-quick/calibrate-n0128", {"UWin": 0.52})
     assert "0.52" in studies("best", "office-quick").out
     assert "0.02000" in studies("status").out
+
+
+def test_calibrations_without_a_surrogate_have_a_unit_and_each_case_its_best(
+    project: Path, studies: Run
+) -> None:
+    units = {"vanderpol": "V²", "wall": "K²"}
+    for k, case in enumerate(units):
+        text = (REPOSITORY / "fmus" / case / "case.toml").read_text(encoding="utf-8")
+        for window, mse in (("", 0.03), ("-0-9", 0.04 + 0.01 * k)):
+            label = f"{case}-quick{window}"
+            summary = {
+                "n_train": 0,
+                "mse": mse,
+                "theta": {"U": 0.5 + mse},
+                "ledger": {"total_paper": 20, "total_honest": 20},
+                "case_sha256": f"{case}{window}",
+                "measurement_sha256": "2",
+            }
+            write_manifest(
+                project, label, "calibrate-adaptive", summary, finished=f"2026-01-0{1 + len(window)}"
+            )
+            told = {"name": case, "text": text, "place": f"fmus/{case}/case.toml"}
+            told |= dict.fromkeys(("digest", "measurement_digest", "text_sha256"), "1" * 64)
+            recipe = {"case": told, "files": [], "window_d": [0.0, 9.0]}
+            numbers = {**summary, "recipe": recipe}
+            file = project / "mlruns" / "results" / label / "calibration-adaptive.json"
+            file.write_text(json.dumps(numbers), encoding="utf-8")
+    found = {
+        one["case"]: (one["name"], one["unit"]) for one in studies("best", "--json").document["calibrations"]
+    }
+    # The one of the latest window: errors on other windows are not comparable.
+    assert found == {case: (f"{case}-quick-0-9/calibrate-adaptive", unit) for case, unit in units.items()}
+    shown = studies("best").out
+    assert "vanderpol: best calibration: MSE 0.04000 V²" in shown
+    assert "wall: best calibration: MSE 0.05000 K²" in shown
+    assert "wall" not in studies("best", "vanderpol").out
+    card = studies("show", "vanderpol-quick-0-9/calibrate-adaptive")
+    assert "0.04000 V²" in card.out, card.err
+    lines = [line for line in studies("status").out.splitlines() if "calibrate-adaptive" in line]
+    assert len(lines) == 4
+    assert all(units[line.split()[0].split("-")[0]] in line for line in lines)
 
 
 def test_looking_loads_nothing_heavy(project: Path) -> None:
