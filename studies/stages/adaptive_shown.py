@@ -57,6 +57,33 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
 
 
+def show_replaced(study: Study, before: Summary | None, outcome: Outcome) -> None:
+    """Say that a worse calibration replaced a better one.
+
+    Args:
+        study: the study.
+        before: numbers of the calibration that was stored before this one, None where there was none.
+        outcome: this one.
+    """
+    found = outcome.summary
+    same = ("case_sha256", "measurement_sha256")
+    if before is None or outcome.reused or any(before.get(name) != found[name] for name in same):
+        return
+    if not before["mse"] < found["mse"]:
+        return
+    unit = squared(difference_unit(study.case.outputs[0].unit))
+    asked, free = before["settings"], n_free_of(before)
+    words = f" --max-calls {asked['max_calls']}"
+    words += f" --parallel {asked['n_parallel']}" if asked["n_parallel"] > 1 else ""
+    words += f" --target {asked['target_mse']}" if asked["target_mse"] is not None else ""
+    words += f" --most-relevant {free}" if free is not None else ""
+    study.console.warn(
+        f"this replaces a better stored result, MSE {quantity(before['mse'], unit, 4)} after "
+        f"{count(before['ledger']['total_paper'], 'model call')}; to have it back from the stored "
+        f"simulations, type: studies calibrate {study.command}{words}"
+    )
+
+
 def judged_adaptive(study: Study, outcome: Outcome) -> Periods:
     """Judge the calibration by ASHRAE guideline 14."""
     y = read_arrays(adaptive_files(study, n_free_of(outcome.summary)).arrays)["y"]

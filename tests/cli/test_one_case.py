@@ -1,4 +1,4 @@
-"""Results of a case are not replaced by those of another case file of the same name."""
+"""Stored results are not replaced silently: by another case file of the name, or by a worse calibration."""
 
 import shutil
 from pathlib import Path
@@ -8,6 +8,7 @@ from project_for_tests import REPOSITORY, Run, copy_of, make_project
 
 from studies.cli import main
 from studies.paths import ProjectPaths
+from studies.report.wording import quantity
 
 CALIBRATE = ("--max-calls", "8", "--jobs", "1", "-q")
 
@@ -89,3 +90,17 @@ def test_a_name_that_was_given_away_is_free(project: Path, studies: Run, other: 
     else:
         first.unlink()
     assert "wall-quick has no calibration" in studies("uncertainty", str(other)).err
+
+
+def test_a_worse_calibration_says_which_better_one_it_replaces(project: Path, studies: Run) -> None:
+    better = studies("calibrate", "wall", "--max-calls", "16", "--parallel", "2", "--jobs", "1", "--json")
+    assert "replaces" not in better.err
+    mse = better.stage["mse"]
+    worse = studies("calibrate", "wall", *CALIBRATE)
+    assert worse.code == 0
+    said = f"studies: this replaces a better stored result, MSE {quantity(mse, 'K²', 4)} after 16 model calls"
+    assert said in worse.err
+    assert "studies calibrate wall --max-calls 16 --parallel 2\n" in worse.err
+    assert "replaces" not in studies("calibrate", "wall", *CALIBRATE).err
+    back = studies("calibrate", "wall", "--max-calls", "16", "--parallel", "2", "--jobs", "1", "--json")
+    assert (back.stage["mse"], back.stage["n_simulated"]) == (mse, 0)
