@@ -32,7 +32,7 @@ def refuse_other_case(study: Study) -> None:
 def _name_in(file: Path) -> str | None:
     """Return the name that a case file declares, None where there is none."""
     try:
-        name = tomllib.loads(file.read_text(encoding="utf-8")).get("name")
+        name = tomllib.loads(file.read_text(encoding="utf-8-sig")).get("name")
     except (OSError, ValueError):
         return None
     return name if isinstance(name, str) else None
