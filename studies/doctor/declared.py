@@ -175,11 +175,12 @@ def _no_unit(case: Case) -> Iterator[Finding]:
 def _outside_the_fmus_bounds(case: Case) -> Iterator[Finding]:
     space, convert = case.parameter_space, case.settings.parameters_for_fmu
     variables = [case.fmu.variables[name] for name in space.names]
-    beyond = []
-    for variable, lower, upper in zip(variables, convert(space.lower), convert(space.upper), strict=True):
-        low, high = variable.minimum, variable.maximum
-        if (low is not None and lower < low) or (high is not None and upper > high):
-            beyond.append(f"{variable.name} ({_ends(low, high)})")
+    wanted = zip(variables, convert(space.lower), convert(space.upper), strict=True)
+    beyond = [
+        f"{variable.name} ({_ends(variable)})"
+        for variable, lower, upper in wanted
+        if _is_beyond(variable, lower, upper)
+    ]
     if beyond:
         yield Finding(
             "bounds inside the FMU's min and max",
@@ -187,13 +188,12 @@ def _outside_the_fmus_bounds(case: Case) -> Iterator[Finding]:
             f"wider than the FMU allows: {_listed(beyond)}",
             "narrow lower and upper; tools differ in what they do beyond",
         )
-    held = []
-    for name, value in case.fixed.items():
-        low, high = case.fmu.variables[name].minimum, case.fmu.variables[name].maximum
-        if isinstance(value, str | bool):
-            continue
-        if (low is not None and value < low) or (high is not None and value > high):
-            held.append(f"{name} = {value:g} ({_ends(low, high)})")
+    numbers = {name: value for name, value in case.fixed.items() if not isinstance(value, str | bool)}
+    held = [
+        f"{name} = {value:g} ({_ends(case.fmu.variables[name])})"
+        for name, value in numbers.items()
+        if _is_beyond(case.fmu.variables[name], value, value)
+    ]
     if held:
         yield Finding(
             "fixed values inside the FMU's min and max",
@@ -215,8 +215,14 @@ def _outside_the_fmus_bounds(case: Case) -> Iterator[Finding]:
         )
 
 
-def _ends(low: float | None, high: float | None) -> str:
-    return " to ".join("..." if end is None else f"{end:g}" for end in (low, high))
+def _is_beyond(variable: FmuVariable, lower: float, upper: float) -> bool:
+    low, high = variable.minimum, variable.maximum
+    return (low is not None and lower < low) or (high is not None and upper > high)
+
+
+def _ends(variable: FmuVariable) -> str:
+    ends = (variable.minimum, variable.maximum)
+    return " to ".join("..." if end is None else f"{end:g}" for end in ends)
 
 
 def base_point(space: ParameterSpace) -> FloatArray:
