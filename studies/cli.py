@@ -7,9 +7,11 @@ import argparse
 import importlib
 import shlex
 import sys
+import textwrap
 import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
+from itertools import groupby
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -19,6 +21,7 @@ from studies.console import Console
 from studies.storage_url import hide_passwords
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+WIDEST = 110  # columns of help
 COMMANDS = (
     "new",
     "import-recording",
@@ -78,6 +81,7 @@ where results land (label = <case>-<profile>):
   mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.journal                Optuna
 
 Finished work is never done twice: interrupt any command, type it again, and it goes on.
+
 Exit codes: 0 good, 1 a check or a stage failed, 2 the input is wrong, 130 interrupted.
 """
 
@@ -144,7 +148,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="studies",
         description=DESCRIPTION,
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_Paragraphs,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action=_Version, help="print the version and exit")
@@ -156,7 +160,7 @@ def build_parser() -> argparse.ArgumentParser:
             help=words.HELP,
             description=f"{words.HELP[0].upper()}{words.HELP[1:]}.",
             epilog=words.MORE,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_Paragraphs,
             allow_abbrev=False,
         )
         words.add_options(command)
@@ -169,6 +173,22 @@ def command_module(name: str) -> ModuleType:
     """Return the module behind a command: its HELP, MORE, `add_options` and `run`."""
     module = "import_studies" if name == "import" else name.replace("-", "_")  # a word of Python itself
     return importlib.import_module(f"studies.commands.{module}")
+
+
+class _Paragraphs(argparse.HelpFormatter):
+    """Fills paragraphs to the terminal's width; lines that are indented, the examples, stay as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        filled: list[str] = []
+        for is_kept, lines in groupby(text.splitlines(), key=lambda line: not line or line.startswith(" ")):
+            if is_kept:
+                filled += lines
+            else:
+                words = " ".join(lines)
+                filled += textwrap.wrap(
+                    words, min(width, WIDEST), break_long_words=False, break_on_hyphens=False
+                )
+        return "\n".join(filled)
 
 
 class _Version(argparse.Action):
