@@ -67,6 +67,22 @@ class Answer:
 Run = Callable[..., Answer]
 
 
+def make_calibrated_wall(root: Path, *options: str) -> Path:
+    """Make a project with a wall and calibrate it with some options, quietly, in one process."""
+    from studies.cli import main
+    from studies.paths import ProjectPaths
+    from studies.tracking.mlflow_tracker import MlflowTracker
+
+    make_project(root)
+    for folder in ("fmus/wall", "data/wall"):
+        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
+    MlflowTracker(ProjectPaths(root))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        assert main(["calibrate", "wall", "--jobs", "1", "-q", *options]) == 0
+    return root
+
+
 def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
     """Copy a project and let the command line find the copy."""
     shutil.copytree(template, root)

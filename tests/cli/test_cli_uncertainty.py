@@ -13,7 +13,7 @@ from typing import Any
 
 import pyarrow.parquet
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_project
+from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
 
 from studies.cli import main
 from studies.paths import ProjectPaths
@@ -27,17 +27,9 @@ LIMIT_S = 120.0
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with a calibrated wall."""
-    from studies.tracking.mlflow_tracker import MlflowTracker
-
-    root = make_project(tmp_path_factory.mktemp("template") / "project")
-    for folder in ("fmus/wall", "data/wall"):
-        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
-    MlflowTracker(ProjectPaths(root))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
-        calls = str(N_CALIBRATION)
-        assert main(["calibrate", "wall", "--max-calls", calls, "--jobs", "1", "-q"]) == 0
-    return root
+    return make_calibrated_wall(
+        tmp_path_factory.mktemp("template") / "project", "--max-calls", str(N_CALIBRATION)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -4,28 +4,18 @@ import shutil
 from pathlib import Path
 
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_project
+from project_for_tests import Run, copy_of, make_calibrated_wall
 
-from studies.cli import main
-from studies.paths import ProjectPaths
 from studies.report.wording import quantity
 
-CALIBRATE = ("--max-calls", "8", "--jobs", "1", "-q")
+HASTE = ("--max-calls", "8")
+CALIBRATE = (*HASTE, "--jobs", "1", "-q")
 
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with a wall that was hastily calibrated."""
-    from studies.tracking.mlflow_tracker import MlflowTracker
-
-    root = make_project(tmp_path_factory.mktemp("template") / "project")
-    for folder in ("fmus/wall", "data/wall"):
-        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
-    MlflowTracker(ProjectPaths(root))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
-        assert main(["calibrate", "wall", *CALIBRATE]) == 0
-    return root
+    return make_calibrated_wall(tmp_path_factory.mktemp("template") / "project", *HASTE)
 
 
 @pytest.fixture
