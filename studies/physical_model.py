@@ -55,6 +55,20 @@ def open_physical_model(
                 raise StageError(f"{stopped}; the finished simulations are kept") from stopped
 
 
+def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:
+    """Say how many of a stage's rows were simulated before.
+
+    Args:
+        study: the study.
+        stage: what the stage is called.
+        model: the model that was asked.
+        n_repeated: rows that the stage asked for once more; they do not count again.
+    """
+    n_reused = model.n_reused - n_repeated
+    if n_reused:
+        study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
+
+
 @contextmanager
 def _supervised(study: Study, case: Case, policy: ExecutionPolicy, spool: Path) -> Iterator[ForwardModel]:
     """Open the model in processes of this machine, or of the cluster that was asked for."""

@@ -17,7 +17,7 @@ from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.recorder import Progress
 from studies.console import OnBar
-from studies.physical_model import open_physical_model
+from studies.physical_model import open_physical_model, say_reused
 from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, quantity, squared
 from studies.stages.calibrate import write_arrays
@@ -38,7 +38,6 @@ from studies.stages.results import (
     adaptive_files,
     restricted,
 )
-from studies.stages.simulate import say_reused
 from studies.stages.tracking import log_adaptive
 from studies.stages.validation import validate_calibration, validation_inputs
 from studies.tracking.origin import environment

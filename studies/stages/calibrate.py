@@ -11,7 +11,7 @@ import numpy as np
 from simulation.errors import InputError
 from simulation.whole_file import whole_file
 from studies.paths import size_name
-from studies.physical_model import open_physical_model
+from studies.physical_model import open_physical_model, say_reused
 from studies.recipe import Recipe, recipe_of
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
@@ -23,7 +23,7 @@ from studies.stages.restriction import (
     restriction_numbers,
 )
 from studies.stages.results import StoredCalibration, calibration_files, restricted
-from studies.stages.simulate import datasets_of, say_reused
+from studies.stages.simulate import datasets_of
 from studies.stages.tracking import log_calibration, tracker_of
 from studies.stages.validation import validate_calibration, validation_inputs
 from studies.tracking.origin import environment

@@ -15,7 +15,7 @@ from simulation.store.row_set import RowSet, SetContent, content_of
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from studies.console import Column, OnProgress
-from studies.physical_model import open_physical_model, store_folder
+from studies.physical_model import open_physical_model, say_reused, store_folder
 from studies.profile import Profile
 from studies.recipe import recipe_of
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
@@ -118,20 +118,6 @@ def simulate_stage(study: Study) -> Outcome:
         work=work,
         reuse_note=lambda summary: f"{summary['n_simulations']} simulations reused",
     )
-
-
-def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:
-    """Say how many of a stage's rows were simulated before.
-
-    Args:
-        study: the study.
-        stage: what the stage is called.
-        model: the model that was asked.
-        n_repeated: rows that the stage asked for once more; they do not count again.
-    """
-    n_reused = model.n_reused - n_repeated
-    if n_reused:
-        study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
 
 
 def show_sets(study: Study, outcome: Outcome) -> None:

@@ -15,14 +15,13 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
-from studies.physical_model import open_physical_model
+from studies.physical_model import open_physical_model, say_reused
 from studies.recipe import recipe_of
 from studies.report.wording import count
 from studies.stages.calibrate import write_arrays
 from studies.stages.knowledge import prior_inputs, prior_of
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import StoredCalibration, read_arrays
-from studies.stages.simulate import say_reused
 from studies.stages.uncertainty_results import (
     StoredPosterior,
     log_posterior,

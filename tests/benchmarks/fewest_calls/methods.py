@@ -62,9 +62,10 @@ def adaptive_as_shipped(problem: CalibrationProblem, seed: int, max_calls: int) 
 METHODS: dict[str, Method] = {
     "adaptive": Method(adaptive(), max_calls=300, is_ours=True),
     "adaptive, own end": Method(adaptive_as_shipped, max_calls=300, is_ours=True),
-    "adaptive, 2 parallel": Method(adaptive(n_parallel=2), max_calls=300, is_ours=True, at_once=2),
-    "adaptive, 4 parallel": Method(adaptive(n_parallel=4), max_calls=300, is_ours=True, at_once=4),
-    "adaptive, 8 parallel": Method(adaptive(n_parallel=8), max_calls=300, is_ours=True, at_once=8),
+    **{
+        f"adaptive, {q} parallel": Method(adaptive(n_parallel=q), max_calls=300, is_ours=True, at_once=q)
+        for q in (2, 4, 8)
+    },
     "broyden": Method(peers_least_squares.broyden),
     "dfols": Method(peers_least_squares.dfols, needs=("dfols",)),
     "trf": Method(peers_least_squares.trf),
