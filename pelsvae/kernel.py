@@ -51,9 +51,9 @@ Prior = tuple[Array, Array]
 """Mean and deviation of the hyperparameters. Each of shape (h,)."""
 
 
-def summed(scales: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
-    """Return the sum of the bumps of what scales see of points and rows: (n, f + 2), (f + 2, m) -> (n, m)."""
-    return functools.reduce(torch.add, ((near @ far).exp2_() for near, far in scales))
+def summed(near: Tensor, far: Iterable[Tensor]) -> Tensor:
+    """Return the sum of the scales' bumps, by what they take of points (b, k) and rows, s of (k, n)."""
+    return functools.reduce(torch.add, ((near @ of_scale).exp2_() for of_scale in far))
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,12 @@ class Kernel:
         """Return every scale's lengths: (h,) -> (s, f)."""
         return hyper[: self.n_scales * self.n_features].reshape(self.n_scales, self.n_features).exp()
 
+    def stretched(self, hyper: Array, factor: float) -> Array:
+        """Return hyperparameters with every length multiplied: (h,) -> (h,)."""
+        longer = hyper.copy()
+        longer[: self.n_scales * self.n_features] += math.log(factor)
+        return longer
+
     def weights(self, hyper: Tensor) -> Tensor:
         """Return b_s²: (h,) -> (s,)."""
         start = self.n_scales * self.n_features
@@ -107,23 +113,22 @@ class Kernel:
         warp = torch.where(warp.abs() < _LEAST_WARP, torch.full_like(warp, _LEAST_WARP), warp)
         return torch.expm1(warp * x) / warp
 
-    def near(self, length: Tensor, warped: Tensor) -> Tensor:
-        """Return what one scale sees of points that are predicted: (f,), (b, f) -> (b, f + 2)."""
-        left = warped / length
-        return torch.cat(
-            [left, torch.ones_like(left[:, :1]), -0.5 * left.square().sum(-1, keepdim=True)], dim=1
-        )
+    def near(self, hyper: Tensor, warped: Tensor) -> Tensor:
+        """Return what bumps take of points, for all scales: (h,), (b, f) -> (b, f + 1 + s)."""
+        halves = warped.square() @ (-0.5 * self.lengths(hyper).square().reciprocal()).T
+        return torch.cat([warped, torch.ones_like(warped[:, :1]), halves], dim=1)
 
-    def far(self, weight: Tensor, length: Tensor, warped: Tensor) -> Tensor:
-        """Return what one scale sees of rows; `near` times this is log2 of its bumps: -> (n, f + 2)."""
-        right = warped / length
-        halves = weight.log() - 0.5 * right.square().sum(-1, keepdim=True)
-        return torch.cat([right, halves, torch.ones_like(halves)], dim=1) * _LOG2_E
+    def far(self, hyper: Tensor, warped: Tensor) -> Tensor:
+        """Return what they take of rows; `near` times this is log2 of bumps: (n, f) -> (s, f + 1 + s, n)."""
+        inverse, rows = self.lengths(hyper).square().reciprocal(), warped.T
+        halves = self.weights(hyper).log()[:, None] - 0.5 * (inverse @ rows.square())  # (s, n)
+        own = torch.eye(self.n_scales, dtype=rows.dtype, device=rows.device)
+        parts = [inverse[:, :, None] * rows, halves[:, None], own[:, :, None].expand(-1, -1, rows.shape[1])]
+        return torch.cat(parts, dim=1) * _LOG2_E
 
     def bumps(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return the sum over the scales, of warped features: (h,), (n, f), (m, f) -> (n, m)."""
-        scales = zip(self.weights(hyper), self.lengths(hyper), strict=True)
-        return summed((self.near(length, near), self.far(weight, length, far).T) for weight, length in scales)
+        return summed(self.near(hyper, near), self.far(hyper, far))
 
     def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""

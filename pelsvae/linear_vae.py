@@ -18,9 +18,10 @@ from torch import Tensor, nn
 from pelsvae.kernel import CONSTANT, Kernel, summed
 from pelsvae.network_ensemble import NetworkEnsemble
 
-# Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core.
-_AT_ONCE = 2**17
-_FEWEST_ROWS = 128
+# Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core, and which
+# the allocator keeps instead of taking fresh pages from the system.
+_ROWS_AT_ONCE = 512
+_TRAINING_ROWS_AT_ONCE = 256
 
 
 class _Member(NamedTuple):
@@ -32,9 +33,7 @@ class _Member(NamedTuple):
 
     hyper: Tensor  # (h,)
     columns: Tensor  # (c,)
-    lengths: Tensor  # (s, f)
-    far: list[Tensor]  # s of (f + 2, n)
-    coefficients: Tensor  # (n, c)
+    bumps: list[tuple[list[Tensor], Tensor]]  # of k training rows: s of (f + 1 + s, k), coefficients (k, c)
     constant: Tensor  # (c,)
     slope: Tensor  # (f, c)
     bend: Tensor  # (f, c * f)
@@ -89,7 +88,7 @@ class LinearVae(nn.Module):
     @property
     def rows_at_once(self) -> int:
         """Rows whose prediction fits near a core."""
-        return max(_FEWEST_ROWS, _AT_ONCE // len(self.x))
+        return _ROWS_AT_ONCE
 
     @property
     def no_draw(self) -> Tensor:
@@ -140,12 +139,13 @@ class LinearVae(nn.Module):
     def _member_mean(self, member: _Member, theta: Tensor) -> Tensor:
         """Return a member's mean in its codes: theta (b, f) -> (b, c)."""
         near = self.kernel.warped(member.hyper, theta)
-        scales = zip(member.lengths, member.far, strict=True)
-        bumps = summed((self.kernel.near(length, near), far) for length, far in scales)
-        mean = bumps @ member.coefficients + member.constant + near @ member.slope
+        mean = member.constant + near @ member.slope
         if self.kernel.degree == 2:
             bent = (near @ member.bend).reshape(len(near), -1, near.shape[1])  # (b, c, f)
             mean = mean + (bent @ near[:, :, None])[:, :, 0]
+        points = self.kernel.near(member.hyper, near)
+        for far, coefficients in member.bumps:
+            mean = mean + summed(points, far) @ coefficients
         return mean
 
     def _members(self) -> list[_Member]:
@@ -160,10 +160,13 @@ class LinearVae(nn.Module):
         hyper, kernel = self.hyper[place], self.kernel
         columns = self.share[place].nonzero()[:, 0]
         coefficients = self.coefficients[place][:, columns].contiguous()
-        lengths, warped = kernel.lengths(hyper), kernel.warped(hyper, self.x)
-        scales = zip(kernel.weights(hyper), lengths, strict=True)
-        far = [kernel.far(weight, length, warped).T.contiguous() for weight, length in scales]
-        squares, across = kernel.polynomial(hyper), warped / lengths[0].square()  # (degree,), (n, f)
+        warped = kernel.warped(hyper, self.x)
+        bumps = []
+        for start in range(0, len(warped), _TRAINING_ROWS_AT_ONCE):
+            rows = slice(start, start + _TRAINING_ROWS_AT_ONCE)
+            bumps.append((list(kernel.far(hyper, warped[rows])), coefficients[rows]))
+        squares = kernel.polynomial(hyper)  # (degree,)
+        across = warped / kernel.lengths(hyper)[0].square()  # (n, f)
         bend = across.new_zeros(0)
         if kernel.degree == 2:
             products = squares[1] * coefficients.T[:, :, None] * across  # (c, n, f)
@@ -171,9 +174,7 @@ class LinearVae(nn.Module):
         return _Member(
             hyper=hyper,
             columns=columns,
-            lengths=lengths,
-            far=far,
-            coefficients=coefficients,
+            bumps=bumps,
             constant=CONSTANT * coefficients.sum(dim=0),
             slope=squares[0] * (across.T @ coefficients),
             bend=bend,

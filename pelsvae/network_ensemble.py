@@ -31,7 +31,7 @@ _WARM_UP = 0.2  # part of the steps in which the learning rate rises
 
 
 class NetworkEnsemble(nn.Module):
-    """Layers with a leading dimension of e networks; computes in double precision as the processes do.
+    """Layers with a leading dimension of e networks; computes in the precision of its layers.
 
     Shapes: b rows, f features of theta, z latent, e networks, layers of i inputs and o outputs.
 
@@ -69,8 +69,9 @@ class NetworkEnsemble(nn.Module):
         ]
 
     def each(self, theta: Tensor) -> Tensor:
-        """What every network says of features (b, f) -> (e, b, z)."""
-        return _forward(self.layers, self.power, theta) + self.origin
+        """What every network says of features (b, f) -> (e, b, z), in their precision."""
+        said = _forward(self.layers, self.power, theta.to(self.power.dtype)) + self.origin
+        return said.to(theta.dtype)
 
 
 def trained_networks(features: Tensor, codes: Tensor, seed: int) -> NetworkEnsemble:
@@ -85,16 +86,17 @@ def trained_networks(features: Tensor, codes: Tensor, seed: int) -> NetworkEnsem
         seed: Of first weights and batches.
 
     Returns:
-        The networks, with share 1 in every code.
+        The networks, in single precision, with share 1 in every code, in the codes'.
     """
     scale = codes.square().mean().sqrt().clamp_min(torch.finfo(codes.dtype).tiny)
     with torch.enable_grad(), denormals_flushed():
         layers, power, origin = _trained(features.float(), (codes / scale).float(), seed)
+    scale = scale.float()
     buffers = {"share": torch.ones_like(codes[0]), "power": power, "origin": origin * scale}
     for place, (weight, bias) in enumerate(layers):
         factor = scale if place == len(layers) - 1 else 1.0
         buffers[f"weight_{place}"], buffers[f"bias_{place}"] = weight * factor, bias * factor
-    return NetworkEnsemble({name: value.detach().to(codes.dtype) for name, value in buffers.items()})
+    return NetworkEnsemble({name: value.detach() for name, value in buffers.items()})
 
 
 def _trained(x: Tensor, y: Tensor, seed: int) -> tuple[list[tuple[Tensor, Tensor]], Tensor, Tensor]:

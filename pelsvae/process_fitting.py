@@ -28,6 +28,7 @@ UNEXPLAINED = 0.1
 # Of so many rows at most four processes are averaged, and networks are tried in any case: they take 3 to 10 %
 # off the error on buildings.
 MANY_ROWS = 1024
+STRETCH = 1.5  # of the lengths of further candidates where rows are fewer
 _WORTH = 0.01  # part of the squares left by processes that networks must explain to be kept
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
 _SHARE = 0.9  # of the validation values that the band shall cover
@@ -122,6 +123,8 @@ def _members(
     """Choose members by the validation set, whose codes are known as the training set's are."""
     features, codes = training
     n, z = codes.shape
+    if n < MANY_ROWS:
+        found = [*found, *_stretched(kernel, found)]
     hypers, true = np.array([one.hyper for one in found]), validation[1].cpu().numpy()
     believed = np.zeros((len(found), z))
     for place, one in enumerate(found):
@@ -140,6 +143,13 @@ def _members(
     if seen < n:
         predicted = _predicted(kernel, training, validation[0], hypers)
     return _with_networks(members, predicted, training, validation, seed)
+
+
+def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
+    """Yield the candidates with longer and with shorter lengths, of which few rows know little."""
+    for one in found:
+        for factor in (STRETCH, 1.0 / STRETCH):
+            yield one._replace(hyper=kernel.stretched(one.hyper, factor), is_final=False)
 
 
 def _with_networks(

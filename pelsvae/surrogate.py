@@ -64,9 +64,8 @@ class Surrogate:
         Raises:
             ValueError: The shape is wrong, or a parameter that enters by its logarithm is not positive.
         """
-        return self.output_standardizer.physical(
-            self._in_chunks(theta, lambda features: self.network.predict(features, self.eps), n_jobs)
-        )
+        predict, physical = self.network.predict, self.output_standardizer.physical
+        return self._in_chunks(theta, lambda features: predict(features, self.eps), physical, n_jobs)
 
     @property
     def states_deviation(self) -> bool:
@@ -90,9 +89,8 @@ class Surrogate:
         network = self.network
         if not isinstance(network, LinearVae):
             raise ValueError("this surrogate states no deviation; regressor 'gaussian-process' does")
-        x = self._in_chunks(theta, network.deviation, n_jobs)
-        shape = (-1, self.shape.n_times, self.shape.n_outputs)
-        return x.reshape(shape) * self.output_standardizer.deviation
+        shape, scale = (-1, self.shape.n_times, self.shape.n_outputs), self.output_standardizer.deviation
+        return self._in_chunks(theta, network.deviation, lambda x: x.reshape(shape) * scale, n_jobs)
 
     def jacobian(self, theta: npt.ArrayLike) -> Array:
         """Differentiate the prediction at one parameter set.
@@ -149,23 +147,29 @@ class Surrogate:
 
         return load_surrogate(Path(folder), device)
 
-    def _in_chunks(self, theta: npt.ArrayLike, answer: Callable[[Tensor], Tensor], n_jobs: int) -> Array:
-        """Return what features are answered with, for all rows. Shape (n, t * k). [1]."""
+    def _in_chunks(
+        self,
+        theta: npt.ArrayLike,
+        answer: Callable[[Tensor], Tensor],
+        scaled: Callable[[Array], Array],
+        n_jobs: int,
+    ) -> Array:
+        """Return what features (b, f) are answered with, (b, t * k) scaled to (b, t, k), for all rows."""
         rows = self._checked(theta, n_dimensions=2)
         size = self.network.rows_at_once if isinstance(self.network, LinearVae) else _CHUNK_ROWS
         size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else size
-        x = np.empty((len(rows), self.shape.n_times * self.shape.n_outputs))
+        y = np.empty((len(rows), self.shape.n_times, self.shape.n_outputs))
         features = self._features(torch.from_numpy(rows).to(self.eps.device))  # (n, f)
 
         def answer_from(start: int) -> None:
             # Inference mode belongs to a thread.
             with torch.inference_mode():
-                x[start : start + size] = answer(features[start : start + size]).cpu().numpy()
+                y[start : start + size] = scaled(answer(features[start : start + size]).cpu().numpy())
 
         starts = range(0, len(rows), size)
         with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
             list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(answer_from, starts))
-        return x
+        return y
 
     def _features(self, theta: Tensor) -> Tensor:
         """Map theta (..., p), float64 -> features (..., f) in the network's precision."""
