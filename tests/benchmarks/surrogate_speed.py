@@ -1,7 +1,8 @@
 """Time the surrogate: training per size, epochs, predictions of 10,000 rows, Jacobian.
 
 Run as `python tests/benchmarks/surrogate_speed.py [--json FILE]`; prints ratios within one run and gates
-nothing. Times are CPU seconds, which other work on the machine disturbs least.
+nothing. Times are CPU seconds, which other work on the machine disturbs least. `--against CHECKOUT` times the
+default form in turns with another version's, whose repository lies there.
 The data is a sum of closed-form RC steps in the office's size: 14 parameters, 481 times.
 """
 
@@ -9,7 +10,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -87,14 +91,48 @@ def predict_as_in_the_textbook(surrogate: Surrogate, theta: npt.NDArray[np.float
             network.decoder(codes)
 
 
+def timed_fit(config: SurrogateConfig, n: int) -> tuple[Surrogate, float, float]:
+    """Fit n rows; return the surrogate, CPU seconds and seconds."""
+    start, start_wall = time.process_time(), time.perf_counter()
+    surrogate = fit(
+        *data(n, seed=0), data(320, seed=1), config=config.replace(device="cpu"), seed=0
+    ).surrogate
+    return surrogate, time.process_time() - start, time.perf_counter() - start_wall
+
+
+def once(n: int) -> dict[str, float]:
+    """Time one fit of n rows and its predictions. CPU seconds."""
+    surrogate, spent, _ = timed_fit(VARIANTS["gaussian-process"], n)
+    theta, _ = data(N_ROWS, seed=2)
+    predicted = seconds(lambda: surrogate.predict(theta), n_repeats=5)
+    spread = seconds(lambda: surrogate.deviation(theta[:1000]), n_repeats=3)
+    return {"fit": spent, "10,000 predictions": predicted, "1,000 deviations": spread}
+
+
+def against(checkout: Path) -> None:
+    """Time another version and this one in turns, each in a process of its own, and print ratios."""
+    for n in PROCESS_SIZES:
+        known = []
+        for root in (checkout, Path(__file__).parents[2]):
+            process = subprocess.run(
+                [sys.executable, __file__, "--once", str(n)],
+                env={**os.environ, "PYTHONPATH": str(root.resolve())},
+                stdout=subprocess.PIPE,
+                check=True,
+                text=True,
+            )
+            known.append(json.loads(process.stdout))
+        before, now = known
+        parts = [f"{what} {now[what]:.2f} s, {now[what] / before[what]:.2f} times" for what in now]
+        print(f"n = {n:4d}, this version and its part of the other's time: {'; '.join(parts)}", flush=True)
+
+
 def processes(config: SurrogateConfig) -> dict[str, float]:
     """Time fits and predictions of the form with Gaussian processes."""
     numbers: dict[str, float] = {}
-    validation, (theta, _) = data(320, seed=1), data(N_ROWS, seed=2)
+    theta, _ = data(N_ROWS, seed=2)
     for n in PROCESS_SIZES:
-        start, start_wall = time.process_time(), time.perf_counter()
-        surrogate = fit(*data(n, seed=0), validation, config=config.replace(device="cpu"), seed=0).surrogate
-        spent, spent_wall = time.process_time() - start, time.perf_counter() - start_wall
+        surrogate, spent, spent_wall = timed_fit(config, n)
         alone = seconds(lambda s=surrogate: s.predict(theta), n_repeats=2)  # type: ignore[misc]
         textbook = seconds(lambda s=surrogate: predict_as_in_the_textbook(s, theta), n_repeats=2)  # type: ignore[misc]
         two = wall_seconds(lambda s=surrogate: s.predict(theta, n_jobs=2))  # type: ignore[misc]
@@ -117,8 +155,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     parser.add_argument("--threads", type=int, default=1, help="CPU threads of torch (default 1)")
+    parser.add_argument("--against", type=Path, metavar="CHECKOUT", help="another version, timed in turns")
+    parser.add_argument("--once", type=int, metavar="N", help="only a fit of N rows, as JSON")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
+    if options.once:
+        print(json.dumps(once(options.once)))
+        return
+    if options.against:
+        against(options.against)
+        return
     numbers: dict[str, float] = {}
     validation = data(320, seed=1)
     for variant, config in VARIANTS.items():
