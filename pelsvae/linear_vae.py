@@ -20,8 +20,9 @@ from pelsvae.network_ensemble import NetworkEnsemble
 
 # Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core, and which
 # the allocator keeps instead of taking fresh pages from the system.
-_ROWS_AT_ONCE = 512
+_AT_ONCE = 2**17
 _TRAINING_ROWS_AT_ONCE = 256
+_MOST_ROWS = 2048
 
 
 class _Member(NamedTuple):
@@ -88,7 +89,7 @@ class LinearVae(nn.Module):
     @property
     def rows_at_once(self) -> int:
         """Rows whose prediction fits near a core."""
-        return _ROWS_AT_ONCE
+        return min(_MOST_ROWS, _AT_ONCE // min(len(self.x), _TRAINING_ROWS_AT_ONCE))
 
     @property
     def no_draw(self) -> Tensor:
