@@ -32,8 +32,10 @@ def study(case: str, seed: int, options: argparse.Namespace) -> list[dict[str, A
         str(seed),
     ]
     done = subprocess.run(
-        [*command, "--n-train", *sizes, "--json", "--quiet"], cwd=ROOT, stdout=subprocess.PIPE, check=True
+        [*command, "--n-train", *sizes, "--json", "--quiet"], cwd=ROOT, stdout=subprocess.PIPE, text=True
     )
+    if done.returncode:
+        sys.exit(f"{' '.join(command)} failed: {done.stdout.strip()}")
     stages = json.loads(done.stdout)["stages"]
     return [json.loads((ROOT / stage["file"]).read_text()) for stage in stages if "mse_polished" in stage]
 
