@@ -22,7 +22,7 @@ from pelsvae.network_ensemble import NetworkEnsemble
 # the allocator keeps instead of taking fresh pages from the system.
 _AT_ONCE = 2**17
 _TRAINING_ROWS_AT_ONCE = 256
-_MOST_ROWS = 2048
+_MOST_ROWS = 2048  # where training rows are few
 
 
 class _Member(NamedTuple):
@@ -162,9 +162,10 @@ class LinearVae(nn.Module):
         columns = self.share[place].nonzero()[:, 0]
         coefficients = self.coefficients[place][:, columns].contiguous()
         warped = kernel.warped(hyper, self.x)
+        at_once = len(warped) if warped.is_cuda else _TRAINING_ROWS_AT_ONCE
         bumps = []
-        for start in range(0, len(warped), _TRAINING_ROWS_AT_ONCE):
-            rows = slice(start, start + _TRAINING_ROWS_AT_ONCE)
+        for start in range(0, len(warped), at_once):
+            rows = slice(start, start + at_once)
             bumps.append((list(kernel.far(hyper, warped[rows])), coefficients[rows]))
         squares = kernel.polynomial(hyper)  # (degree,)
         across = warped / kernel.lengths(hyper)[0].square()  # (n, f)

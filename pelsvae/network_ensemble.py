@@ -69,7 +69,7 @@ class NetworkEnsemble(nn.Module):
         ]
 
     def each(self, theta: Tensor) -> Tensor:
-        """What every network says of features (b, f) -> (e, b, z), in their precision."""
+        """What every network says of features (b, f) -> (e, b, z), computed in the layers' precision."""
         said = _forward(self.layers, self.power, theta.to(self.power.dtype)) + self.origin
         return said.to(theta.dtype)
 

@@ -28,7 +28,7 @@ UNEXPLAINED = 0.1
 # Of so many rows at most four processes are averaged, and networks are tried in any case: they take 3 to 10 %
 # off the error on buildings.
 MANY_ROWS = 1024
-STRETCH = 1.5  # of the lengths of further candidates where rows are fewer
+_STRETCH = 1.5  # of the lengths of further candidates where rows are fewer
 _WORTH = 0.01  # part of the squares left by processes that networks must explain to be kept
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
 _SHARE = 0.9  # of the validation values that the band shall cover
@@ -148,7 +148,7 @@ def _members(
 def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
     """Yield the candidates with longer and with shorter lengths, of which few rows know little."""
     for one in found:
-        for factor in (STRETCH, 1.0 / STRETCH):
+        for factor in (_STRETCH, 1.0 / _STRETCH):
             yield one._replace(hyper=kernel.stretched(one.hyper, factor), is_final=False)
 
 
