@@ -228,17 +228,16 @@ def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_slow_row_holds_up_no_other():
-    rows = _rows(200, 1)
+    rows = _rows(100, 1)
     rows[:, 0] = 1.0
     rows[3, 0] = 4.5
-    started = time.monotonic()
-    progress: list[tuple[float, int]] = []
+    reached: dict[int, float] = {}
     policy = ExecutionPolicy(timeout_s=3.0)
     with ParallelModel(HangingToy(row_s=0.01).open, 2, policy=policy) as model:
-        for _ in model.stream(rows, on_progress=lambda n: progress.append((time.monotonic() - started, n))):
+        for _ in model.stream(rows, on_progress=lambda n: reached.setdefault(n, time.monotonic())):
             pass
-    # All others are done before the hanging one is given up.
-    assert next(seconds for seconds, n in progress if n >= 199) < 2.9
+    # All others are done long before the hanging one is given up; behind it they would take a tenth of this.
+    assert reached[100] - reached[99] > 0.5
 
 
 def test_nothing_is_said_when_all_is_well(caplog: pytest.LogCaptureFixture):

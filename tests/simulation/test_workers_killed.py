@@ -18,6 +18,8 @@ from simulation.trajectories import Trajectories
 
 HERE = Path(__file__).parent
 N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
+# A campaign gives up where nobody gets to a row again and again: so many deaths in a row at most.
+N_DEATHS = 3
 
 # A master with the smallest store there can be: a file per block, and what it holds at each start.
 MASTER = """
@@ -65,6 +67,16 @@ def _start(script: Path, temporary: Path) -> subprocess.Popen[str]:
     )
 
 
+def _progress(folder: Path) -> list[str]:
+    return [file.read_text() for file in sorted(folder.glob("reported-*"))]
+
+
+def _wait_for_progress(folder: Path, before: list[str], master: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 60.0
+    while master.poll() is None and _progress(folder) == before and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
 def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
     chance = random.Random(20)
     script, temporary = tmp_path / "master.py", tmp_path / "tmp"
@@ -74,9 +86,15 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
     rows = ToyRC().parameter_space.from_unit(np.random.default_rng(1).random((N_ROWS, 2)))
     np.save(tmp_path / "rows.npy", rows)
     master, n_kills, family = _start(script, temporary), {"master": 0, "worker": 0}, set()
+    progress: list[str] = []
+    n_deaths = 0
     try:
         for _ in range(N_MOMENTS):
             time.sleep(chance.uniform(0.02, 0.15))
+            if n_deaths == N_DEATHS:
+                _wait_for_progress(tmp_path, progress, master)
+            progress, before = _progress(tmp_path), progress
+            n_deaths = n_deaths if progress == before else 0
             children = psutil.Process(master.pid).children(recursive=True) if master.poll() is None else []
             family.update(children)
             # Three of four moments hit a worker, or the process that all workers are forked from.
@@ -87,7 +105,9 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
             except ProcessLookupError:
                 continue
             n_kills[whom] += 1
+            n_deaths += 1
             if whom == "master":
+                n_deaths = 0
                 said, _ = master.communicate()
                 assert said in ("", "finished\n")
                 master = _start(script, temporary)
