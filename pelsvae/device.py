@@ -9,6 +9,8 @@ import torch
 
 from pelsvae.config import Device
 
+_LARGEST_KEPT = 2**25 - 2**16  # bytes; just below glibc's DEFAULT_MMAP_THRESHOLD_MAX
+
 
 def resolve_device(device: Device) -> torch.device:
     """Turn a device setting into a torch device.
@@ -57,3 +59,13 @@ def denormals_flushed() -> Iterator[None]:
         yield
     finally:
         torch.set_flush_denormal(False)
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep released memory for this process's next tensors instead of asking the system anew.
+
+    It hands blocks back until one of their size was released once, 32 MB at most; the system gives every page
+    of a new one zeroed, which costs more than what is computed on it. One empty block of that size, of which
+    no page is touched, ends that. Elsewhere it does nothing.
+    """
+    torch.empty(_LARGEST_KEPT, dtype=torch.uint8)

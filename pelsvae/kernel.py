@@ -109,9 +109,18 @@ class Kernel:
 
     def warped(self, hyper: Tensor, x: Tensor) -> Tensor:
         """Return warped features: (h,), (n, f) -> (n, f)."""
-        warp = hyper[-1 - self.degree - self.n_features : -1 - self.degree]
-        warp = torch.where(warp.abs() < _LEAST_WARP, torch.full_like(warp, _LEAST_WARP), warp)
+        warp = self._warp(hyper)
         return torch.expm1(warp * x) / warp
+
+    def warped_slope(self, hyper: Tensor, x: Tensor, warped: Tensor) -> Tensor:
+        """Return the derivatives of warped features by their warps, 0 where a warp is next to none."""
+        warp = self._warp(hyper)
+        slope = (x * (1.0 + warp * warped) - warped) / warp
+        return torch.where(warp == _LEAST_WARP, torch.zeros_like(slope), slope)
+
+    def _warp(self, hyper: Tensor) -> Tensor:
+        warp = hyper[-1 - self.degree - self.n_features : -1 - self.degree]
+        return torch.where(warp.abs() < _LEAST_WARP, torch.full_like(warp, _LEAST_WARP), warp)
 
     def near(self, hyper: Tensor, warped: Tensor) -> Tensor:
         """Return what bumps take of points, for all scales: (h,), (b, f) -> (b, f + 1 + s)."""
@@ -134,56 +143,25 @@ class Kernel:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""
         near, far = self.warped(hyper, x), self.warped(hyper, others)
         product = (near / self.lengths(hyper)[0].square()) @ far.T
-        return self._on_trunk(hyper, self.bumps(hyper, near, far), product)
+        return self.on_trunk(hyper, self.bumps(hyper, near, far), product)
 
     def variances(self, hyper: Tensor, x: Tensor) -> Tensor:
         """Return the diagonal of `matrix` at points themselves: (h,), (n, f) -> (n,)."""
         product = (self.warped(hyper, x) / self.lengths(hyper)[0]).square().sum(-1)
-        return self._on_trunk(hyper, self.weights(hyper).sum(), product)
+        return self.on_trunk(hyper, self.weights(hyper).sum(), product)
 
-    def _on_trunk(self, hyper: Tensor, bumps: Tensor, product: Tensor) -> Tensor:
+    def on_trunk(self, hyper: Tensor, bumps: Tensor, product: Tensor) -> Tensor:
         """Add constant and polynomial; the products are divided by the first scale's lengths."""
-        total = CONSTANT + bumps
-        for power, square in enumerate(self.polynomial(hyper), start=1):
-            total = total + square * product**power
-        return total
+        *squares, last = self.polynomial(hyper)
+        for square in reversed(squares):
+            last = (last * product).add_(square)
+        return torch.addcmul(bumps, product, last).add_(CONSTANT)
 
     def noisy(self, hyper: Tensor, x: Tensor) -> Tensor:
         """Return the covariances of simulated rows, noise included: (h,), (n, f) -> (n, n)."""
         matrix = self.matrix(hyper, x, x)
-        noise = (2.0 * hyper[-1]).exp() + JITTER * matrix.diagonal().sum()
-        return matrix + noise * torch.eye(len(x), dtype=x.dtype, device=x.device)
+        return matrix + self.noise(hyper, matrix) * torch.eye(len(x), dtype=x.dtype, device=x.device)
 
-    def loss(
-        self, hyper: Array, x: Tensor, codes: Tensor, prior: Prior, n_independent: float = N_INDEPENDENT
-    ) -> tuple[float, Array]:
-        """Return minus the logarithm of posterior density and its gradient, infinite where none exists.
-
-        Args:
-            hyper: Hyperparameters. Shape (h,).
-            x: Features of the rows. Shape (n, f). [1]
-            codes: Their values, whose squares sum up to n. Shape (n, z). [1]
-            prior: Of the hyperparameters.
-            n_independent: As how many independent values the codes of a row count.
-
-        Returns:
-            Value, and derivatives of shape (h,).
-        """
-        n = len(x)
-        with torch.enable_grad():
-            point = torch.from_numpy(hyper).to(x.device).requires_grad_()
-            matrix = self.noisy(point, x)
-        with torch.no_grad():
-            factor, failed = torch.linalg.cholesky_ex(matrix)
-            if int(failed):
-                return math.inf, np.zeros_like(hyper)
-            inverse = torch.cholesky_inverse(factor)
-            solved = inverse @ codes
-            misfit = (codes * solved).sum()
-            value = n_independent * (factor.diagonal().log().sum() + 0.5 * n * torch.log(misfit / n))
-            slopes = 0.5 * n_independent * torch.addmm(inverse, solved, solved.T, alpha=-n / float(misfit))
-        matrix.backward(slopes)  # type: ignore[no-untyped-call]
-        assert point.grad is not None
-        mean, deviation = prior
-        step = (hyper - mean) / deviation
-        return float(value) + 0.5 * float(step @ step), point.grad.cpu().numpy() + step / deviation
+    def noise(self, hyper: Tensor, matrix: Tensor) -> Tensor:
+        """Return what is added on the diagonal of covariances (n, n)."""
+        return (2.0 * hyper[-1]).exp() + JITTER * matrix.diagonal().sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from pelsvae.kernel import N_INDEPENDENT, Kernel, Prior
+from pelsvae.kernel_loss import kernel_loss
 from pelsvae.standardize import Array
 
 # Rows on which kernels are searched for, and how many of them go on from each to the next: a search on few
@@ -144,7 +146,7 @@ def most_probable(
     if total <= 0.0:  # every trajectory is the same: nothing to learn from
         return 0.0, prior[0]
     found = minimize(
-        kernel.loss,
+        functools.partial(kernel_loss, kernel),
         start,
         args=(features, codes * math.sqrt(len(features) / total), prior, n_independent),
         jac=True,

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from pelsvae.config import SurrogateConfig
+from pelsvae.device import keep_freed_memory
 from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.kernel import Kernel
 from pelsvae.kernel_search import Candidate, candidates
@@ -77,6 +78,7 @@ def fit_processes(
         if on_epoch is not None:
             on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
 
+    keep_freed_memory()
     # Threads of the optimizer's small linear algebra would wait for each other most of the time.
     with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"):
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)

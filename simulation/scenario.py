@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator, PPoly
 
 from simulation.arrays import FloatArray
 
@@ -89,6 +88,9 @@ def values_over_steps(
     Raises:
         ValueError: If the series does not cover the steps: it is never extended silently.
     """
+    # Every worker process imports this module, and none needs a spline: a second of imports for each.
+    from scipy.interpolate import PchipInterpolator, PPoly
+
     if not covers(time, edges, interpolation):
         raise ValueError(
             f"the series from {time[0]:g} to {time[-1]:g} s does not cover {edges[0]:g} to {edges[-1]:g} s"

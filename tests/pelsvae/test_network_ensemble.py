@@ -50,7 +50,7 @@ def error_of(surrogate: Surrogate, rows: Rows) -> float:
 
 @pytest.fixture(scope="module")
 def surrogate() -> Surrogate:
-    # So few that processes leave two thirds of the squares: from 60 on it depends on the draw what they leave.
+    # So few that processes leave two thirds of the squares; what they leave of 60 depends on the draw.
     made = fitted(waves(N_WAVES, seed=1), waves(60, seed=2))
     assert network_of(made).networks is not None
     return made
