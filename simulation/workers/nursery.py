@@ -105,6 +105,7 @@ class Nursery:
         self._owner = os.getpid()
         self._next = 0
         self._known: set[bytes] = set()
+        self._untold: list[Learnt] = []
         self.workers: dict[int, Worker] = {}
         try:
             self._control.send((packed(make_model), limits))
@@ -128,6 +129,9 @@ class Nursery:
         self._next += 1
         self.workers[worker.number] = worker
         with far, contextlib.suppress(OSError):
+            # Only now: where nobody follows, nobody needs it, and it would hold up the end.
+            while self._untold:
+                self._control.send(self._untold.pop())
             self._control.send(Hire(worker.number))
             send_handle(self._control, far.fileno(), self._process.pid)
         return worker
@@ -192,7 +196,7 @@ class Nursery:
                 return [message]
             if message.known not in self._known:
                 self._known.add(message.known)
-                self._control.send(message)
+                self._untold.append(message)
         except (EOFError, OSError):
             connection.close()
         return []
