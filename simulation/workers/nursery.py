@@ -13,6 +13,7 @@ from multiprocessing.reduction import send_handle
 from typing import Any, Final
 
 from simulation.errors import InputError
+from simulation.workers.held_interrupts import interrupts_held
 from simulation.workers.messages import (
     Ended,
     Fire,
@@ -32,6 +33,8 @@ from simulation.workers.worker import command
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _GRACE_S: Final = 1.0
+# For killing what is left and removing its files, however many they are and however slow the disk. [s]
+_END_S: Final = 60.0
 
 
 @dataclass(eq=False)
@@ -87,9 +90,33 @@ class Nursery:
             RuntimeError: If they cannot be imported.
             NurseryEnded: If the process ends before it is ready.
         """
+        self._owner = os.getpid()
+        self._next = 0
+        self._known: set[bytes] = set()
+        self._untold: list[Learnt] = []
+        self.workers: dict[int, Worker] = {}
+        with interrupts_held() as release:
+            self._start()
+            try:
+                release()
+                self._control.send((packed(make_model), limits))
+                answer = self._control.recv()
+            except (EOFError, OSError):
+                self._log.seek(0)
+                said = self._log.read().decode("utf-8", "replace").strip() or "killed"
+                self.close()
+                raise NurseryEnded(f"the process for simulations does not start: {said}") from None
+            except BaseException:
+                self.close()
+                raise
+        if not isinstance(answer, Ready):
+            self.close()
+            raise error_of(answer)
+
+    def _start(self) -> None:
         near, far = socket.socketpair()
+        self._control = Connection(near.detach())
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
-        environment = dict.fromkeys(_THREADS, "1") | os.environ
         with far:
             self._process = subprocess.Popen(
                 command(far.fileno()),
@@ -97,30 +124,10 @@ class Nursery:
                 stdout=self._log,
                 stderr=self._log,
                 pass_fds=[far.fileno()],
-                env=environment,
+                env=dict.fromkeys(_THREADS, "1") | os.environ,
                 # Ctrl-C reaches only the process that decides what it means.
                 start_new_session=True,
             )
-        self._control = Connection(near.detach())
-        self._owner = os.getpid()
-        self._next = 0
-        self._known: set[bytes] = set()
-        self._untold: list[Learnt] = []
-        self.workers: dict[int, Worker] = {}
-        try:
-            self._control.send((packed(make_model), limits))
-            answer = self._control.recv()
-        except (EOFError, OSError):
-            self._log.seek(0)
-            said = self._log.read().decode("utf-8", "replace").strip()
-            self.close()
-            raise NurseryEnded(f"the process for simulations does not start: {said or 'killed'}") from None
-        except BaseException:
-            self.close()
-            raise
-        if not isinstance(answer, Ready):
-            self.close()
-            raise error_of(answer)
 
     def hire(self) -> Worker:
         """Start a worker; an Opened, Refused or Ended tells what became of it."""
@@ -233,7 +240,7 @@ class Nursery:
         # It kills what is left, removes the scratch folder and ends.
         self._control.close()
         try:
-            self._process.wait(timeout=5.0)
+            self._process.wait(timeout=_END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

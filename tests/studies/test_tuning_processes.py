@@ -190,7 +190,7 @@ def test_a_trial_that_failed_with_its_process_is_tracked(
             (worker,) = (
                 child
                 for child in psutil.Process().children()
-                if child.name() != "resource_tracker" and "spawn_main" in " ".join(child.cmdline())
+                if child.status() != psutil.STATUS_ZOMBIE and "spawn_main" in " ".join(child.cmdline())
             )
             worker.kill()
 
