@@ -182,7 +182,8 @@ def _elsewhere(
     """Ask the estimates in another process: as they are, at half the step, with other inputs."""
     case, names = surgery.case, surgery.case.scenario.input_names
     model = circumstances(case, surgery.halved, estimates.theta)
-    policy = _policy(case, patience.row_timeout_s)
+    # The estimates have been answered in time before: it may be the machine that is busy.
+    policy = replace(_policy(case, patience.row_timeout_s), timeout_retries=1)
     with ParallelModel(model.open, min(surgery.n_workers, 2 + len(names)), policy=policy) as elsewhere:
         n = patience.rows("another process, half the step, other inputs", 3 + len(names), 3)
         if not n:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from mlflow_store_for_tests import give_store
 
 from studies.cli import main
 
@@ -67,6 +68,7 @@ def project(needs_a_browser: None, tmp_path_factory: pytest.TempPathFactory) -> 
         REPOSITORY / "data" / "office", root / "data" / "office", ignore=shutil.ignore_patterns("generated")
     )
     (root / "pyproject.toml").write_text("", encoding="utf-8")
+    give_store(root)
     (root / "small.toml").write_text(SMALL_PROFILE, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))

@@ -1,5 +1,6 @@
 """A small project with the real office FMU and a made-up recording, and the command line in this process."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,13 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("STUDIES_ROOT", str(root))
     monkeypatch.chdir(root)
     return root
+
+
+@pytest.fixture
+def new_project(project: Path) -> Path:
+    """The same before anything was made, MLflow's store included."""
+    shutil.rmtree(project / "mlruns")
+    return project
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from made_up_recording import write_csv_files
+from mlflow_store_for_tests import give_store
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OFFICE = REPOSITORY / "fmus" / "office"
@@ -70,13 +71,10 @@ Run = Callable[..., Answer]
 def make_calibrated_wall(root: Path, *options: str) -> Path:
     """Make a project with a wall and calibrate it with some options, quietly, in one process."""
     from studies.cli import main
-    from studies.paths import ProjectPaths
-    from studies.tracking.mlflow_tracker import MlflowTracker
 
     make_project(root)
     for folder in ("fmus/wall", "data/wall"):
         shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
-    MlflowTracker(ProjectPaths(root))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
         assert main(["calibrate", "wall", "--jobs", "1", "-q", *options]) == 0
@@ -92,11 +90,12 @@ def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
 
 
 def make_project(root: Path) -> Path:
-    """Lay out a project with the office and a made-up recording of 22 days."""
+    """Lay out a project with the office, a made-up recording of 22 days and an empty MLflow store."""
     folder = root / "fmus" / "office"
     folder.mkdir(parents=True)
     for name in ("Office.fmu", "case.toml"):
         shutil.copy(OFFICE / name, folder / name)
     write_csv_files(root / "data" / "office")
     (root / "pyproject.toml").write_text("", encoding="utf-8")
+    give_store(root)
     return root

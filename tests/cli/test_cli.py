@@ -141,20 +141,18 @@ def test_tables_are_on_stdout_and_progress_is_not(project: Path, studies: Run) -
     assert "\x1b" not in answer.out + answer.err
 
 
-def test_ui_says_what_it_would_start(project: Path, studies: Run) -> None:
+def test_ui_says_what_it_would_start(new_project: Path, studies: Run) -> None:
     document = studies("ui", "--dry-run", "--json").document
     assert document["environment"]["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
     assert document["argv"][document["argv"].index("--host") + 1] == "127.0.0.1"
-    assert document["environment"]["MLFLOW_BACKEND_STORE_URI"] == f"sqlite:///{project}/mlruns/mlflow.db"
+    assert document["environment"]["MLFLOW_BACKEND_STORE_URI"] == f"sqlite:///{new_project}/mlruns/mlflow.db"
     assert document["url"].startswith("http://studies.localhost:")
-    assert not (project / "mlruns").exists()
+    assert not (new_project / "mlruns").exists()
 
 
 def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(
     project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (project / "mlruns").mkdir()
-    (project / "mlruns" / "mlflow.db").touch()
     monkeypatch.delenv("MLFLOW_AUTH_ADMIN_PASSWORD", raising=False)
     for password, complaint in (("", "needs a password"), ("short", "has 5 characters")):
         monkeypatch.setenv("MLFLOW_AUTH_ADMIN_PASSWORD", password)

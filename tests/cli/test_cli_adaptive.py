@@ -16,7 +16,6 @@ import pytest
 from project_for_tests import REPOSITORY, Run, copy_of, make_project
 
 from studies.cli import main
-from studies.paths import ProjectPaths
 
 BEST_KNOWN = 0.01052
 RECORDED = REPOSITORY / "data" / "office"
@@ -30,12 +29,9 @@ SHORT = (*ADAPTIVE, "--max-calls", "28")
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with the recording that the references belong to and an empty MLflow store."""
-    from studies.tracking.mlflow_tracker import MlflowTracker
-
     root = make_project(tmp_path_factory.mktemp("template") / "project")
     for file in RECORDED.glob("*.csv"):
         shutil.copy(file, root / "data" / "office" / file.name)
-    MlflowTracker(ProjectPaths(root))
     return root
 
 

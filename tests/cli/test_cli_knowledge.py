@@ -11,7 +11,6 @@ from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
 
 from simulation.case import load_case
 from studies.doctor.declared import look_at_declaration
-from studies.paths import ProjectPaths
 
 ADAPTIVE = ("calibrate", "office", "--jobs", "1")
 PRIOR = 'name = "UWin"\nprior = { about = 0.75, within_factor = 1.05 }\n'
@@ -22,11 +21,7 @@ P, N_MORRIS, N_CHECK = 14, 60, 15
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with an empty MLflow store, which takes seconds to make."""
-    from studies.tracking.mlflow_tracker import MlflowTracker
-
-    root = make_project(tmp_path_factory.mktemp("template") / "project")
-    MlflowTracker(ProjectPaths(root))
-    return root
+    return make_project(tmp_path_factory.mktemp("template") / "project")
 
 
 @pytest.fixture

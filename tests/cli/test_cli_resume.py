@@ -15,8 +15,6 @@ import pyarrow.parquet
 import pytest
 from project_for_tests import REPOSITORY, Run, make_project
 
-from studies.paths import ProjectPaths
-
 LABEL = "office-smoke"
 LIMIT_S = 300.0
 RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
@@ -136,11 +134,7 @@ def finished_work(project: Path) -> dict[str, object]:
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with an empty MLflow store, whose making costs more than all the rest."""
-    from studies.tracking.mlflow_tracker import MlflowTracker
-
-    root = make_project(tmp_path_factory.mktemp("template") / "project")
-    MlflowTracker(ProjectPaths(root))
-    return root
+    return make_project(tmp_path_factory.mktemp("template") / "project")
 
 
 @pytest.fixture(scope="module")

@@ -163,11 +163,11 @@ def test_results_that_are_damaged_name_the_command_that_makes_them(paths: Projec
     assert aside.read_bytes() == b"no archive"
 
 
-def test_an_empty_project_is_sound(project: Path, studies: Run) -> None:
+def test_an_empty_project_is_sound(new_project: Path, studies: Run) -> None:
     answer = studies("doctor", "--json")
     assert answer.code == 0
     assert json.loads(answer.out)["sound"] is True
-    assert not (project / "mlruns" / "mlflow.db").exists()
+    assert not (new_project / "mlruns" / "mlflow.db").exists()
 
 
 def test_a_removed_mlflow_database_is_written_again_by_the_same_command(

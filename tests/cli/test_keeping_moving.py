@@ -30,16 +30,11 @@ def archive(paths: ProjectPaths, studies: Run) -> Path:
     return file
 
 
-def clean_project(
-    root: Path, monkeypatch: pytest.MonkeyPatch, *, database: Path | None = None
-) -> ProjectPaths:
+def clean_project(root: Path, monkeypatch: pytest.MonkeyPatch) -> ProjectPaths:
     """Make a project as a clone is: a case, a recording and a profile."""
     make_project(root)
     (root / "tiny.toml").write_text(TINY_PROFILE, encoding="utf-8")
     paths = ProjectPaths(root)
-    if database is not None:  # making MLflow's tables takes seconds
-        paths.mlruns.mkdir()
-        shutil.copy(database, paths.tracking_database)
     enter(paths, monkeypatch)
     return paths
 

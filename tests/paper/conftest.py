@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mlflow_store_for_tests import give_store
 
 from studies.cli import main
 
@@ -56,6 +57,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(REPOSITORY / "data" / "office", root / "data" / "office", ignore=ignore)
     (root / "pyproject.toml").write_text("")
     (root / "toy.toml").write_text(TOY)
+    give_store(root)
     return root
 
 

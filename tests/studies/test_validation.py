@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mlflow_store_for_tests import give_store
 
 from simulation.case import Case, load_case
 from simulation.counting import CountingModel
@@ -92,6 +93,7 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
         cells = lines[row].split(",")
         lines[row] = ",".join([cells[0], "", *cells[2:]])
     recording.write_text("\n".join(lines) + "\n")
+    give_store(tmp_path)
     done = subprocess.run(
         [sys.executable, "-m", "studies", "run", "--profile", "smoke", "--json"],
         env=os.environ | {"STUDIES_ROOT": str(tmp_path), "PYTHONPATH": str(REPOSITORY)},
