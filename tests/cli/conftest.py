@@ -1,28 +1,28 @@
 """A small project with the real office FMU and a made-up recording, and the command line in this process."""
 
-import shutil
 from pathlib import Path
 
 import pytest
+from mlflow_store_for_tests import give_store
 from project_for_tests import TINY_PROFILE, Answer, Run, make_project
 
 from studies.cli import main
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project that the command line finds."""
-    root = make_project(tmp_path / "project")
+def new_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project that the command line finds, in which nothing was made yet."""
+    root = make_project(tmp_path / "project", with_store=False)
     monkeypatch.setenv("STUDIES_ROOT", str(root))
     monkeypatch.chdir(root)
     return root
 
 
 @pytest.fixture
-def new_project(project: Path) -> Path:
-    """The same before anything was made, MLflow's store included."""
-    shutil.rmtree(project / "mlruns")
-    return project
+def project(new_project: Path) -> Path:
+    """The same with an empty MLflow store."""
+    give_store(new_project)
+    return new_project
 
 
 @pytest.fixture

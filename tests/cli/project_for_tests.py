@@ -89,13 +89,14 @@ def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
     return root
 
 
-def make_project(root: Path) -> Path:
-    """Lay out a project with the office, a made-up recording of 22 days and an empty MLflow store."""
+def make_project(root: Path, *, with_store: bool = True) -> Path:
+    """Lay out a project with the office, a made-up recording of 22 days and perhaps an empty MLflow store."""
     folder = root / "fmus" / "office"
     folder.mkdir(parents=True)
     for name in ("Office.fmu", "case.toml"):
         shutil.copy(OFFICE / name, folder / name)
     write_csv_files(root / "data" / "office")
     (root / "pyproject.toml").write_text("", encoding="utf-8")
-    give_store(root)
+    if with_store:
+        give_store(root)
     return root

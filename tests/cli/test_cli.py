@@ -90,15 +90,15 @@ def test_simulate_as_json_is_one_document_and_the_rest_on_stderr(project: Path, 
     assert reused["files"] == stage["files"]
 
 
-def test_folders_may_be_links_to_another_disk(project: Path, studies: Run, tmp_path: Path) -> None:
-    for place in (project / "mlruns", project / "data" / "office" / "generated"):
+def test_folders_may_be_links_to_another_disk(new_project: Path, studies: Run, tmp_path: Path) -> None:
+    for place in (new_project / "mlruns", new_project / "data" / "office" / "generated"):
         disk = tmp_path / f"disk-{place.name}"
         disk.mkdir()
         place.symlink_to(disk)
     arguments = ("simulate", "--profile", "smoke", "--json")
     answer = studies(*arguments)
     assert answer.code == 0, answer.err
-    assert all((project / file).is_file() for file in answer.document["stages"][0]["files"].values())
+    assert all((new_project / file).is_file() for file in answer.document["stages"][0]["files"].values())
     assert studies(*arguments).document["stages"][0]["finished_before"]
 
 

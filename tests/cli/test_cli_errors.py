@@ -38,6 +38,12 @@ def assert_refused(answer: Answer, *fragments: str) -> None:
     assert answer.out == ""
 
 
+@pytest.fixture
+def project(new_project: Path) -> Path:
+    """Nothing was made yet, and what is refused makes nothing."""
+    return new_project
+
+
 def files_of(project: Path) -> dict[str, int]:
     return {str(file.relative_to(project)): file.stat().st_mtime_ns for file in project.rglob("*")}
 
