@@ -67,7 +67,7 @@ class _Covariances:
         hyper: Hyperparameters. Shape (h,).
         x: Features. Shape (n, f). [1]
         warped: The features warped. Shape (n, f). [1]
-        bumps: Of every scale. Shape (s, n, n); None once they have been used up.
+        bumps: Of every scale. Shape (s, n, n); `pulled_back` overwrites them.
         product: Of warped features, divided by the first scale's lengths. Shape (n, n).
         matrix: The covariances. Shape (n, n).
     """
