@@ -103,7 +103,8 @@ def _simulated(surgery: Surgery, patience: Patience) -> Iterator[list[Finding]]:
     policy, warn = _policy(case, patience.first_timeout_s), surgery.console.warn
     with ParallelModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
         try:
-            nominal, patience.simulation_s = _timed(alone, base)
+            nominal, patience.opening_s = _timed(alone, base)
+            patience.simulation_s = patience.opening_s
         except InputError as error:
             yield [cannot_open(_in_short(error, case))]
             return
@@ -119,16 +120,17 @@ def _simulated(surgery: Surgery, patience: Patience) -> Iterator[list[Finding]]:
             after = alone.simulate(np.stack([coverage_points(case, 1)[0], base]))
             again = [answer, after.take([1])]
             if patience.rows("starting the FMU over", 4, at_once=False):
-                yield _restart(case, policy, after.take([0]), base)
+                yield _restart(case, patience, after.take([0]), base)
         yield from _in_the_box(surgery, patience, estimates)
         yield _elsewhere(surgery, patience, estimates, again)
         yield [*_memory(surgery, patience, alone, base)]
     yield [*_costs(surgery, patience)]
 
 
-def _restart(case: Case, policy: ExecutionPolicy, later: Trajectories, other: FloatArray) -> list[Finding]:
+def _restart(case: Case, patience: Patience, later: Trajectories, other: FloatArray) -> list[Finding]:
     """Ask a row as the first of a process that was answered after others in another."""
     model = RestartModel(case.settings, later.theta[0], other)
+    policy = _policy(case, patience.with_opening(patience.first_timeout_s))
     with ParallelModel(model.open, 1, policy=policy) as alone:
         answer = alone.simulate(np.zeros((1, 1)))
     first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
@@ -182,8 +184,7 @@ def _elsewhere(
     """Ask the estimates in another process: as they are, at half the step, with other inputs."""
     case, names = surgery.case, surgery.case.scenario.input_names
     model = circumstances(case, surgery.halved, estimates.theta)
-    # The estimates have been answered in time before: it may be the machine that is busy.
-    policy = replace(_policy(case, patience.row_timeout_s), timeout_retries=1)
+    policy = _policy(case, patience.with_opening(patience.row_timeout_s))
     with ParallelModel(model.open, min(surgery.n_workers, 2 + len(names)), policy=policy) as elsewhere:
         n = patience.rows("another process, half the step, other inputs", 3 + len(names), 3)
         if not n:

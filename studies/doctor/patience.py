@@ -21,6 +21,7 @@ class Patience:
         is_thorough: nothing is left out.
         timeout_s: time-out of the case, None for none. [s]
         simulation_s: time of one simulation, once it is known. [s]
+        opening_s: time of the first one, with the start of its process and the opening of the FMU. [s]
         left_out: examinations cut short, with what was done instead.
     """
 
@@ -28,6 +29,7 @@ class Patience:
     is_thorough: bool
     timeout_s: float | None
     simulation_s: float = 0.0
+    opening_s: float = 0.0
     left_out: list[str] = field(default_factory=list)
     _started: float = field(default_factory=time.perf_counter)
 
@@ -47,6 +49,10 @@ class Patience:
         if self.timeout_s is not None or self.is_thorough:
             return self.timeout_s
         return LEAST_S + SLOWER * self.simulation_s
+
+    def with_opening(self, timeout_s: float | None) -> float | None:
+        """Return the time-out of a simulation that opens the FMU itself. [s]."""
+        return None if timeout_s is None else timeout_s + SLOWER * self.opening_s
 
     def rows(self, what: str, wanted: int, least: int = 1, *, at_once: bool = True) -> int:
         """Return how many simulations an examination may have, and remember what it has to do without.

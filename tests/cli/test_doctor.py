@@ -149,7 +149,8 @@ def test_what_the_doctor_simulates_is_kept(
     file.write_text(head + rest[rest.index("[fixed]") :], encoding="utf-8")
     count = project / "count"
     monkeypatch.setenv("BAD_FMU_COUNT", str(count))
-    assert studies("check", "bad", "--profile", "smoke").code == 0
+    said = studies("check", "bad", "--profile", "smoke")
+    assert said.code == 0, said.out
     first = counted(count)
     assert studies("check", "bad", "--profile", "smoke").code == 0
     again = counted(count) - first
