@@ -12,7 +12,7 @@ from project_for_tests import REPOSITORY, Answer, Run
 from simulation.case import load_case
 from studies.doctor.answers import look_at_influence
 from studies.doctor.declared import look_at_data, look_at_declaration, temperature_doubt
-from studies.doctor.patience import EXAMINATION_S, FIRST_S, Patience
+from studies.doctor.patience import EXAMINATION_S, FIRST_S, SLOWER, Patience
 
 EXAMINED = {
     "names, units, bounds",
@@ -233,3 +233,9 @@ def test_the_first_simulation_is_not_waited_for_without_end() -> None:
     assert Patience(2, True, None).first_timeout_s is None
     assert Patience(2, False, 7.0).first_timeout_s == 7.0
     assert Patience(2, False, 7.0, simulation_s=1.0).row_timeout_s == 7.0
+
+
+def test_a_simulation_that_opens_the_fmu_has_time_to() -> None:
+    slow = Patience(2, False, 1.0, opening_s=3.0)
+    assert slow.with_opening(slow.row_timeout_s) == 1.0 + 3.0 * SLOWER
+    assert Patience(2, True, None, opening_s=3.0).with_opening(None) is None
