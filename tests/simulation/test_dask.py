@@ -57,7 +57,7 @@ def test_a_worker_killed_half_way_costs_nothing(cluster: Any):
     assert block.digest == ToyRC().simulate(rows).digest
     # What simulated for it went with it.
     assert children
-    assert not psutil.wait_procs(children, timeout=60)[1]
+    assert not psutil.wait_procs(children, timeout=5)[1]
 
 
 def test_the_fmu_travels_by_its_content(cluster: Any, decay_case: Path):

@@ -46,7 +46,7 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
         for process in set(psutil.Process().children(recursive=True)) - before
         if "resource_tracker" not in " ".join(process.cmdline())
     ]
-    assert not psutil.wait_procs(left, timeout=60)[1]
+    assert not psutil.wait_procs(left, timeout=5)[1]
 
 
 def test_the_same_bits_and_exactly_the_bad_rows_fail(executor: Executor):

@@ -194,8 +194,8 @@ def test_no_worker_and_no_file_outlives_its_parent(how: signal.Signals, tmp_path
         started = time.monotonic()
         process.send_signal(how)
         process.wait(timeout=20)
-        _, alive = psutil.wait_procs(workers, timeout=60)
+        _, alive = psutil.wait_procs(workers, timeout=10)
         assert not alive
         # The batch would have taken 100 s; "within a second" is what it takes on an idle machine.
-        assert time.monotonic() - started < 30
+        assert time.monotonic() - started < 5
     assert not list(temporary.iterdir())

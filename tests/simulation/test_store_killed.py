@@ -116,7 +116,7 @@ def test_no_reported_row_is_lost_or_simulated_twice_whoever_is_killed(tmp_path: 
                     time.sleep(dice.uniform(0.0, 0.1))
                     n_workers += kill_a_worker(process.pid, dice)
             process.wait(LIMIT_S)
-            _, alive = psutil.wait_procs(family, timeout=60)
+            _, alive = psutil.wait_procs(family, timeout=10)
             assert not alive, "workers outlive their master"
             with open_store(tmp_path / "store") as store:
                 known = store.find(theta)

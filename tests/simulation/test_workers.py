@@ -199,7 +199,7 @@ def test_what_a_model_starts_and_writes_goes_with_its_worker(tmp_path: Path, mon
         family = set(psutil.Process().children(recursive=True)) - before
         assert sum(process.name() == "sleep" for process in family) == 3
         assert list(tmp_path.rglob("left.txt"))
-    _, alive = psutil.wait_procs(family, timeout=60)
+    _, alive = psutil.wait_procs(family, timeout=5)
     assert not alive
     assert not list(tmp_path.iterdir())
 
@@ -211,7 +211,7 @@ def test_a_forgotten_model_leaves_no_process():
     family = set(psutil.Process().children(recursive=True)) - before
     assert family
     del model
-    _, alive = psutil.wait_procs(family, timeout=60)
+    _, alive = psutil.wait_procs(family, timeout=5)
     assert not alive
 
 

@@ -113,7 +113,7 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
                 master = _start(script, temporary)
                 # Half of the time long enough to get to work.
                 time.sleep(chance.choice((0.0, 1.0)))
-        said, _ = master.communicate(timeout=120)
+        said, _ = master.communicate(timeout=60)
         assert said == "finished\n"
     finally:
         master.kill()
@@ -121,7 +121,7 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
     assert n_kills["master"] >= 5
     assert n_kills["worker"] >= 20
     _check_counts(tmp_path, rows, sum(n_kills.values()))
-    assert not psutil.wait_procs(family, timeout=60)[1]
+    assert not psutil.wait_procs(family, timeout=5)[1]
     assert not list(temporary.iterdir())
     assert not list((tmp_path / "spool").iterdir())
 

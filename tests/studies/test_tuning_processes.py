@@ -108,7 +108,7 @@ def wait_for_trial(process: subprocess.Popen[str], index: int, *, n_studies: int
 
 
 def wait_for_end(processes: list[psutil.Process]) -> None:
-    _, alive = psutil.wait_procs(processes, timeout=60)
+    _, alive = psutil.wait_procs(processes, timeout=10)
     assert not alive
 
 
@@ -124,7 +124,7 @@ def test_interrupted_and_killed_commands_lose_and_repeat_nothing(
     wait_for_trial(interrupted, 2, n_studies=1)
     workers = psutil.Process(interrupted.pid).children(recursive=True)
     os.killpg(interrupted.pid, signal.SIGINT)  # as a terminal does: the whole group
-    _, errors = interrupted.communicate(timeout=120)
+    _, errors = interrupted.communicate(timeout=30)
     assert interrupted.returncode != 0
     assert errors.strip().endswith("KeyboardInterrupt")
     wait_for_end(workers)
