@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pelsvae.kernel import N_INDEPENDENT, Kernel, Prior
 from pelsvae.kernel_loss import kernel_loss
+from pelsvae.side_by_side import SideBySide
 from pelsvae.standardize import Array
 
 # Rows on which kernels are searched for, and how many of them go on from each to the next: a search on few
@@ -33,6 +34,7 @@ class Candidate(NamedTuple):
     """Hyperparameters that are likely for some codes.
 
     Attributes:
+        place: Its own among candidates: group of codes, stage and rank; single codes come after all groups.
         hyper: They. Shape (h,).
         columns: The codes.
         is_final: Whether they are among the likeliest two of a group's last searches.
@@ -41,6 +43,7 @@ class Candidate(NamedTuple):
         done: Part of all searches that is done with this one.
     """
 
+    place: tuple[int, int, int]
     hyper: Array
     columns: slice
     is_final: bool
@@ -49,8 +52,18 @@ class Candidate(NamedTuple):
     done: float
 
 
+class _Search(NamedTuple):
+    """One search: the rows and codes it is for, its start and belief, and how many values of a row count."""
+
+    rows: slice
+    columns: slice
+    start: Array
+    prior: Prior
+    n_independent: float = N_INDEPENDENT
+
+
 def candidates(
-    kernel: Kernel, features: Tensor, codes: Tensor, seed: int, max_iterations: int
+    kernel: Kernel, features: Tensor, codes: Tensor, seed: int, max_iterations: int, threads: SideBySide
 ) -> Iterator[Candidate]:
     """Search for likely kernels, each group of codes from several starts, then for single codes.
 
@@ -60,10 +73,16 @@ def candidates(
         codes: Principal coordinates, the leading ones first. Shape (n, z). [1]
         seed: Of the starts.
         max_iterations: Of each search.
+        threads: Where searches run.
 
     Yields:
-        What each search ended with.
+        What each search ended with, as they end.
     """
+
+    def found(search: _Search) -> tuple[float, Array]:
+        known = features[search.rows], codes[search.rows, search.columns]
+        return most_probable(kernel, *known, search, max_iterations, threads.check)
+
     n, z = codes.shape
     groups = _groups(codes)
     plan = list(_stages(n))
@@ -71,35 +90,36 @@ def candidates(
     n_few = min(n, SINGLE_ROWS)
     work = [len(groups) * n_starts * float(rows) ** 3 for rows, n_starts in plan]
     all_work, done = sum(work) + 2 * n_single * float(n_few) ** 3, 0.0
-    shared = kernel.prior[0]
-    for place, columns in enumerate(groups):
-        likely = _starts(kernel, [seed, place])
-        for stage, (n_rows, n_starts) in enumerate(plan):
-            known = features[:n_rows], codes[:n_rows, columns]
-            found = [most_probable(kernel, *known, start, max_iterations) for start in likely[:n_starts]]
-            found.sort(key=lambda pair: pair[0])
-            for rank, (loss, hyper) in enumerate(found):
+    likely = [_starts(kernel, [seed, group]) for group in range(len(groups))]
+    for stage, (n_rows, n_starts) in enumerate(plan):
+        rows = slice(n_rows)
+        answers = threads.each(
+            found,
+            [
+                _Search(rows, columns, start, kernel.prior)
+                for columns, starts in zip(groups, likely, strict=True)
+                for start in starts[:n_starts]
+            ],
+        )
+        for group, columns in enumerate(groups):
+            ranked = sorted(itertools.islice(answers, n_starts), key=lambda pair: pair[0])
+            for rank, (loss, hyper) in enumerate(ranked):
                 done += float(n_rows) ** 3 / all_work
                 is_final = stage == len(plan) - 1 and rank < N_FINAL
-                yield Candidate(hyper, columns, is_final, n_rows, loss / n_rows, done)
-            likely = [hyper for _, hyper in found]
-        if place == 0:
-            shared = likely[0]
+                place = (group, stage, rank)
+                yield Candidate(place, hyper, columns, is_final, n_rows, loss / n_rows, done)
+            likely[group] = [hyper for _, hyper in ranked]
     mean, deviation = kernel.prior
-    for code in range(n_single):
-        for prior in ((shared, CLOSER * deviation), (mean, deviation)):
-            column = slice(code, code + 1)
-            loss, hyper = most_probable(
-                kernel,
-                features[:n_few],
-                codes[:n_few, column],
-                shared,
-                max_iterations,
-                prior,
-                n_independent=1.0,
-            )
-            done += float(n_few) ** 3 / all_work
-            yield Candidate(hyper, column, False, None, loss / n_few, done)
+    shared = likely[0][0]
+    singles = [
+        _Search(slice(n_few), slice(code, code + 1), shared, prior, n_independent=1.0)
+        for code in range(n_single)
+        for prior in ((shared, CLOSER * deviation), (mean, deviation))
+    ]
+    for rank, (loss, hyper) in enumerate(threads.each(found, singles)):
+        done += float(n_few) ** 3 / all_work
+        place = (len(groups), 0, rank)
+        yield Candidate(place, hyper, singles[rank].columns, False, None, loss / n_few, done)
 
 
 def _groups(codes: Tensor) -> list[slice]:
@@ -135,20 +155,23 @@ def most_probable(
     kernel: Kernel,
     features: Tensor,
     codes: Tensor,
-    start: Array,
+    search: _Search,
     max_iterations: int,
-    prior: Prior | None = None,
-    n_independent: float = N_INDEPENDENT,
+    check: Callable[[], None],
 ) -> tuple[float, Array]:
     """Return the smallest loss found from a start, and the hyperparameters there."""
-    prior = prior or kernel.prior
     total = float(codes.square().sum())
     if total <= 0.0:  # every trajectory is the same: nothing to learn from
-        return 0.0, prior[0]
+        return 0.0, search.prior[0]
+    codes = codes * math.sqrt(len(features) / total)
+
+    def loss(hyper: Array) -> tuple[float, Array]:
+        check()
+        return kernel_loss(kernel, hyper, features, codes, search.prior, search.n_independent)
+
     found = minimize(
-        functools.partial(kernel_loss, kernel),
-        start,
-        args=(features, codes * math.sqrt(len(features) / total), prior, n_independent),
+        loss,
+        search.start,
         jac=True,
         method="L-BFGS-B",
         bounds=kernel.bounds,

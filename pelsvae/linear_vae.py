@@ -10,18 +10,19 @@ doi:10.1198/016214507000000888.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from pelsvae.kernel import CONSTANT, Kernel, summed
+from pelsvae.kernel import CONSTANT, Kernel
 from pelsvae.network_ensemble import NetworkEnsemble
 
 # Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core, and which
 # the allocator keeps instead of taking fresh pages from the system.
 _AT_ONCE = 2**17
-_TRAINING_ROWS_AT_ONCE = 256
+_TRAINING_ROWS_AT_ONCE = 128
 _MOST_ROWS = 2048  # where training rows are few
 
 
@@ -34,7 +35,7 @@ class _Member(NamedTuple):
 
     hyper: Tensor  # (h,)
     columns: Tensor  # (c,)
-    bumps: list[tuple[list[Tensor], Tensor]]  # of k training rows: s of (f + 1 + s, k), coefficients (k, c)
+    bumps: list[tuple[Tensor, Tensor]]  # k rows in s scales: (f + 1 + s, s * k), coefficients (s * k, c)
     constant: Tensor  # (c,)
     slope: Tensor  # (f, c)
     bend: Tensor  # (f, c * f)
@@ -70,12 +71,19 @@ class LinearVae(nn.Module):
     rest: Tensor
     inflation: Tensor
 
-    def __init__(self, kernel: Kernel, networks: NetworkEnsemble | None = None, **buffers: Tensor) -> None:
+    def __init__(
+        self,
+        kernel: Kernel,
+        networks: NetworkEnsemble | None = None,
+        factors: Sequence[Tensor] | None = None,
+        **buffers: Tensor,
+    ) -> None:
         """Take what was learnt.
 
         Args:
             kernel: Form of the kernels.
             networks: One member more.
+            factors: Cholesky factors of every member's covariances, if they are known. m of (n, n).
             buffers: The tensors among the attributes, by name.
         """
         super().__init__()
@@ -84,7 +92,7 @@ class LinearVae(nn.Module):
         for name in ("basis", "x", "hyper", "share", "coefficients", "amplitude", "rest", "inflation"):
             self.register_buffer(name, buffers[name])
         self._known: list[_Member] | None = None
-        self._factors: list[Tensor] | None = None
+        self._factors = factors
 
     @property
     def rows_at_once(self) -> int:
@@ -146,7 +154,7 @@ class LinearVae(nn.Module):
             mean = mean + (bent @ near[:, :, None])[:, :, 0]
         points = self.kernel.near(member.hyper, near)
         for far, coefficients in member.bumps:
-            mean = mean + summed(points, far) @ coefficients
+            mean = mean + (points @ far).exp2_() @ coefficients
         return mean
 
     def _members(self) -> list[_Member]:
@@ -166,7 +174,8 @@ class LinearVae(nn.Module):
         bumps = []
         for start in range(0, len(warped), at_once):
             rows = slice(start, start + at_once)
-            bumps.append((list(kernel.far(hyper, warped[rows])), coefficients[rows]))
+            far = torch.cat(list(kernel.far(hyper, warped[rows])), dim=1)
+            bumps.append((far, coefficients[rows].repeat(kernel.n_scales, 1)))
         squares = kernel.polynomial(hyper)  # (degree,)
         across = warped / kernel.lengths(hyper)[0].square()  # (n, f)
         bend = across.new_zeros(0)
@@ -182,7 +191,7 @@ class LinearVae(nn.Module):
             bend=bend,
         )
 
-    def _cholesky_factors(self) -> list[Tensor]:
+    def _cholesky_factors(self) -> Sequence[Tensor]:
         """Return every member's factor of the rows' covariances, made when first asked for. m of (n, n)."""
         if self._factors is None:
             self._factors = [torch.linalg.cholesky(self.kernel.noisy(hyper, self.x)) for hyper in self.hyper]

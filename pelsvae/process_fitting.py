@@ -13,16 +13,19 @@ from torch import Tensor
 
 from pelsvae.config import SurrogateConfig
 from pelsvae.device import keep_freed_memory
+from pelsvae.ensemble_training import NetworkTraining
 from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.kernel import Kernel
 from pelsvae.kernel_search import Candidate, candidates
 from pelsvae.linear_vae import LinearVae
 from pelsvae.member_shares import best_part, best_shares
-from pelsvae.network_ensemble import NetworkEnsemble, trained_networks
+from pelsvae.network_ensemble import NetworkEnsemble
+from pelsvae.side_by_side import SideBySide, side_by_side
 from pelsvae.standardize import Array
 
 MEMBER_ROWS = 4096  # members times rows at most: what a prediction costs
 CHOOSING_ROWS = 1024  # from so many rows at most it is chosen which kernels are members
+THREADED_ROWS = 200  # with fewer, threads wait for the interpreter as long as they gain
 # Part of the validation set's squared codes that processes leave, above which networks are tried. Where they
 # leave 2 to 9 %, on 64 rows of buildings, networks improve the error by 0 to 1.3 %.
 UNEXPLAINED = 0.1
@@ -79,22 +82,29 @@ def fit_processes(
             on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
 
     keep_freed_memory()
+    n_jobs = 1 if features.is_cuda or len(features) < THREADED_ROWS else torch.get_num_threads()
     # Threads of the optimizer's small linear algebra would wait for each other most of the time.
-    with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"):
+    with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"), side_by_side(n_jobs) as threads:
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)
         basis, rest = _principal_components(x, config.n_latent)
         codes = x @ basis.T  # (n, z)
+        rows = _Rows(kernel, features, codes)
+        networks = NetworkTraining(features, codes, seed, threads)
+        if len(features) >= MANY_ROWS:
+            networks.begin(n_jobs - 1)
         found: list[Candidate] = []
-        for one in candidates(kernel, features, codes, seed, config.max_epochs):
+        for one in candidates(kernel, features, codes, seed, config.max_epochs, threads):
             found.append(one)
             epoch, last = int(one.done * (config.max_epochs - 1)), history[-1]["epoch"] if history else 0
             if one.n_rows and epoch > last:
-                alone, rows = _Members(one.hyper[None], np.ones((1, len(basis)))), slice(one.n_rows)
-                part = _assembled(kernel, features[rows], codes[rows], basis, rest, alone)
-                report(part, one.loss, epoch)
+                alone = _Members(one.hyper[None], np.ones((1, len(basis))))
+                report(_assembled(rows.first(one.n_rows), basis, rest, alone), one.loss, epoch)
+        found.sort(key=lambda one: one.place)
+        if len(features) >= MANY_ROWS:
+            networks.begin(n_jobs)
         known = validation[0], validation[1] @ basis.T
-        members = _members(kernel, (features, codes), known, found, config.n_members, seed)
-        network = _assembled(kernel, features, codes, basis, rest, members)
+        members = _members(rows, known, found, config.n_members, networks, threads)
+        network = _assembled(rows, basis, rest, members)
         _inflate(network, *validation, n_outputs)
         report(network, found[0].loss, config.max_epochs)
     return network, history[-1:]
@@ -114,37 +124,68 @@ class _Members(NamedTuple):
     networks: NetworkEnsemble | None = None
 
 
+class _Rows:
+    """Training rows, and what processes of them were solved for where that takes long.
+
+    Attributes:
+        kernel: Form of the processes' kernels.
+        features: Of theta. Shape (n, f). [1]
+        codes: Principal coordinates. Shape (n, z). [1]
+    """
+
+    def __init__(self, kernel: Kernel, features: Tensor, codes: Tensor) -> None:
+        self.kernel, self.features, self.codes = kernel, features, codes
+        self._known: dict[bytes, tuple[Tensor, Tensor]] = {}
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    def first(self, n: int) -> _Rows:
+        """Return the first n rows; all are these."""
+        return self if n >= len(self) else _Rows(self.kernel, self.features[:n], self.codes[:n])
+
+    def solved(self, hyper: Array) -> tuple[Tensor, Tensor]:
+        """Return the factor of a process's covariances (n, n), and their inverse times the codes (n, z)."""
+        known = self._known.get(hyper.tobytes())
+        if known is None:
+            at = torch.from_numpy(hyper).to(self.features.device)
+            factor = torch.linalg.cholesky(self.kernel.noisy(at, self.features))
+            known = factor, torch.cholesky_solve(self.codes, factor)
+            if len(self) > CHOOSING_ROWS:  # where few processes are left
+                self._known[hyper.tobytes()] = known
+        return known
+
+
 def _members(
-    kernel: Kernel,
-    training: tuple[Tensor, Tensor],
+    rows: _Rows,
     validation: tuple[Tensor, Tensor],
     found: list[Candidate],
     n_members: int,
-    seed: int,
+    networks: NetworkTraining,
+    threads: SideBySide,
 ) -> _Members:
     """Choose members by the validation set, whose codes are known as the training set's are."""
-    features, codes = training
-    n, z = codes.shape
+    n, z = rows.codes.shape
     if n < MANY_ROWS:
-        found = [*found, *_stretched(kernel, found)]
+        found = [*found, *_stretched(rows.kernel, found)]
     hypers, true = np.array([one.hyper for one in found]), validation[1].cpu().numpy()
     believed = np.zeros((len(found), z))
     for place, one in enumerate(found):
         believed[place, one.columns] = one.is_final
     n_most, seen = max(1, min(n_members, MEMBER_ROWS // n)), 0
-    for rows in sorted({min(n, CHOOSING_ROWS), n}):
-        if rows > CHOOSING_ROWS and len(hypers) == 1:
+    for n_rows in sorted({min(n, CHOOSING_ROWS), n}):
+        if n_rows > CHOOSING_ROWS and len(hypers) == 1:
             break
-        predicted = _predicted(kernel, (features[:rows], codes[:rows]), validation[0], hypers)
+        predicted = _predicted(rows.first(n_rows), validation[0], hypers, threads)
         chosen = best_shares(predicted, true, believed, n_most)
         hypers, believed, predicted = (values[chosen.members] for values in (hypers, believed, predicted))
-        seen = rows
+        seen = n_rows
     members = _Members(hypers, chosen.share)
     if n < MANY_ROWS and _left(predicted, chosen.share, true) <= UNEXPLAINED * np.square(true).sum():
         return members
     if seen < n:
-        predicted = _predicted(kernel, training, validation[0], hypers)
-    return _with_networks(members, predicted, training, validation, seed)
+        predicted = _predicted(rows, validation[0], hypers, threads)
+    return _with_networks(members, predicted, validation, networks.result())
 
 
 def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
@@ -157,20 +198,18 @@ def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
 def _with_networks(
     members: _Members,
     predicted: Array,
-    training: tuple[Tensor, Tensor],
     validation: tuple[Tensor, Tensor],
-    seed: int,
+    networks: NetworkEnsemble,
 ) -> _Members:
-    """Train networks and let the validation set say what they count beside the processes.
+    """Let the validation set say what networks count beside the processes.
 
     Args:
         members: Processes alone.
         predicted: Their codes of the validation set. Shape (m, b, z). [1]
-        training: Features and codes. Shapes (n, f), (n, z). [1]
-        validation: As training, b rows.
-        seed: Of the networks.
+        validation: Features and codes of b rows. Shapes (b, f), (b, z). [1]
+        networks: Trained on what the processes were.
     """
-    networks, true = trained_networks(*training, seed), validation[1].cpu().numpy()
+    true = validation[1].cpu().numpy()
     mean = networks.each(validation[0]).mean(dim=0, keepdim=True).cpu().numpy()  # (1, b, z)
     if not np.isfinite(mean).all():
         return members
@@ -196,14 +235,15 @@ def _left(predicted: Array, share: Array, true: Array) -> float:
     return float(np.square(true - np.einsum("mbz,mz->bz", predicted, share)).sum())
 
 
-def _predicted(kernel: Kernel, training: tuple[Tensor, Tensor], points: Tensor, hypers: Array) -> Array:
+def _predicted(rows: _Rows, points: Tensor, hypers: Array, threads: SideBySide) -> Array:
     """Return the codes that processes predict at points, (b, f) -> (m, b, z)."""
-    return np.array(
-        [
-            (kernel.matrix(hyper, points, training[0]) @ solved).cpu().numpy()
-            for hyper, solved in _solved(kernel, *training, hypers)
-        ]
-    )
+
+    def codes_at_points(hyper: Array) -> Array:
+        threads.check()
+        at, (_, solved) = torch.from_numpy(hyper).to(points.device), rows.solved(hyper)
+        return (rows.kernel.matrix(at, points, rows.features) @ solved).cpu().numpy()
+
+    return np.array(list(threads.each(codes_at_points, hypers)))
 
 
 def _inflate(network: LinearVae, features: Tensor, x: Tensor, n_outputs: int) -> None:
@@ -233,30 +273,22 @@ def _principal_components(x: Tensor, n_latent: int) -> tuple[Tensor, Tensor]:
     return basis, outside.square().mean(dim=0)
 
 
-def _assembled(
-    kernel: Kernel, features: Tensor, codes: Tensor, basis: Tensor, rest: Tensor, members: _Members
-) -> LinearVae:
+def _assembled(rows: _Rows, basis: Tensor, rest: Tensor, members: _Members) -> LinearVae:
     """Solve for the coefficients of every process."""
-    known = list(_solved(kernel, features, codes, members.hypers))
-    solved = torch.stack([found for _, found in known])  # (m, n, z)
-    share = torch.from_numpy(members.share).to(features.device)
+    factors, solved = zip(*(rows.solved(hyper) for hyper in members.hypers), strict=True)
+    coefficients = torch.stack(solved)  # (m, n, z)
+    device = rows.features.device
+    share = torch.from_numpy(members.share).to(device)
     return LinearVae(
-        kernel,
+        rows.kernel,
         members.networks,
+        factors,
         basis=basis,
-        x=features,
-        hyper=torch.from_numpy(members.hypers).to(features.device),
+        x=rows.features,
+        hyper=torch.from_numpy(members.hypers).to(device),
         share=share,
-        coefficients=solved * (share > 0)[:, None],
-        amplitude=(codes * solved).sum(dim=1) / len(codes),
+        coefficients=coefficients * (share > 0)[:, None],
+        amplitude=(rows.codes * coefficients).sum(dim=1) / len(rows),
         rest=rest,
         inflation=torch.ones_like(rest),
     )
-
-
-def _solved(
-    kernel: Kernel, features: Tensor, codes: Tensor, hypers: Array
-) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield hyperparameters, (h,), and the inverse of their covariances times the codes, (n, z)."""
-    for hyper in torch.from_numpy(hypers).to(features.device):
-        yield hyper, torch.cholesky_solve(codes, torch.linalg.cholesky(kernel.noisy(hyper, features)))

@@ -134,7 +134,7 @@ def _assembled(
         layers = _under(_ENSEMBLE, learnt)
         processes = {name: value for name, value in learnt.items() if not name.startswith(_ENSEMBLE)}
         kernel = Kernel(theta.n_features, config.n_scales, config.degree)
-        network = LinearVae(kernel, NetworkEnsemble(layers) if layers else None, **processes)
+        network = LinearVae(kernel, NetworkEnsemble(layers) if layers else None, None, **processes)
     return Surrogate(config, shape, network.to(device).eval(), eps.to(device), theta, output)
 
 

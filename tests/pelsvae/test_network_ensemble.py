@@ -10,11 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from rc_step_for_tests import PROCESSES, TIME_S, rc_step
+from rc_step_for_tests import PROCESSES, rc_step, waves
 
-from pelsvae import network_ensemble, process_fitting
+from pelsvae import ensemble_training, process_fitting
+from pelsvae.ensemble_training import N_NETWORKS, NetworkTraining
 from pelsvae.linear_vae import LinearVae
-from pelsvae.network_ensemble import N_NETWORKS, NetworkEnsemble, trained_networks
+from pelsvae.network_ensemble import NetworkEnsemble
+from pelsvae.side_by_side import SideBySide
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import fit
 
@@ -22,12 +24,6 @@ N_WAVES = 50
 FINITE_DIFFERENCE_TOL = 1e-4  # relative to the largest slope; central, with steps of 1e-5
 
 Rows = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-
-
-def waves(n: int, seed: int) -> Rows:
-    """Return theta (n, 2), frequency and phase, and waves (n, 21, 1) that shift by many periods."""
-    theta = np.random.default_rng(seed).uniform([0.5, 1.0], [2.0, 4.0], size=(n, 2))
-    return theta, np.sin(theta[:, :1] * TIME_S / 2.0 + theta[:, 1:])[:, :, None]
 
 
 def noise(n: int, seed: int) -> Rows:
@@ -46,6 +42,10 @@ def network_of(surrogate: Surrogate) -> LinearVae:
 
 def error_of(surrogate: Surrogate, rows: Rows) -> float:
     return float(np.abs(surrogate.predict(rows[0]) - rows[1]).mean())
+
+
+def trained_networks(features: torch.Tensor, codes: torch.Tensor, seed: int) -> NetworkEnsemble:
+    return NetworkTraining(features, codes, seed, SideBySide(None)).result()
 
 
 @pytest.fixture(scope="module")
@@ -73,11 +73,12 @@ def test_networks_are_not_tried_where_processes_do_well() -> None:
 def test_networks_are_tried_in_any_case_where_rows_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def noted(features: torch.Tensor, codes: torch.Tensor, seed: int) -> NetworkEnsemble:
-        tried.append(len(features))
-        return trained_networks(features, codes, seed)
+    class Noted(NetworkTraining):
+        def result(self) -> NetworkEnsemble:
+            tried.append(len(self._features))
+            return super().result()
 
-    monkeypatch.setattr(process_fitting, "trained_networks", noted)
+    monkeypatch.setattr(process_fitting, "NetworkTraining", Noted)
     fitted(rc_step(60, seed=1), rc_step(40, seed=2))
     assert tried == []
     monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
@@ -93,7 +94,7 @@ def test_networks_without_a_share_in_any_code_do_not_stay(monkeypatch: pytest.Mo
 
 
 def test_networks_that_diverge_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network_ensemble, "_LEARNING_RATE", 1e6)
+    monkeypatch.setattr(ensemble_training, "_LEARNING_RATE", 1e6)
     assert network_of(fitted(waves(N_WAVES, seed=1), waves(60, seed=2))).networks is None
 
 
@@ -168,21 +169,21 @@ def test_networks_without_powers_are_refused() -> None:
 
 
 def test_many_rows_are_fitted_more_closely(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network_ensemble, "STEPS", 100)
-    monkeypatch.setattr(network_ensemble, "EPOCHS", 1)
+    monkeypatch.setattr(ensemble_training, "STEPS", 100)
+    monkeypatch.setattr(ensemble_training, "EPOCHS", 1)
     random = np.random.default_rng(0)
     features, codes = (torch.from_numpy(random.normal(size=(128, size))) for size in (2, 1))
     left = []
     for few_rows in (128, 1):  # of the second, 128 are many
-        monkeypatch.setattr(network_ensemble, "_FEW_ROWS", few_rows)
+        monkeypatch.setattr(ensemble_training, "_FEW_ROWS", few_rows)
         left.append(float((trained_networks(features, codes, 0).each(features) - codes).square().mean()))
     assert left[1] < 0.9 * left[0]
 
 
 def test_same_seed_same_networks_and_other_seed_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network_ensemble, "BATCH_ROWS", 32)  # two batches, the other rows in the next epoch
-    monkeypatch.setattr(network_ensemble, "STEPS", 100)
-    monkeypatch.setattr(network_ensemble, "EPOCHS", 1)
+    monkeypatch.setattr(ensemble_training, "BATCH_ROWS", 32)  # two batches, the other rows in the next epoch
+    monkeypatch.setattr(ensemble_training, "STEPS", 100)
+    monkeypatch.setattr(ensemble_training, "EPOCHS", 1)
     random = np.random.default_rng(0)
     features = torch.from_numpy(random.normal(size=(70, 2)))
     codes = torch.stack([3.0 * features[:, 0] * features[:, 1], torch.sin(features[:, 0])], dim=1)
@@ -190,3 +191,25 @@ def test_same_seed_same_networks_and_other_seed_others(monkeypatch: pytest.Monke
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
     assert (first.mean(dim=0) - codes).square().mean() < 0.05 * codes.square().mean()
+
+
+def test_written_derivatives_are_those_of_automatic_differentiation() -> None:
+    generator = torch.Generator().manual_seed(0)
+    sizes = [(3, 5), (5, 4), (4, 2)]
+    first = [torch.randn(2, i, o, generator=generator, dtype=torch.float64) for i, o in sizes]
+    learnt, slopes = ensemble_training._Values.zeros(first), ensemble_training._Values.zeros(first)
+    for flat in learnt.flat:
+        flat.copy_(0.3 * torch.randn(flat.shape, generator=generator, dtype=torch.float64))
+    x, y = (torch.randn(7, size, generator=generator, dtype=torch.float64) for size in (3, 2))
+    deviation = torch.tensor([2.0, 0.5], dtype=torch.float64)
+    ensemble_training._differentiate(learnt, slopes, x, y, deviation)
+
+    values = [*learnt.weights, *learnt.biases, learnt.power, learnt.origin]
+    layers = {f"weight_{place}": weight.requires_grad_() for place, weight in enumerate(learnt.weights)}
+    layers |= {f"bias_{place}": bias.requires_grad_() for place, bias in enumerate(learnt.biases)}
+    power, origin = learnt.power.requires_grad_(), learnt.origin.requires_grad_()
+    networks = NetworkEnsemble({"share": torch.ones(2), "power": power, "origin": origin, **layers})
+    (networks.each(x) * deviation - y).square().mean(dim=(1, 2)).sum().backward()  # type: ignore[no-untyped-call]
+    written = [*slopes.weights, *slopes.biases, slopes.power, slopes.origin]
+    for value, slope in zip(values, written, strict=True):
+        torch.testing.assert_close(slope, value.grad)
