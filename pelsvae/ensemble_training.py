@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 import torch
 from torch import Tensor, nn
 
+from pelsvae.adam import Adam
 from pelsvae.device import denormals_flushed
 from pelsvae.network_ensemble import NetworkEnsemble
 from pelsvae.side_by_side import SideBySide
@@ -158,15 +159,10 @@ def _trained(
     size = min(BATCH_ROWS, n)
     n_steps = max(STEPS, EPOCHS * n // BATCH_ROWS)
     decay = _DECAY * min(1.0, math.sqrt(_FEW_ROWS / n)) / (0.5 * _LEARNING_RATE * n_steps)
-    optimizer = torch.optim.AdamW(
-        [
-            {"params": [flat], "weight_decay": of_part}
-            for flat, of_part in zip(learnt.flat, (decay, 0.0), strict=True)
-        ],
-        lr=_LEARNING_RATE,
-        betas=(0.9, 0.99),
-        fused=True,
-    )
+    optimizers = [
+        Adam([flat], betas=(0.9, 0.99), decay=of_part)
+        for flat, of_part in zip(learnt.flat, (decay, 0.0), strict=True)
+    ]
     batches: list[Tensor] = []
     with torch.no_grad(), denormals_flushed():
         for step in range(1, n_steps + 1):
@@ -175,10 +171,9 @@ def _trained(
                 order = torch.randperm(n, generator=generator).to(x.device)
                 batches = [order[start : start + size] for start in range(0, n - size + 1, size)]
             rows = batches.pop()
-            for group in optimizer.param_groups:
-                group["lr"] = _LEARNING_RATE * _part_of_rate(step / n_steps)
             _differentiate(learnt, slopes, x[rows], y[rows], deviation)
-            optimizer.step()
+            for optimizer in optimizers:
+                optimizer.step(_LEARNING_RATE * _part_of_rate(step / n_steps))
         learnt.weights[-1].mul_(deviation)
         learnt.biases[-1].mul_(deviation)
         learnt.origin.mul_(deviation)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from pelsvae.adam import Adam
 from pelsvae.config import SurrogateConfig
 from pelsvae.device import denormals_flushed
 from pelsvae.epochs import EpochReport, TrainingDiverged
@@ -66,13 +67,12 @@ def train_network(
             eps = torch.randn(
                 config.n_latent_samples, len(x_batch), config.n_latent, generator=noise, device=x.device
             )  # (L, b, z)
-            optimizer.param_groups[0]["lr"] = _learning_rate(config, step / n_steps)
             terms = objective(
                 network, x_batch, theta_batch, eps=eps, beta=config.beta, detach_encoder=config.detach_encoder
             )
-            optimizer.zero_grad(set_to_none=True)
+            optimizer.forget_gradients()
             terms.total.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
+            optimizer.step(_learning_rate(config, step / n_steps))
             step += 1
             if epoch % config.validate_every == 0 or epoch == config.max_epochs:
                 sums += torch.stack(terms).detach() * (len(x_batch) / n)
@@ -103,19 +103,13 @@ def train_network(
     return history, best_epoch, "max_epochs" if epoch == config.max_epochs else "patience"
 
 
-def _optimizer(network: PelsVae, config: SurrogateConfig) -> torch.optim.Optimizer:
-    """Return the update rule; fused, because at these sizes its overhead is a third of an epoch."""
+def _optimizer(network: PelsVae, config: SurrogateConfig) -> Adam:
+    """Return the update rule."""
     if config.optimizer == "adamw":
         # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of
         # a thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
-        return torch.optim.AdamW(
-            network.parameters(),
-            lr=config.learning_rate,
-            betas=(0.9, 0.99),
-            weight_decay=config.weight_decay,
-            fused=True,
-        )
-    return torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
+        return Adam(list(network.parameters()), betas=(0.9, 0.99), decay=config.weight_decay)
+    return Adam(list(network.parameters()))
 
 
 def _learning_rate(config: SurrogateConfig, progress: float) -> float:
