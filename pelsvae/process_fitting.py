@@ -46,6 +46,7 @@ def fit_processes(
     n_outputs: int,
     validation_error: Callable[[LinearVae], float],
     seed: int,
+    n_jobs: int,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> tuple[LinearVae, list[dict[str, float]]]:
     """Fit principal components and the Gaussian processes of their coordinates.
@@ -62,6 +63,7 @@ def fit_processes(
         n_outputs: Outputs k of a model; d is times x k.
         validation_error: Judges a network.
         seed: Of the searches' starts and of networks.
+        n_jobs: Threads that work side by side; a GPU and few rows have one.
         on_epoch: Told of searches, in parts of `max_epochs`, and last of what is returned.
 
     Returns:
@@ -82,7 +84,8 @@ def fit_processes(
             on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
 
     keep_freed_memory()
-    n_jobs = 1 if features.is_cuda or len(features) < THREADED_ROWS else torch.get_num_threads()
+    if features.is_cuda or len(features) < THREADED_ROWS:
+        n_jobs = 1
     # Threads of the optimizer's small linear algebra would wait for each other most of the time.
     with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"), side_by_side(n_jobs) as threads:
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)

@@ -58,7 +58,7 @@ class Crew:
     Args:
         paths: the project.
         n_trials: finished trials per study in total.
-        n_workers: processes.
+        n_workers: processes; where studies have places for fewer, each trains on several threads.
         deadline_s: no trial begins after this moment. [s since 1970, UTC]
         tell: told what is waited for, and an empty line when it is there again.
     """
@@ -82,6 +82,7 @@ class Crew:
         self._workers: list[_Worker] = []
         self._leaving: list[SpawnProcess] = []
         self._studies: list[StudySpec] = []
+        self._n_jobs = 1
         self._n_idle_deaths = 0
         self._memory = OutOfMemoryWatch()
 
@@ -104,7 +105,9 @@ class Crew:
         by_name = {spec.name: spec for spec in studies}
         finished: set[str] = set()
         n_places = sum(min(spec.n_parallel, self._n_trials) for spec in studies)
-        for _ in range(min(self._n_workers, n_places)):
+        n_hired = min(self._n_workers, n_places)
+        self._n_jobs = self._n_workers // max(1, n_hired)
+        for _ in range(n_hired):
             self._hire()
         while self._workers:
             heard = wait([worker.connection for worker in self._workers])
@@ -148,7 +151,9 @@ class Crew:
 
     def _hire(self) -> None:
         ours, theirs = self._context.Pipe()
-        arguments = (theirs, self._paths, self._n_trials, self._stop, self._deadline_s, os.getpid())
+        arguments = (
+            theirs, self._paths, self._n_trials, self._stop, self._deadline_s, os.getpid(), self._n_jobs
+        )  # fmt: skip
         process = self._context.Process(target=_work, args=arguments, name=f"tune-{len(self._workers)}")
         with _one_thread():
             process.start()
@@ -185,6 +190,7 @@ def _work(
     stop: Event,
     deadline_s: float | None,
     command_pid: int,
+    n_jobs: int,
 ) -> None:
     """Train trials in a worker process until there is nothing left to begin."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
@@ -209,6 +215,7 @@ def _work(
             should_stop=stop.is_set,
             deadline_s=deadline_s,
             command_pid=command_pid,
+            n_jobs=n_jobs,
         ).run()
         connection.send(_Done())
     except StudyInterruptedError:

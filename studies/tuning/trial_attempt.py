@@ -80,6 +80,7 @@ def attempt(
     slot: Slot,
     data: StudyData,
     *,
+    n_jobs: int,
     on_epoch: Callable[[EpochReport], None],
     keep: Callable[[Callable[[], Any]], Any],
 ) -> TrialRecord:
@@ -90,6 +91,7 @@ def attempt(
         store: its records.
         slot: the trial.
         data: the study's data.
+        n_jobs: threads of the training.
         on_epoch: told of every validated epoch; a `StudyInterruptedError` from it ends the attempt.
         keep: calls what writes to the store, as often as it takes.
 
@@ -117,6 +119,7 @@ def attempt(
                 config,
                 claim.seed,
                 data,
+                n_jobs=n_jobs,
                 outcome=outcome,
                 on_epoch=hear,
                 is_hopeless=pruner.is_hopeless,

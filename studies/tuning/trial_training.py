@@ -49,6 +49,7 @@ def train_trial(
     seed: int,
     data: StudyData,
     *,
+    n_jobs: int = 1,
     outcome: TrialOutcome,
     on_epoch: Callable[[EpochReport], None],
     is_hopeless: Callable[[int, float], bool],
@@ -60,6 +61,7 @@ def train_trial(
         config: settings of the surrogate.
         seed: seed of the training.
         data: the three sets.
+        n_jobs: threads of this training.
         outcome: filled as the training goes; also what is known when this raises.
         on_epoch: told of every validated epoch; whatever it raises ends the training.
         is_hopeless: told of epoch and validation error where trials are compared;
@@ -92,6 +94,7 @@ def train_trial(
             seed=seed,
             log_columns=spec.parameter_space.is_log,
             output_scales=scales,
+            n_jobs=n_jobs,
             on_epoch=hear,
         )
     except _PrunedError:

@@ -63,6 +63,7 @@ class Worker:
         should_stop: asked at every validated epoch.
         deadline_s: no trial begins after this moment. [s since 1970, UTC]
         command_pid: process of the command that looks after this one.
+        n_jobs: threads of a training.
     """
 
     def __init__(
@@ -75,12 +76,14 @@ class Worker:
         should_stop: Callable[[], bool] = lambda: False,
         deadline_s: float | None = None,
         command_pid: int | None = None,
+        n_jobs: int = 1,
     ) -> None:
         self._paths = paths
         self._n_trials = n_trials
         self._emit = emit
         self._should_stop = should_stop
         self._deadline_s = deadline_s
+        self._n_jobs = n_jobs
         self._owner = this_owner(command_pid)
         self._studies = [_Course(spec, paths, n_trials, emit) for spec in specs]
         self._data: dict[str, StudyData] = {}
@@ -148,6 +151,7 @@ class Worker:
                 study.store,
                 slot,
                 self._data_of(study.spec),
+                n_jobs=self._n_jobs,
                 on_epoch=lambda report: self._hear(study, claim, report),
                 keep=lambda work: self._patiently(study, work),
             )

@@ -1,6 +1,7 @@
 """A study in this process: repeatable, resumable, extensible; failures and ghosts are dealt with."""
 
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,6 +13,7 @@ import pytest
 from optuna.trial import TrialState, create_trial
 from tuning_checks import essence, ignore, in_optuna, records_of, run_and_tell
 
+from pelsvae import process_fitting
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
@@ -195,6 +197,26 @@ def test_foreign_and_double_trials_in_optuna_are_cleared_away(
     study.add_trial(study.trials[0])
     run_and_tell(spec, project, 3)
     assert [t.user_attrs["index"] for t in in_optuna(spec, project)] == [0, 1, 2]
+
+
+def test_a_worker_trains_on_its_threads_and_finds_the_same(
+    make_spec: MakeSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_fitting, "THREADED_ROWS", 1)
+    spec = make_spec(variant="gaussian-process", search=SearchRanges())
+    found, most = {}, {}
+    for n_jobs in (1, 3):
+        (tmp_path / str(n_jobs) / "fmus").mkdir(parents=True)
+        project, seen = ProjectPaths(tmp_path / str(n_jobs)), [0]
+
+        def note(event: TuneEvent, seen: list[int] = seen) -> None:
+            seen.append(threading.active_count())
+
+        Worker([spec], paths=project, n_trials=1, emit=note, n_jobs=n_jobs).run()
+        found[n_jobs] = [record.metrics for record in records_of(spec, project)]
+        most[n_jobs] = max(seen)
+    assert most[3] == most[1] + 3
+    assert found[3] == found[1] != []
 
 
 @pytest.mark.parametrize("max_s", [0.0, 0.8])
