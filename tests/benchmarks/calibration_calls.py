@@ -18,13 +18,9 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from simulation.case import load_case  # noqa: E402
-from studies.calibration import (  # noqa: E402
-    CalibrationProblem,
-    LeastSquaresTRF,
-    MultistartResult,
-    best_known,
-    multistart,
-)
+from studies.calibration.direct import MultistartResult, best_known, multistart  # noqa: E402
+from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
+from studies.calibration.problem import CalibrationProblem  # noqa: E402
 
 FACTORS = (1.17, 1.02)
 METHODS = {

@@ -23,7 +23,8 @@ from simulation.case import Case, load_case  # noqa: E402
 from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
 from simulation.measurement import Measurement  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
-from studies.calibration import Adaptive, CalibrationProblem  # noqa: E402
+from studies.calibration.adaptive import Adaptive  # noqa: E402
+from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402

@@ -10,7 +10,7 @@ from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.toy import ProductToy, ToyRC
 from simulation.trajectories import Trajectories
-from studies.calibration import CalibrationProblem
+from studies.calibration.problem import CalibrationProblem
 
 TRUE_RC = np.array([1.7, 2.3e4])
 

@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from simulation.case import load_case
-from studies.calibration import CalibrationProblem, LeastSquaresTRF, best_known, multistart
+from studies.calibration.direct import best_known, multistart
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.problem import CalibrationProblem
 
 ROOT = Path(__file__).parents[2]
 RECORDING = ROOT.parent / "shared" / "data" / "office_recording"

@@ -10,7 +10,10 @@ from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.toy import ToyRC
-from studies.calibration import CalibrationProblem, DifferentialEvolution, History, LeastSquaresTRF, Progress
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.recorder import History, Progress
+from studies.calibration.screen import DifferentialEvolution
 
 START = np.array([0.2, 0.9])
 OnProgress = Callable[[Progress], None]

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from simulation.errors import InputError
 from simulation.toy import ToyRC
-from studies.calibration import LeastSquaresTRF
+from studies.calibration.polish import LeastSquaresTRF
 
 START = np.array([0.2, 0.9])
 

@@ -11,7 +11,7 @@ from problems_for_tests import TRUE_RC, TwoOutputs, problem_on, rc_problem
 from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.toy import ProductToy, ToyRC
-from studies.calibration import CalibrationProblem
+from studies.calibration.problem import CalibrationProblem
 
 
 def test_residuals_are_simulated_minus_measured() -> None:

@@ -13,8 +13,10 @@ from simulation.parameters import Belief, Parameter, ParameterSpace
 from simulation.partly_fixed import PartlyFixedModel
 from simulation.toy import IshigamiToy
 from simulation.trajectories import Trajectories
-from studies.calibration import CalibrationProblem, LeastSquaresTRF, Prior
 from studies.calibration.freeing import freeing
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.prior import Prior
+from studies.calibration.problem import CalibrationProblem
 from studies.relevance import Relevance, morris_design, morris_relevance, sobol_relevance
 from studies.sensitivity import sobol_indices
 

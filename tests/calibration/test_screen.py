@@ -6,7 +6,8 @@ from problems_for_tests import Diary, product_problem, rc_problem
 
 from simulation.errors import InputError
 from simulation.toy import ToyRC
-from studies.calibration import DifferentialEvolution, Progress
+from studies.calibration.recorder import Progress
+from studies.calibration.screen import DifferentialEvolution
 
 
 def test_a_generation_is_one_batch_of_rows_not_columns() -> None:

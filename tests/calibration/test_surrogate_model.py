@@ -10,12 +10,10 @@ from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.toy import ToyRC
-from studies.calibration import (
-    CalibrationProblem,
-    DifferentialEvolution,
-    LeastSquaresTRF,
-    calibrate_two_phase,
-)
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.screen import DifferentialEvolution
+from studies.calibration.two_phase import calibrate_two_phase
 from studies.surrogate_model import SurrogateModel
 
 

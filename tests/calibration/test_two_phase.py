@@ -9,14 +9,11 @@ from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
 
 from simulation.forward_model import ForwardModel
 from simulation.toy import ToyRC
-from studies.calibration import (
-    CalibrationResult,
-    DifferentialEvolution,
-    LeastSquaresTRF,
-    Ledger,
-    calibrate_two_phase,
-    multistart,
-)
+from studies.calibration.direct import multistart
+from studies.calibration.ledger import Ledger
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.screen import DifferentialEvolution
+from studies.calibration.two_phase import CalibrationResult, calibrate_two_phase
 
 SCREENING = DifferentialEvolution(maxiter=60)
 WRONG = ToyRC(heat_flow=11.5)

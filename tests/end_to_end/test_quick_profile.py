@@ -15,7 +15,9 @@ import pytest
 
 from simulation.case import load_case
 from simulation.measurement import Measurement
-from studies.calibration import DifferentialEvolution, LeastSquaresTRF, calibrate_two_phase
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.screen import DifferentialEvolution
+from studies.calibration.two_phase import calibrate_two_phase
 from studies.surrogate_model import SurrogateModel
 from studies.tuning.champion import load_champion
 

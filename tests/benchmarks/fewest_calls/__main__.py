@@ -25,7 +25,7 @@ from fewest_calls.kept import Kept, KeptProblem  # noqa: E402
 from fewest_calls.methods import METHODS  # noqa: E402
 from fewest_calls.problems import Problem, brute_force, posed, problems  # noqa: E402
 from fewest_calls.table import FACTORS, details, lines  # noqa: E402
-from studies.calibration import CalibrationProblem  # noqa: E402
+from studies.calibration.problem import CalibrationProblem  # noqa: E402
 
 # Below this a batch of processor time is not worth a message. [s]
 WORTH_A_LINE = 20.0

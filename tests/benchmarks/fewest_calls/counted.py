@@ -14,7 +14,7 @@ from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded, CountingModel
 from simulation.forward_model import WrappedModel
 from simulation.trajectories import Trajectories
-from studies.calibration import CalibrationProblem
+from studies.calibration.problem import CalibrationProblem
 
 # Far above the best error that is known a history keeps steps of this size, near it every improvement.
 COARSE_STEP = 0.02

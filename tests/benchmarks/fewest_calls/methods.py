@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from fewest_calls import peers_bayesian, peers_least_squares, peers_scalar
-from studies.calibration import Adaptive, CalibrationProblem
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.problem import CalibrationProblem
 
 Search = Callable[[CalibrationProblem, int, int], None]
 """Problem, seed and most calls; asks the problem's model and returns nothing."""

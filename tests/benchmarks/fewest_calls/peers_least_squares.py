@@ -6,8 +6,9 @@ import numpy as np
 
 from fewest_calls.counted import Asked
 from simulation.arrays import FloatArray
-from studies.calibration import CalibrationProblem, LeastSquaresTRF
 from studies.calibration.first_design import latin_hypercube
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.problem import CalibrationProblem
 
 N_SCREENED = 10
 DIFFERENCE = 1e-5

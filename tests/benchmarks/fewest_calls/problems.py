@@ -12,12 +12,10 @@ from fewest_calls.instances import Instance, of_case
 from fewest_calls.instances_office import WINDOWS_D, office_instance
 from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
-from studies.calibration import (
-    CalibrationProblem,
-    DifferentialEvolution,
-    LeastSquaresTRF,
-    multistart,
-)
+from studies.calibration.direct import multistart
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.screen import DifferentialEvolution
 
 ROOT = Path(__file__).parents[3]
 HERE = Path(__file__).parent
