@@ -27,6 +27,23 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     atexit.register(shutil.rmtree, own, ignore_errors=True)
 
 
+# What takes minutes begins first: begun last, it would run alone at the end.
+LONGEST = (
+    "test_cli_resume",
+    "test_quick_profile",
+    "test_reproduce",
+    "test_tuning_processes",
+    "test_doctor",
+    "test_house",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first, for processes that test side by side."""
+    place = {name: at for at, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
 @pytest.fixture(scope="session")
 def postgres_server() -> Iterator["PostgresServer"]:
     """A throwaway PostgreSQL cluster."""

@@ -73,13 +73,13 @@ def _joined(blocks: Iterable[Rows], least: int) -> Iterator[Rows]:
 
 def _table(layout: Layout, rows: Rows) -> Any:
     found, schema = rows.trajectories, _schema(layout)
-    columns = [pa.array(np.ascontiguousarray(column)) for column in found.theta.T]
+    columns = [_plain(column, pa.float64()) for column in found.theta.T]
     for k, name in enumerate(layout.output_names):
-        values = pa.array(np.ascontiguousarray(found.y[:, :, k]).reshape(-1))
+        values = _plain(found.y[:, :, k], pa.float64())
         columns.append(pa.FixedSizeListArray.from_arrays(values, type=schema.field(name).type))
-    columns.append(pa.array(found.failures, pa.string()))
-    columns.append(pa.array(rows.written.astype("datetime64[us]")).cast(schema.field(WRITTEN).type))
-    columns.append(pa.array(rows.checks(layout.model_digest), pa.uint32()))
+    columns.append(_texts(found.failures))
+    columns.append(_plain(rows.written, schema.field(WRITTEN).type))
+    columns.append(_plain(rows.checks(layout.model_digest).astype(np.uint32), pa.uint32()))
     return pa.table(columns, schema=schema)
 
 
@@ -135,8 +135,8 @@ class Part:
             table = self._file.read(columns=names, use_threads=False)
             theta = np.empty((self.n, len(self._layout.parameter_names)))
             for j, name in enumerate(self._layout.parameter_names):
-                theta[:, j] = table[name].to_numpy()
-            good = np.asarray(compute.equal(table[FAILURE], "").to_numpy(), dtype=np.bool_)
+                theta[:, j] = _numbers(table[name])
+            good = _numbers(compute.binary_length(table[FAILURE])) == 0
             return theta, good, _moments(table[WRITTEN])
 
     def read(self, rows: npt.NDArray[np.int32]) -> Rows:
@@ -195,17 +195,17 @@ class Part:
         with _damage(self._path):
             table = self._file.read_row_group(group, use_threads=False)
             if rows is not None:
-                table = table.take(pa.array(rows))
+                table = table.take(_plain(rows, pa.int32()))
             n = table.num_rows
             theta = np.empty((n, len(layout.parameter_names)))
             for j, name in enumerate(layout.parameter_names):
-                theta[:, j] = table[name].to_numpy()
+                theta[:, j] = _numbers(table[name])
             y = np.empty((n, len(layout.time), len(layout.output_names)))
             for k, name in enumerate(layout.output_names):
-                y[:, :, k] = table[name].combine_chunks().flatten().to_numpy().reshape(n, -1)
+                y[:, :, k] = np.from_dlpack(table[name].combine_chunks().flatten()).reshape(n, -1)
             found = layout.trajectories(theta, y, table[FAILURE].to_pylist())
             whole = Rows(found, _moments(table[WRITTEN]))
-            return whole, whole.checks(layout.model_digest) == table[CHECK].to_numpy()
+            return whole, whole.checks(layout.model_digest) == _numbers(table[CHECK])
 
     def close(self) -> None:
         """Let go of the file."""
@@ -213,7 +213,27 @@ class Part:
 
 
 def _moments(column: Any) -> IntArray:
-    return np.asarray(column.to_numpy().astype("datetime64[us]").astype(np.int64))
+    return np.array(_numbers(column.cast(pa.int64())))
+
+
+def _numbers(column: Any) -> npt.NDArray[Any]:
+    """Return a column's values; pyarrow's own way to NumPy imports pandas, which takes half a second."""
+    values: npt.NDArray[Any] = np.from_dlpack(column.combine_chunks())
+    return values
+
+
+def _plain(values: npt.NDArray[Any], kind: Any) -> Any:
+    """Return values as pyarrow has them, of the kind that their type is; its own way imports pandas, too."""
+    values = np.ascontiguousarray(values)
+    return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
+
+
+def _texts(texts: Iterable[str]) -> Any:
+    """Return texts as pyarrow has them."""
+    encoded = [text.encode() for text in texts]
+    ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
+    buffers = [None, pa.py_buffer(ends), pa.py_buffer(b"".join(encoded))]
+    return pa.Array.from_buffers(pa.string(), len(encoded), buffers)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,13 +12,15 @@ from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.partly_fixed import PartlyFixedModel
-from studies.calibration.adaptive import Adaptive
 from studies.console import Column
 from studies.physical_model import open_physical_model
 from studies.report.wording import MISSING, count, difference_unit, percent, quantity, squared
 from studies.stages.knowledge import prior_of
 from studies.stages.pipeline import Study, digest_of, read_json
 from studies.stages.results import StoredCalibration, stored_calibrations
+
+if TYPE_CHECKING:
+    from studies.calibration.adaptive import Adaptive
 
 N_TRAJECTORIES = 4
 """Of Morris' method: each costs a simulation per parameter and one more."""
@@ -71,7 +73,7 @@ def calls_for_relevance(study: Study) -> int:
     return 0 if _sobol_digest(study) else N_TRAJECTORIES * (study.case.parameter_space.n_parameters + 1)
 
 
-def calls_for_check(case: Case, settings: Adaptive, restriction: Restriction | None) -> int:
+def calls_for_check(case: Case, settings: "Adaptive", restriction: Restriction | None) -> int:
     """Return the rows that are kept back for a check of what the fixing cost: none where few are left."""
     if restriction is None:
         return 0

@@ -81,6 +81,28 @@ def test_a_row_is_known_by_its_exact_bytes(tmp_path: Path) -> None:
             store.read(np.array([[1.0, 0.0], [1.0, -0.0]]))
 
 
+def test_a_store_is_written_and_read_without_pandas(tmp_path: Path) -> None:
+    """Importing it takes as long as a small command."""
+    script = """
+import sys
+import numpy as np
+from simulation.design import uniform_design
+from simulation.store.store import SimulationStore
+from simulation.toy import ToyRC
+model = ToyRC(fails_above_r=4.0)
+names = {"parameter_names": model.parameter_space.names, "output_names": model.output_names}
+with SimulationStore(sys.argv[1], model_digest="abc", time=model.time, **names) as store:
+    rows = model.simulate(uniform_design(model.parameter_space, 20, 0))
+    store.append(rows)
+with SimulationStore(sys.argv[1], model_digest="abc", time=model.time, **names) as store:
+    again = store.read(rows.theta)
+assert rows.failed.any() and again.failures == rows.failures
+np.testing.assert_array_equal(again.y, rows.y)
+assert "pandas" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", script, tmp_path], check=True, cwd=ROOT)
+
+
 def test_pandas_reads_a_store_in_one_line_as_its_readme_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
