@@ -60,7 +60,7 @@ class NetworkTraining:
         """Let so many threads begin with their part, where there are several.
 
         Args:
-            n_parts: Together with those begun before; more than there are are all.
+            n_parts: Together with those begun before; at most all.
         """
         for train in self._parts[len(self._begun) : n_parts]:
             self._begun.append(self._threads.later(train))
