@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -49,11 +48,6 @@ N_INDEPENDENT = 12.0
 
 Prior = tuple[Array, Array]
 """Mean and deviation of the hyperparameters. Each of shape (h,)."""
-
-
-def summed(near: Tensor, far: Iterable[Tensor]) -> Tensor:
-    """Return the sum of the scales' bumps, by what they take of points (b, k) and rows, s of (k, n)."""
-    return functools.reduce(torch.add, ((near @ of_scale).exp2_() for of_scale in far))
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,10 @@ class Kernel:
 
     def bumps(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return the sum over the scales, of warped features: (h,), (n, f), (m, f) -> (n, m)."""
-        return summed(self.near(hyper, near), self.far(hyper, far))
+        points = self.near(hyper, near)
+        of_scales = ((points @ rows).exp2_() for rows in self.far(hyper, far))
+        total: Tensor = functools.reduce(torch.add, of_scales)
+        return total
 
     def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""

@@ -73,13 +73,13 @@ def _joined(blocks: Iterable[Rows], least: int) -> Iterator[Rows]:
 
 def _table(layout: Layout, rows: Rows) -> Any:
     found, schema = rows.trajectories, _schema(layout)
-    columns = [_plain(column, pa.float64()) for column in found.theta.T]
+    columns = [_plain(column) for column in found.theta.T]
     for k, name in enumerate(layout.output_names):
-        values = _plain(found.y[:, :, k], pa.float64())
+        values = _plain(found.y[:, :, k])
         columns.append(pa.FixedSizeListArray.from_arrays(values, type=schema.field(name).type))
     columns.append(_texts(found.failures))
-    columns.append(_plain(rows.written, schema.field(WRITTEN).type))
-    columns.append(_plain(rows.checks(layout.model_digest).astype(np.uint32), pa.uint32()))
+    columns.append(_plain(rows.written).view(schema.field(WRITTEN).type))
+    columns.append(_plain(rows.checks(layout.model_digest).astype(np.uint32)))
     return pa.table(columns, schema=schema)
 
 
@@ -195,7 +195,7 @@ class Part:
         with _damage(self._path):
             table = self._file.read_row_group(group, use_threads=False)
             if rows is not None:
-                table = table.take(_plain(rows, pa.int32()))
+                table = table.take(_plain(rows))
             n = table.num_rows
             theta = np.empty((n, len(layout.parameter_names)))
             for j, name in enumerate(layout.parameter_names):
@@ -222,9 +222,10 @@ def _numbers(column: Any) -> npt.NDArray[Any]:
     return values
 
 
-def _plain(values: npt.NDArray[Any], kind: Any) -> Any:
-    """Return values as pyarrow has them, of the kind that their type is; its own way imports pandas, too."""
+def _plain(values: npt.NDArray[Any]) -> Any:
+    """Return values as pyarrow has them; its own way imports pandas, too."""
     values = np.ascontiguousarray(values)
+    kind = pa.from_numpy_dtype(values.dtype)
     return pa.Array.from_buffers(kind, values.size, [None, pa.py_buffer(values)])
 
 
