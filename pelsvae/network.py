@@ -12,6 +12,13 @@ from pelsvae.config import SurrogateConfig
 _LOG_VARIANCE_BOUND = 12.0  # reached by no good training; a leap of the optimizer cannot overflow exp()
 
 
+class _Linear(nn.Linear):
+    """A layer whose weights are unset until somebody draws them: torch would, from the global generator."""
+
+    def reset_parameters(self) -> None:
+        """Leave the weights as they are."""
+
+
 class PelsVae(nn.Module):
     """Physics-enhanced latent space variational autoencoder.
 
@@ -35,8 +42,7 @@ class PelsVae(nn.Module):
         activation = {"relu": nn.ReLU, "silu": nn.SiLU}[config.activation]
 
         def linear(n_in: int, n_out: int, fan_in: int | None = None, bias: bool = True) -> nn.Linear:
-            # Built without storage: torch's own initialization would draw from the global generator.
-            layer = nn.Linear(n_in, n_out, bias=bias, device="meta").to_empty(device="cpu")
+            layer = _Linear(n_in, n_out, bias=bias)
             bound = 1.0 / math.sqrt(fan_in or n_in)  # torch's own default for nn.Linear
             for weight in layer.parameters():
                 nn.init.uniform_(weight, -bound, bound, generator=generator)

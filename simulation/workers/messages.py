@@ -21,8 +21,43 @@ class Fire:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """When a worker asks to be replaced; see ExecutionPolicy."""
+
+    max_growth_mb: float
+    max_rows: int | None
+
+
+@dataclass(frozen=True)
+class Task:
+    """To the nursery: import what a model needs, and have workers from now on.
+
+    Attributes:
+        recipe: The model's recipe, packed.
+        limits: Of the workers.
+        environment: Variables that they shall see.
+        folder: Where relative paths begin; None where that has been removed.
+    """
+
+    recipe: bytes
+    limits: Limits
+    environment: dict[str, str]
+    folder: str | None
+
+
+@dataclass(frozen=True)
 class Ready:
     """From the nursery: everything is imported."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """To the nursery: the task is done; wait for another."""
+
+
+@dataclass(frozen=True)
+class Rested:
+    """From the nursery: nothing of the task is left."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +110,6 @@ class Refused:
 
     line: str
     is_input_error: bool
-
-
-@dataclass(frozen=True)
-class Limits:
-    """When a worker asks to be replaced; see ExecutionPolicy."""
-
-    max_growth_mb: float
-    max_rows: int | None
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,7 @@
 """The near end of worker processes: start one, hear it, kill it, and leave nothing of any behind."""
 
 import contextlib
-import os
 import socket
-import subprocess
-import tempfile
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -23,18 +20,13 @@ from simulation.workers.messages import (
     Limits,
     Opened,
     Ran,
-    Ready,
     Refused,
     Run,
 )
-from simulation.workers.recipe import Recipe, packed
-from simulation.workers.worker import command
+from simulation.workers.nursery_process import let_rest, nursery_process
+from simulation.workers.recipe import Recipe
 
-# Rows are spread over processes: threads below that would only get into each other's way.
-_THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _GRACE_S: Final = 1.0
-# For killing what is left and removing its files, however many they are and however slow the disk. [s]
-_END_S: Final = 60.0
 
 
 @dataclass(eq=False)
@@ -79,7 +71,7 @@ class Nursery:
     """A process that has imported a recipe's modules, and the workers that are forked from it."""
 
     def __init__(self, make_model: Recipe, limits: Limits) -> None:
-        """Start the process and wait until it is ready.
+        """Start the process, or take up the one that rests, and wait until it is ready.
 
         Args:
             make_model: Recipe for the model; must be picklable, and importable from a module.
@@ -90,44 +82,25 @@ class Nursery:
             RuntimeError: If they cannot be imported.
             NurseryEnded: If the process ends before it is ready.
         """
-        self._owner = os.getpid()
         self._next = 0
-        self._known: set[bytes] = set()
-        self._untold: list[Learnt] = []
+        self._is_closed = False
         self.workers: dict[int, Worker] = {}
         with interrupts_held() as release:
-            self._start()
+            self._process = nursery_process()
+            self._control = self._process.control
             try:
                 release()
-                self._control.send((packed(make_model), limits))
-                answer = self._control.recv()
+                answer = self._process.give(make_model, limits)
             except (EOFError, OSError):
-                self._log.seek(0)
-                said = self._log.read().decode("utf-8", "replace").strip() or "killed"
-                self.close()
+                said = self._process.said() or "killed"
+                self.close(at_once=True)
                 raise NurseryEnded(f"the process for simulations does not start: {said}") from None
             except BaseException:
-                self.close()
+                self.close(at_once=True)
                 raise
-        if not isinstance(answer, Ready):
-            self.close()
+        if isinstance(answer, Refused):
+            self.close(at_once=True)
             raise error_of(answer)
-
-    def _start(self) -> None:
-        near, far = socket.socketpair()
-        self._control = Connection(near.detach())
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
-        with far:
-            self._process = subprocess.Popen(
-                command(far.fileno()),
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=self._log,
-                pass_fds=[far.fileno()],
-                env=dict.fromkeys(_THREADS, "1") | os.environ,
-                # Ctrl-C reaches only the process that decides what it means.
-                start_new_session=True,
-            )
 
     def hire(self) -> Worker:
         """Start a worker; an Opened, Refused or Ended tells what became of it."""
@@ -137,10 +110,10 @@ class Nursery:
         self.workers[worker.number] = worker
         with far, contextlib.suppress(OSError):
             # Only now: where nobody follows, nobody needs it, and it would hold up the end.
-            while self._untold:
-                self._control.send(self._untold.pop())
+            while self._process.untold:
+                self._control.send(self._process.untold.pop())
             self._control.send(Hire(worker.number))
-            send_handle(self._control, far.fileno(), self._process.pid)
+            send_handle(self._control, far.fileno(), self._process.process.pid)
         return worker
 
     def fire(self, worker: Worker) -> None:
@@ -183,7 +156,7 @@ class Nursery:
                     events += self._bury(worker, message)
         except (EOFError, OSError):
             # Killed: its workers end as their connections close, and nobody can say how.
-            self._process.wait()
+            self._process.process.wait()
             for worker in list(self.workers.values()):
                 events += self._bury(worker, Ended(worker.number, None, ""))
         return events
@@ -201,9 +174,9 @@ class Nursery:
             message = connection.recv()
             if not isinstance(message, Learnt):
                 return [message]
-            if message.known not in self._known:
-                self._known.add(message.known)
-                self._untold.append(message)
+            if message.known not in self._process.known:
+                self._process.known.add(message.known)
+                self._process.untold.append(message)
         except (EOFError, OSError):
             connection.close()
         return []
@@ -217,34 +190,39 @@ class Nursery:
     @property
     def is_alive(self) -> bool:
         """Whether it can hire."""
-        return self._process.poll() is None and not self._control.closed
+        return self._process.is_alive
 
     def close(self, *, at_once: bool = False) -> None:
-        """End all workers and the process itself; closing twice does no harm.
+        """End all workers and let the process rest; closing twice does no harm.
 
         Args:
-            at_once: Kill workers in the middle of what they do, instead of letting them close their model.
+            at_once: Kill all in the middle of what they do, instead of letting workers close their model.
         """
-        if self._control.closed or os.getpid() != self._owner:
+        if self._is_closed or not self._process.is_ours:
             return
-        if not at_once and self.is_alive:
-            deadline = time.monotonic() + _GRACE_S
-            for worker in self.workers.values():
-                with contextlib.suppress(OSError):
-                    worker.connection.send(None)
-            while self.workers and (left := deadline - time.monotonic()) > 0 and self.is_alive:
-                self.wait(left)
-        for worker in self.workers.values():
-            worker.connection.close()
-        self.workers.clear()
-        # It kills what is left, removes the scratch folder and ends.
-        self._control.close()
+        self._is_closed = True
         try:
-            self._process.wait(timeout=_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._log.close()
+            if not at_once and self._has_let_go():
+                let_rest(self._process)
+            else:
+                self._process.end()
+        except BaseException:
+            self._process.end()
+            raise
+        finally:
+            for worker in self.workers.values():
+                worker.connection.close()
+            self.workers.clear()
+
+    def _has_let_go(self) -> bool:
+        """Ask the workers to end, and tell whether all have done so soon."""
+        deadline = time.monotonic() + _GRACE_S
+        for worker in self.workers.values():
+            with contextlib.suppress(OSError):
+                worker.connection.send(None)
+        while self.workers and (left := deadline - time.monotonic()) > 0 and self.is_alive:
+            self.wait(left)
+        return self.is_alive and not self.workers
 
 
 def error_of(refused: Refused) -> Exception:

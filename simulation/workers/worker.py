@@ -20,19 +20,33 @@ from pathlib import Path
 from typing import Any, Final
 
 from simulation.errors import InputError
-from simulation.workers.messages import Ended, Hire, Hired, Learnt, Limits, Opened, Ready, Refused
+from simulation.workers.messages import (
+    Ended,
+    Hire,
+    Hired,
+    Learnt,
+    Limits,
+    Opened,
+    Ready,
+    Refused,
+    Rest,
+    Rested,
+    Task,
+)
 from simulation.workers.recipe import Facts, Recipe
 from simulation.workers.row_desk import RowDesk
 from simulation.workers.scratch import ScratchFolder
 from simulation.workers.warm_code import learnt, remember
 
 SCRATCH_PREFIX: Final = "simulation-workers-"
+# Without a task a nursery ends: to start another costs a second. [s]
+_PATIENCE_S: Final = 60.0
 _LAST_LINE_BYTES: Final = 4096
 _LAST_LINE_CHARACTERS: Final = 300
 
 
 def main(descriptor: int) -> None:
-    """Be the nursery at the far end of a connection, until it closes.
+    """Be the nursery at the far end of a connection, until it closes or nobody has a task for long.
 
     Args:
         descriptor: The connection's file descriptor.
@@ -40,17 +54,32 @@ def main(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     control = Connection(descriptor)
     os.set_inheritable(descriptor, False)
-    recipe, limits = control.recv()
-    try:
-        make_model: Recipe = pickle.loads(recipe)
-    except Exception as error:
-        control.send(_refusal(error))
-        return
-    nursery = _Nursery(control, make_model, limits)
-    control.send(Ready())
-    nursery.run()
+    with contextlib.suppress(EOFError, OSError):
+        while control.poll(_PATIENCE_S) and _do(control.recv(), control):
+            control.send(Rested())
     # Somebody waits, and taking modules apart takes half a second.
     os._exit(0)
+
+
+def _do(task: Task, control: Connection) -> bool:
+    """Do a task; return whether another may follow."""
+    os.environ.clear()
+    os.environ.update(task.environment)
+    tempfile.tempdir = None
+    if task.folder is not None:
+        with contextlib.suppress(OSError):
+            os.chdir(task.folder)
+    try:
+        make_model: Recipe = pickle.loads(task.recipe)
+    except Exception as error:
+        control.send(_refusal(error))
+        return False
+    nursery = _Nursery(control, make_model, task.limits)
+    control.send(Ready())
+    is_done = nursery.run()
+    # While it rests it stands in nobody's way.
+    os.chdir("/")
+    return is_done
 
 
 class _Nursery:
@@ -61,13 +90,14 @@ class _Nursery:
         self._workers: dict[int, int] = {}
         self._n_oom_kills = _oom_kills()
         self._scratch = ScratchFolder(SCRATCH_PREFIX)
-        self._wake, wake = os.pipe()
-        for end in (self._wake, wake):
+        self._pipe = self._wake, wake = os.pipe()
+        for end in self._pipe:
             os.set_blocking(end, False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
 
-    def run(self) -> None:
+    def run(self) -> bool:
+        """Serve; return whether the task is done, False where nobody is left to serve."""
         try:
             while True:
                 ready = wait([self._control, self._wake])
@@ -77,6 +107,8 @@ class _Nursery:
                     self._reap()
                 if self._control in ready:
                     order = self._control.recv()
+                    if isinstance(order, Rest):
+                        return True
                     if isinstance(order, Hire):
                         self._hire(order.worker)
                     elif isinstance(order, Learnt):
@@ -84,13 +116,16 @@ class _Nursery:
                     elif order.worker in self._workers:
                         _kill(self._workers[order.worker])
         except (EOFError, OSError):
-            pass  # the process that all this works for is gone, or done
+            return False  # the process that all this works for is gone, or done
         finally:
             for pid in self._workers.values():
                 _kill(pid)
             for pid in self._workers.values():
                 os.waitpid(pid, 0)
             self._scratch.remove()
+            signal.set_wakeup_fd(-1)
+            for end in self._pipe:
+                os.close(end)
 
     def _hire(self, worker: int) -> None:
         descriptor = recv_handle(self._control)

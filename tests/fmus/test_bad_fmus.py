@@ -29,6 +29,7 @@ from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import Scenario
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.nursery_process import end_resting
 from simulation.workers.parallel import ParallelModel
 
 N = 1000
@@ -74,13 +75,15 @@ def trace(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     monkeypatch.setenv(COUNT_VARIABLE, str(tmp_path / "count.csv"))
     monkeypatch.chdir(working)
+    end_resting()
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     yield tmp_path / "count.csv"
-    # A zombie is a child as well.
-    left = [c for c in psutil.Process().children(recursive=True) if c.pid not in before]
-    assert left == []
     assert list(temporary.iterdir()) == []
     assert list(working.iterdir()) == []
+    # Nothing but the process that waits for the next campaign; a zombie is a child as well.
+    end_resting()
+    left = [c for c in psutil.Process().children(recursive=True) if c.pid not in before]
+    assert left == []
 
 
 def settings_of(fmu):

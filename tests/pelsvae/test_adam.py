@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -39,14 +40,17 @@ def test_a_weight_without_gradient_is_refused() -> None:
 
 
 @pytest.mark.parametrize("variant", ["paper", "refined"])
-def test_a_training_does_not_load_torchs_compiler(variant: str) -> None:
+def test_a_training_loads_neither_torchs_compiler_nor_sympy(variant: str, tmp_path: Path) -> None:
     script = f"""
 import sys
 import numpy as np
 from pelsvae.config import VARIANTS
+from pelsvae.surrogate import Surrogate
 from pelsvae.training import fit
 rows = np.linspace(1.0, 2.0, 8)[:, None], np.ones((8, 3, 1)) * np.linspace(0.0, 1.0, 8)[:, None, None]
-fit(*rows, rows, config=VARIANTS[{variant!r}].replace(max_epochs=2, device="cpu"), seed=0)
-assert "torch._dynamo" not in sys.modules
+config = VARIANTS[{variant!r}].replace(max_epochs=2, device="cpu")
+fit(*rows, rows, config=config, seed=0).surrogate.save({str(tmp_path)!r})
+Surrogate.load({str(tmp_path)!r}).predict(rows[0])
+assert not {{"torch._dynamo", "sympy"}} & set(sys.modules)
 """
     subprocess.run([sys.executable, "-c", script], check=True)

@@ -16,6 +16,7 @@ from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.toy import ToyRC
 from simulation.workers.execution import ExecutionPolicy
+from simulation.workers.nursery_process import end_resting
 from simulation.workers.parallel import ParallelModel, available_cores
 
 # Workers import the models by name, from this folder.
@@ -150,6 +151,7 @@ def test_who_is_interrupted_again_and_again_can_go_on(monkeypatch: pytest.Monkey
     assert here is not None
     with ParallelModel(SlowToy().open, 1) as model:
         for _ in range(3):
+            end_resting()
             # The process that workers come from has just been started.
             threading.Timer(0.03, signal.pthread_kill, (here, signal.SIGINT)).start()
             with pytest.raises(KeyboardInterrupt):

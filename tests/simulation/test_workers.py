@@ -13,6 +13,7 @@ from simulation.errors import InputError
 from simulation.toy import ToyRC
 from simulation.workers.arena import Arena, recover_arenas
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.nursery_process import end_resting
 from simulation.workers.parallel import ParallelModel
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -193,18 +194,21 @@ def test_a_batch_is_in_the_spool_until_the_next(tmp_path: Path):
 def test_what_a_model_starts_and_writes_goes_with_its_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
+    end_resting()
     before = set(psutil.Process().children(recursive=True))
     with ParallelModel(FamilyToy().open, 1) as model:
         model.simulate(_rows(3, 0))
         family = set(psutil.Process().children(recursive=True)) - before
         assert sum(process.name() == "sleep" for process in family) == 3
         assert list(tmp_path.rglob("left.txt"))
+    assert not list(tmp_path.iterdir())
+    end_resting()
     _, alive = psutil.wait_procs(family, timeout=5)
     assert not alive
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_forgotten_model_leaves_no_process():
+    end_resting()
     before = set(psutil.Process().children(recursive=True))
     model = ParallelModel(SlowToy().open, 2)
     model.simulate(_rows(20, 0))

@@ -35,8 +35,8 @@ N_WORKERS = 3
 N_KILLS = 20
 N_TRIALS = 60
 PATIENCE_S = 120.0
-# What a worker has loaded by its second trial; torch loads the latter two in seconds for the first optimizer.
-WARM = ["studies.tuning.trial_worker", "torch._dynamo", "torch.fx.experimental.symbolic_shapes"]
+# What a worker has loaded by its second trial.
+WARM = ["studies.tuning.trial_worker"]
 
 
 @contextmanager

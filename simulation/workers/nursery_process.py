@@ -1,0 +1,187 @@
+"""The process that workers are forked from, kept between two campaigns: its imports take a second.
+
+Whoever is done with it lets it rest, and the next campaign in the same surroundings takes it up. One rests at
+most; it ends by itself when nobody comes, and with the process that started it.
+"""
+
+import atexit
+import contextlib
+import os
+import socket
+import subprocess
+import tempfile
+import threading
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import IO, Final, Self
+
+from simulation.workers.messages import Learnt, Limits, Rest, Rested, Task
+from simulation.workers.recipe import Recipe, packed
+from simulation.workers.worker import command
+
+# Rows are spread over processes: threads below that would only get into each other's way.
+_THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# Variables that are read when a process starts or imports; all others can change while it lives.
+_READ_AT_START: Final = ("LD_", "MALLOC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON")
+# For killing what is left and removing its files, however many they are and however slow the disk. [s]
+_END_S: Final = 60.0
+# For doing the same where there is nothing left to kill. [s]
+_REST_S: Final = 5.0
+
+
+@dataclass(eq=False)
+class NurseryProcess:
+    """The process, which belongs to the process that started it and to one campaign at a time.
+
+    Attributes:
+        process: As the system knows it.
+        control: The connection to it.
+        known: What workers have found out so far.
+        untold: The part of it that it has not been told.
+    """
+
+    process: subprocess.Popen[bytes]
+    control: Connection
+    _log: IO[bytes]
+    known: set[bytes] = field(default_factory=set)
+    untold: list[Learnt] = field(default_factory=list)
+    _owner: int = field(default_factory=os.getpid)
+    _log_begin: int = 0
+    _start: object = field(default_factory=lambda: _what_is_read_at_start())
+
+    @classmethod
+    def started(cls) -> Self:
+        """Start one; it imports nothing before its first task."""
+        near, far = socket.socketpair()
+        log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
+        with far:
+            process = subprocess.Popen(
+                command(far.fileno()),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                pass_fds=[far.fileno()],
+                env=_environment(),
+                # Ctrl-C reaches only the process that decides what it means.
+                start_new_session=True,
+            )
+        return cls(process, Connection(near.detach()), log)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether this process started it, and not one that this was forked from."""
+        return os.getpid() == self._owner
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can work."""
+        return not self.control.closed and self.process.poll() is None
+
+    @property
+    def fits(self) -> bool:
+        """Whether it rests well, and one that is started now would be the same."""
+        # It says nothing while it rests, but that it ends.
+        return self.is_alive and not self.control.poll() and self._start == _what_is_read_at_start()
+
+    def give(self, make_model: Recipe, limits: Limits) -> object:
+        """Give it a task and return what it answers.
+
+        Args:
+            make_model: Recipe for the model.
+            limits: When workers shall ask to be replaced.
+
+        Raises:
+            RuntimeError: The recipe cannot be sent.
+            EOFError: It has ended.
+            OSError: It has ended.
+        """
+        self.control.send(Task(packed(make_model), limits, _environment(), _working_directory()))
+        answer: object = self.control.recv()
+        return answer
+
+    def said(self) -> str:
+        """Return what it has written since it rested last."""
+        self._log.seek(self._log_begin)
+        return self._log.read().decode("utf-8", "replace").strip()
+
+    def rest(self) -> bool:
+        """Have it clear its place, and return whether it has; no worker may be left."""
+        try:
+            self.control.send(Rest())
+            while self.control.poll(_REST_S):
+                if isinstance(self.control.recv(), Rested):
+                    self._log_begin = self._log.seek(0, os.SEEK_END)
+                    return True
+        except (EOFError, OSError):
+            pass
+        return False
+
+    def end(self) -> None:
+        """End it with all workers; ending twice does no harm."""
+        if self.control.closed or not self.is_ours:
+            return
+        # It kills what is left, removes the scratch folder and ends.
+        self.control.close()
+        try:
+            self.process.wait(timeout=_END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self._log.close()
+
+
+_lock: Final = threading.Lock()
+_resting: list[NurseryProcess] = []
+
+
+def nursery_process() -> NurseryProcess:
+    """Return the process that rests, if it fits, or a new one."""
+    with _lock:
+        waiting = [one for one in _resting if one.is_ours]
+        _resting.clear()
+    for one in waiting:
+        if one.fits:
+            return one
+        one.end()
+    return NurseryProcess.started()
+
+
+def let_rest(process: NurseryProcess) -> None:
+    """Keep a process for the next campaign, or end it where it cannot be kept.
+
+    Args:
+        process: Without workers.
+    """
+    if process.rest():
+        with _lock:
+            if not any(one.is_ours for one in _resting):
+                _resting[:] = [process]
+                return
+    process.end()
+
+
+def end_resting() -> None:
+    """End the process that rests, if there is one."""
+    with _lock:
+        waiting = [one for one in _resting if one.is_ours]
+        _resting.clear()
+    for one in waiting:
+        one.end()
+
+
+atexit.register(end_resting)
+
+
+def _environment() -> dict[str, str]:
+    return dict.fromkeys(_THREADS, "1") | os.environ
+
+
+def _what_is_read_at_start() -> object:
+    return command(0), {name: value for name, value in os.environ.items() if name.startswith(_READ_AT_START)}
+
+
+def _working_directory() -> str | None:
+    with contextlib.suppress(OSError):
+        return str(Path.cwd())
+    return None
