@@ -5,8 +5,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from SALib.sample import sobol as salib_sobol
-from scipy.stats import norm
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
@@ -164,12 +162,15 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
         n_base: Saltelli blocks, a power of two.
         seed: Seed of the sample; 0 is a seed like any other.
     """
+    # Not where stored indices are only read: the two take a second.
+    from SALib.sample import sobol
+
     declared = {
         "num_vars": space.n_parameters,
         "names": list(space.names),
         "bounds": np.column_stack([space.lower, space.upper]).tolist(),
     }
-    return np.asarray(salib_sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
+    return np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
 
 
 def _saltelli_blocks(
@@ -252,6 +253,8 @@ class _Sums:
         Returns:
             Four arrays of shape (d, p); NaN where a column does not vary. [1]
         """
+        from scipy.stats import norm
+
         result = np.full((4, len(self._all), self._p), np.nan)
         size = np.maximum(np.abs(self._low), np.abs(self._high))
         if self.n_good >= 2:
