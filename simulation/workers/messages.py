@@ -52,7 +52,13 @@ class Ready:
 
 @dataclass(frozen=True)
 class Rest:
-    """To the nursery: the task is done; wait for another."""
+    """To the nursery: the task is done; wait for another.
+
+    Attributes:
+        patience_s: How long. [s]
+    """
+
+    patience_s: float
 
 
 @dataclass(frozen=True)

@@ -190,7 +190,7 @@ class Nursery:
     @property
     def is_alive(self) -> bool:
         """Whether it can hire."""
-        return self._process.is_alive
+        return not self._is_closed and self._process.is_alive
 
     def close(self, *, at_once: bool = False) -> None:
         """End all workers and let the process rest; closing twice does no harm.
@@ -200,9 +200,10 @@ class Nursery:
         """
         if self._is_closed or not self._process.is_ours:
             return
-        self._is_closed = True
         try:
-            if not at_once and self._has_let_go():
+            may_rest = not at_once and self._has_let_go()
+            self._is_closed = True
+            if may_rest:
                 let_rest(self._process)
             else:
                 self._process.end()

@@ -7,6 +7,7 @@ most; it ends by itself when nobody comes, and with the process that started it.
 import atexit
 import contextlib
 import os
+import resource
 import socket
 import subprocess
 import tempfile
@@ -23,11 +24,16 @@ from simulation.workers.worker import command
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 # Variables that are read when a process starts or imports; all others can change while it lives.
-_READ_AT_START: Final = ("LD_", "MALLOC_", "MKL_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON")
+_READ_AT_START: Final = (
+    *("GLIBC_", "GOMP_", "KMP_", "LANG", "LC_", "LD_", "MALLOC_"),
+    *("MKL_", "NPY_", "NUMBA_", "OMP_", "OPENBLAS_", "PYTHON", "TZ"),
+)
 # For killing what is left and removing its files, however many they are and however slow the disk. [s]
 _END_S: Final = 60.0
 # For doing the same where there is nothing left to kill. [s]
 _REST_S: Final = 5.0
+# Longest rest. [s]
+_PATIENCE_S: Final = 60.0
 
 
 @dataclass(eq=False)
@@ -48,7 +54,7 @@ class NurseryProcess:
     untold: list[Learnt] = field(default_factory=list)
     _owner: int = field(default_factory=os.getpid)
     _log_begin: int = 0
-    _start: object = field(default_factory=lambda: _what_is_read_at_start())
+    _start: object = field(default_factory=lambda: _given_at_start())
 
     @classmethod
     def started(cls) -> Self:
@@ -78,11 +84,10 @@ class NurseryProcess:
         """Whether it can work."""
         return not self.control.closed and self.process.poll() is None
 
-    @property
-    def fits(self) -> bool:
-        """Whether it rests well, and one that is started now would be the same."""
+    def fits(self, start: object) -> bool:
+        """Tell whether it rests well, and one that is started now would be the same."""
         # It says nothing while it rests, but that it ends.
-        return self.is_alive and not self.control.poll() and self._start == _what_is_read_at_start()
+        return self.is_alive and not self.control.poll() and self._start == start
 
     def give(self, make_model: Recipe, limits: Limits) -> object:
         """Give it a task and return what it answers.
@@ -96,7 +101,7 @@ class NurseryProcess:
             EOFError: It has ended.
             OSError: It has ended.
         """
-        self.control.send(Task(packed(make_model), limits, _environment(), _working_directory()))
+        self.control.send(Task(packed(make_model), limits, _environment(), _working_folder()))
         answer: object = self.control.recv()
         return answer
 
@@ -108,7 +113,7 @@ class NurseryProcess:
     def rest(self) -> bool:
         """Have it clear its place, and return whether it has; no worker may be left."""
         try:
-            self.control.send(Rest())
+            self.control.send(Rest(_PATIENCE_S))
             while self.control.poll(_REST_S):
                 if isinstance(self.control.recv(), Rested):
                     self._log_begin = self._log.seek(0, os.SEEK_END)
@@ -117,11 +122,19 @@ class NurseryProcess:
             pass
         return False
 
-    def end(self) -> None:
-        """End it with all workers; ending twice does no harm."""
+    def end(self, *, at_once: bool = False) -> None:
+        """End it with all workers; ending twice does no harm.
+
+        Args:
+            at_once: Kill it, which leaves nothing where it rests.
+        """
         if self.control.closed or not self.is_ours:
             return
-        # It kills what is left, removes the scratch folder and ends.
+        if at_once:
+            self.process.kill()
+        # It kills what is left, removes the scratch folder and ends. Forks of this process are connected too.
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(self.control.fileno())) as near:
+            near.shutdown(socket.SHUT_RDWR)
         self.control.close()
         try:
             self.process.wait(timeout=_END_S)
@@ -131,19 +144,17 @@ class NurseryProcess:
         self._log.close()
 
 
-_lock: Final = threading.Lock()
-_resting: list[NurseryProcess] = []
+_lock = threading.Lock()
+_resting: Final[list[NurseryProcess]] = []
 
 
 def nursery_process() -> NurseryProcess:
     """Return the process that rests, if it fits, or a new one."""
-    with _lock:
-        waiting = [one for one in _resting if one.is_ours]
-        _resting.clear()
-    for one in waiting:
-        if one.fits:
+    start, has_folder = _given_at_start(), _working_folder() is not None
+    for one in _taken():
+        if has_folder and one.fits(start):
             return one
-        one.end()
+        one.end(at_once=True)
     return NurseryProcess.started()
 
 
@@ -155,33 +166,52 @@ def let_rest(process: NurseryProcess) -> None:
     """
     if process.rest():
         with _lock:
-            if not any(one.is_ours for one in _resting):
-                _resting[:] = [process]
+            if not _resting:
+                _resting.append(process)
                 return
     process.end()
 
 
 def end_resting() -> None:
     """End the process that rests, if there is one."""
+    for one in _taken():
+        one.end(at_once=True)
+
+
+def _taken() -> list[NurseryProcess]:
     with _lock:
-        waiting = [one for one in _resting if one.is_ours]
+        taken = _resting.copy()
         _resting.clear()
-    for one in waiting:
-        one.end()
+        return taken
+
+
+def _forget() -> None:
+    """In a fork of this process: what rests is not its own, and another thread may have held the lock."""
+    global _lock
+    _lock = threading.Lock()
+    _resting.clear()
 
 
 atexit.register(end_resting)
+os.register_at_fork(after_in_child=_forget)
 
 
 def _environment() -> dict[str, str]:
     return dict.fromkeys(_THREADS, "1") | os.environ
 
 
-def _what_is_read_at_start() -> object:
-    return command(0), {name: value for name, value in os.environ.items() if name.startswith(_READ_AT_START)}
-
-
-def _working_directory() -> str | None:
+def _working_folder() -> str | None:
     with contextlib.suppress(OSError):
         return str(Path.cwd())
     return None
+
+
+def _given_at_start() -> object:
+    """Return what a process is given when it starts, and keeps."""
+    variables = {name: value for name, value in os.environ.items() if name.startswith(_READ_AT_START)}
+    limits = [
+        resource.getrlimit(getattr(resource, name)) for name in dir(resource) if name.startswith("RLIMIT_")
+    ]
+    status = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    umask = [line for line in status if line.startswith("Umask:")]
+    return command(0), variables, limits, umask, os.sched_getaffinity(0), os.getpriority(os.PRIO_PROCESS, 0)

@@ -197,9 +197,8 @@ class SpooledModel(ABC):
     def close(self) -> None:
         """End what works for this model; closing twice does no harm, and work starts it again."""
         self._forget_last()
-        for arena in self._kept:
-            arena.remove()
-        self._kept.clear()
+        while self._kept:
+            self._kept.pop().remove()
         self._let_go(at_once=False)
 
     def __enter__(self) -> Self:

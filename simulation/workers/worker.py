@@ -10,7 +10,9 @@ import pickle
 import select
 import shutil
 import signal
+import site
 import sys
+import sysconfig
 import tempfile
 import threading
 import traceback
@@ -39,8 +41,6 @@ from simulation.workers.scratch import ScratchFolder
 from simulation.workers.warm_code import learnt, remember
 
 SCRATCH_PREFIX: Final = "simulation-workers-"
-# Without a task a nursery ends: to start another costs a second. [s]
-_PATIENCE_S: Final = 60.0
 _LAST_LINE_BYTES: Final = 4096
 _LAST_LINE_CHARACTERS: Final = 300
 
@@ -54,32 +54,50 @@ def main(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     control = Connection(descriptor)
     os.set_inheritable(descriptor, False)
-    with contextlib.suppress(EOFError, OSError):
-        while control.poll(_PATIENCE_S) and _do(control.recv(), control):
+    with contextlib.suppress(EOFError, OSError):  # nobody is there any more
+        task = control.recv()
+        while (rest := _done(task, control)) is not None and _is_as_installed():
+            # Rested, it stands in nobody's way.
+            os.chdir("/")
             control.send(Rested())
+            if not control.poll(rest.patience_s):
+                break
+            task = control.recv()
     # Somebody waits, and taking modules apart takes half a second.
     os._exit(0)
 
 
-def _do(task: Task, control: Connection) -> bool:
-    """Do a task; return whether another may follow."""
-    os.environ.clear()
-    os.environ.update(task.environment)
-    tempfile.tempdir = None
-    if task.folder is not None:
-        with contextlib.suppress(OSError):
-            os.chdir(task.folder)
+def _done(task: Task, control: Connection) -> Rest | None:
+    """Do a task; return what follows, None for the end."""
     try:
+        os.environ.clear()
+        os.environ.update(task.environment)
+        tempfile.tempdir = None
+        if task.folder is not None:
+            os.chdir(task.folder)
         make_model: Recipe = pickle.loads(task.recipe)
+        nursery = _Nursery(control, make_model, task.limits)
     except Exception as error:
         control.send(_refusal(error))
-        return False
-    nursery = _Nursery(control, make_model, task.limits)
+        return None
     control.send(Ready())
-    is_done = nursery.run()
-    # While it rests it stands in nobody's way.
-    os.chdir("/")
-    return is_done
+    return nursery.run()
+
+
+def _is_as_installed() -> bool:
+    """Tell whether all that is loaded belongs to this package or was installed.
+
+    Other files may change between two tasks; a new process reads them again.
+    """
+    installed = {*sysconfig.get_paths().values(), *site.getsitepackages(), site.getusersitepackages()}
+    places = tuple(f"{place}{os.sep}" for place in installed)
+    room = __name__.partition(".")[0]
+    files = (
+        getattr(module, "__file__", None)
+        for name, module in list(sys.modules.items())
+        if name.partition(".")[0] != room
+    )
+    return all(file is None or file.startswith(places) for file in files)
 
 
 class _Nursery:
@@ -89,15 +107,21 @@ class _Nursery:
         self._limits = limits
         self._workers: dict[int, int] = {}
         self._n_oom_kills = _oom_kills()
-        self._scratch = ScratchFolder(SCRATCH_PREFIX)
+        try:
+            self._scratch = ScratchFolder(SCRATCH_PREFIX)
+        except OSError as error:
+            raise InputError(
+                f"{tempfile.gettempdir()}: no folder for simulations can be made there ({error.strerror}); "
+                "make room or set TMPDIR to another place"
+            ) from error
         self._pipe = self._wake, wake = os.pipe()
         for end in self._pipe:
             os.set_blocking(end, False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
 
-    def run(self) -> bool:
-        """Serve; return whether the task is done, False where nobody is left to serve."""
+    def run(self) -> Rest | None:
+        """Serve; return what shall follow, None where nobody is left to serve."""
         try:
             while True:
                 ready = wait([self._control, self._wake])
@@ -108,7 +132,7 @@ class _Nursery:
                 if self._control in ready:
                     order = self._control.recv()
                     if isinstance(order, Rest):
-                        return True
+                        return order
                     if isinstance(order, Hire):
                         self._hire(order.worker)
                     elif isinstance(order, Learnt):
@@ -116,7 +140,7 @@ class _Nursery:
                     elif order.worker in self._workers:
                         _kill(self._workers[order.worker])
         except (EOFError, OSError):
-            return False  # the process that all this works for is gone, or done
+            return None  # the process that all this works for is gone, or done
         finally:
             for pid in self._workers.values():
                 _kill(pid)

@@ -75,7 +75,6 @@ def trace(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     monkeypatch.setenv(COUNT_VARIABLE, str(tmp_path / "count.csv"))
     monkeypatch.chdir(working)
-    end_resting()
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     yield tmp_path / "count.csv"
     assert list(temporary.iterdir()) == []

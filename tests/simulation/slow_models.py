@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -187,16 +186,3 @@ def count_begun(file: Path) -> dict[str, int]:
     for line in file.read_text().split():
         counts[line] = counts.get(line, 0) + 1
     return counts
-
-
-@dataclass(frozen=True, eq=False)
-class SurroundedToy(SlowToy):
-    """Writes down what it saw when it was opened."""
-
-    seen: Path | None = None
-
-    def open(self) -> "SurroundedToy":
-        assert self.seen is not None
-        variables = sorted(name for name in os.environ if name.startswith("ONLY_"))
-        self.seen.write_text("\n".join([str(Path.cwd()), tempfile.gettempdir(), *variables]))
-        return self

@@ -1,23 +1,27 @@
 """The process that workers are forked from serves one campaign after the other, each as a new one would."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 
+from simulation.case import load_case
+from simulation.errors import InputError
 from simulation.toy import ToyRC
-from simulation.workers.nursery_process import end_resting
+from simulation.workers import nursery_process
+from simulation.workers.nursery_process import NurseryProcess, end_resting
 from simulation.workers.parallel import ParallelModel
-
-sys.path.insert(0, str(Path(__file__).parent))
-from slow_models import CrashingToy, DyingAtOpeningToy, SlowToy, SurroundedToy
 
 ROOT = Path(__file__).parents[2]
 ROWS = ToyRC().parameter_space.from_unit(np.random.default_rng(0).random((3, 2)))
@@ -30,9 +34,8 @@ def _nothing_rests() -> Iterator[None]:
     end_resting()
 
 
-def simulate(toy: SlowToy | None = None) -> None:
-    toy = toy or SlowToy(row_s=0.0)
-    with ParallelModel(toy.open, 2) as model:
+def simulate() -> None:
+    with ParallelModel(ToyRC, 2) as model:
         assert model.simulate(ROWS).digest == ToyRC().simulate(ROWS).digest
 
 
@@ -46,54 +49,104 @@ def test_campaigns_share_it_and_it_alone_waits_for_the_next():
     simulate()
     (pid,) = nurseries()
     assert not psutil.Process(pid).children()
-    simulate(SlowToy(row_s=0.01))
+    simulate()
     assert nurseries() == [pid]
     end_resting()
     assert nurseries() == []
 
 
 def test_two_models_at_once_have_one_each_and_one_rests():
-    with ParallelModel(SlowToy(row_s=0.0).open, 1) as one:
+    with ParallelModel(ToyRC, 1) as one:
         one.simulate(ROWS)
         simulate()
         assert len(nurseries()) == 2
     assert len(nurseries()) == 1
 
 
-def test_workers_see_the_surroundings_of_their_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Variables, the folder that paths begin in, and the one for temporary files; none of an earlier one."""
+def test_many_campaigns_leave_no_descriptor_behind():
+    simulate()
+    (pid,) = nurseries()
+    ours, its = psutil.Process().num_fds(), psutil.Process(pid).num_fds()
+    for _ in range(5):
+        simulate()
+    assert (psutil.Process().num_fds(), psutil.Process(pid).num_fds()) == (ours, its)
+
+
+def test_each_campaign_begins_paths_and_temporary_files_in_its_own_folders(
+    decay_case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    case, rows = load_case(decay_case), np.array([[1e-4, 0.0]])
+    settings = replace(case.settings, path=Path("decay.fmu"))
+    with case.open_model() as model:
+        expected = model.simulate(rows).digest
     pids = set()
     for name in ("first", "second"):
-        home, temporary, seen = tmp_path / name, tmp_path / f"{name}-tmp", tmp_path / f"{name}.txt"
+        home, temporary = tmp_path / name, tmp_path / f"{name}-tmp"
         home.mkdir()
         temporary.mkdir()
-        with monkeypatch.context() as here:
-            here.setenv(f"ONLY_{name}", name)
-            here.setenv("TMPDIR", str(temporary))
-            here.setattr("tempfile.tempdir", None)
-            here.chdir(home)
-            simulate(SurroundedToy(row_s=0.0, seen=seen))
-        opened_in, scratch, *variables = seen.read_text().splitlines()
-        assert opened_in == str(home)
-        assert scratch.startswith(str(temporary))
-        assert variables == [f"ONLY_{name}"]
+        (home / "decay.fmu").write_bytes((decay_case / "decay.fmu").read_bytes())
+        monkeypatch.chdir(home)
+        monkeypatch.setenv("TMPDIR", str(temporary))
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        with ParallelModel(settings.open, 1) as model:
+            assert model.simulate(rows).digest == expected
+            assert list(temporary.iterdir())
         assert not list(temporary.iterdir())
         pids.update(nurseries())
+        # Whoever had begun in the first folder could not open it there again.
+        (home / "decay.fmu").unlink()
     assert len(pids) == 1
 
 
-def test_what_is_read_at_the_start_of_a_process_starts_another(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-):
-    simulate()
-    (first,) = nurseries()
+def _another_variable(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
-    simulate()
-    (second,) = nurseries()
-    assert second != first
+
+
+def _another_module_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
-    simulate()
-    assert second not in nurseries()
+
+
+def _another_umask(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    os.umask(0o027)
+
+
+def _fewer_cores(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+
+
+@pytest.mark.parametrize("change", [_another_variable, _another_module_path, _another_umask, _fewer_cores])
+def test_what_a_process_is_given_at_its_start_starts_another(
+    change: Callable[[pytest.MonkeyPatch, Path], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    umask, cores = os.umask(0o022), os.sched_getaffinity(0)
+    if change is _fewer_cores and len(cores) == 1:
+        pytest.skip("this process may use one core")
+    try:
+        simulate()
+        (first,) = nurseries()
+        change(monkeypatch, tmp_path)
+        simulate()
+        assert len(nurseries()) == 1
+        assert first not in nurseries()
+    finally:
+        os.umask(umask)
+        os.sched_setaffinity(0, cores)
+
+
+def test_code_of_the_user_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    model_file = tmp_path / "model_of_the_user.py"
+    for ambient in (10.0, 20.0):
+        text = f"from simulation.toy import ToyRC\ndef opened():\n    return ToyRC(ambient={ambient})\n"
+        model_file.write_text(text)
+        sys.modules.pop("model_of_the_user", None)
+        from model_of_the_user import opened  # type: ignore[import-not-found]
+
+        with ParallelModel(opened, 1) as model:
+            assert model.simulate(ROWS).y[0, 0, 0] == ambient
+        assert nurseries() == []
+        # Python takes a file of the same second and size for the same file.
+        os.utime(model_file, (0, 0))
 
 
 def test_one_that_was_killed_while_it_rested_is_replaced():
@@ -105,11 +158,8 @@ def test_one_that_was_killed_while_it_rested_is_replaced():
     assert pid not in nurseries()
 
 
-def test_it_ends_when_nobody_comes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    (tmp_path / "sitecustomize.py").write_text(
-        "import simulation.workers.worker\nsimulation.workers.worker._PATIENCE_S = 0.3\n"
-    )
-    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
+def test_it_ends_when_nobody_comes(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(nursery_process, "_PATIENCE_S", 0.3)
     simulate()
     (pid,) = nurseries()
     assert psutil.Process(pid).wait(timeout=10) == 0
@@ -117,36 +167,60 @@ def test_it_ends_when_nobody_comes(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert pid not in nurseries()
 
 
-def test_crashes_of_one_campaign_are_not_the_next_one_s():
-    bad = ROWS.copy()
-    bad[1, 0] = 4.5
-    with ParallelModel(CrashingToy().open, 1) as model:
-        assert model.simulate(bad).failed.tolist() == [False, True, False]
-    assert len(nurseries()) == 1
+def test_a_fork_of_the_program_holds_nothing_up():
+    """It has the connections too, so that closing them here tells nobody."""
+    simulate()
+    fork = multiprocessing.get_context("fork").Process(target=time.sleep, args=(30.0,), daemon=True)
+    fork.start()
+    started = time.monotonic()
+    with ParallelModel(ToyRC, 1) as other:
+        other.simulate(ROWS)
+        simulate()
+    end_resting()
+    assert nurseries() == []
+    assert time.monotonic() - started < 20
+    fork.terminate()
+    fork.join()
+
+
+def test_no_room_for_temporary_files_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # Full for the process that workers are forked from, which makes a folder in it.
+    (tmp_path / "sitecustomize.py").write_text(
+        "import errno, os, tempfile\n"
+        "def full(**_):\n"
+        "    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))\n"
+        "tempfile.mkdtemp = full\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     with (
-        pytest.raises(Exception, match="crashed its process"),
-        ParallelModel(DyingAtOpeningToy().open, 1) as model,
+        pytest.raises(InputError, match=r"no folder for simulations .*No space left on device.*TMPDIR"),
+        ParallelModel(ToyRC, 1) as model,
     ):
         model.simulate(ROWS)
     assert nurseries() == []
-    simulate()
-    assert len(nurseries()) == 1
 
 
-def test_ctrl_c_while_it_comes_to_rest_leaves_none(monkeypatch: pytest.MonkeyPatch):
-    from simulation.workers import nursery_process
-
-    rest, here = nursery_process.NurseryProcess.rest, threading.main_thread().ident
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_ctrl_c_while_it_comes_to_rest_harms_nobody(when: str, monkeypatch: pytest.MonkeyPatch):
+    rest, here = NurseryProcess.rest, threading.main_thread().ident
     assert here is not None
 
-    def interrupted(process: nursery_process.NurseryProcess) -> bool:
+    def interrupted(process: NurseryProcess) -> bool:
+        if when == "before":
+            signal.pthread_kill(here, signal.SIGINT)
+        has_rested = rest(process)
         signal.pthread_kill(here, signal.SIGINT)
-        return rest(process)
+        return has_rested
 
-    monkeypatch.setattr(nursery_process.NurseryProcess, "rest", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with ParallelModel(ToyRC, 1) as model:
+        model.simulate(ROWS)
+        monkeypatch.setattr(NurseryProcess, "rest", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            model.close()
+        monkeypatch.undo()
         simulate()
-    assert nurseries() == []
+        assert model.simulate(ROWS).digest == ToyRC().simulate(ROWS).digest
+    assert len(nurseries()) == 1
 
 
 FORKING = """
