@@ -219,8 +219,9 @@ def read_case_file(path: Path) -> CaseFile:
 
 
 def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
-    """Say the first fault as key, value and remedy."""
-    fault = error.errors(include_url=False)[0]
+    """Say the first fault as key, value and remedy; an unknown key may be a missing one, misspelt."""
+    faults = error.errors(include_url=False)
+    fault = next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
     location = fault["loc"]
     # A union (number or table) reports each branch under its own name, which is no key of the file.
     if location[:1] == ("fixed",):

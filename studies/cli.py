@@ -20,7 +20,7 @@ from studies.commands import options
 from studies.console import Console
 from studies.storage_url import hide_passwords
 
-OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 WIDEST = 110  # columns of help
 COMMANDS = (
     "new",
@@ -82,7 +82,8 @@ where results land (label = <case>-<profile>):
 
 Finished work is never done twice: interrupt any command, type it again, and it goes on.
 
-Exit codes: 0 good, 1 a check or a stage failed, 2 the input is wrong, 130 interrupted.
+Exit codes: 0 good, 1 a check or a stage failed, 2 the input is wrong, 130 interrupted,
+141 nobody read on.
 """
 
 
@@ -117,9 +118,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.document({"error": "interrupted", "go_on_with": again})
         return INTERRUPTED
     except BrokenPipeError:
-        # whoever read our output has left; there is nobody to tell
+        # whoever read our output has left; there is nobody to tell, and nothing has failed
         sys.stdout = None
-        return FAILED
+        return UNHEARD
     except Exception as error:
         return _failed(console, error)
 

@@ -14,6 +14,9 @@ from typing import Any, Literal, Protocol
 Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
 """How something is said: what is good, to be looked at, or of less weight."""
 
+# Of a progress bar's line, what its times, its percentage and a short bar take.
+_BAR_COLUMNS = 38
+
 OnProgress = Callable[[int, int], None]
 """Called with what is done and what there is to do."""
 
@@ -173,7 +176,11 @@ class Console:
         def show(what: str, done: float, total: float, news: str = "") -> None:
             if what not in tasks:
                 tasks[what] = progress.add_task(what, total=total)
-            progress.update(tasks[what], completed=done, total=total, description=f"{what}{news}")
+            said = f"{what}{news}"
+            # In a narrow window the times are worth more than the end of the words.
+            room = max(progress.console.width - _BAR_COLUMNS, 12)
+            said = said if len(said) <= room else said[: room - 1] + "…"
+            progress.update(tasks[what], completed=done, total=total, description=said)
 
         with progress:
             yield show

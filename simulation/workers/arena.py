@@ -151,9 +151,9 @@ class Arena:
                 path.unlink(missing_ok=True)
             os.close(descriptor)
             if isinstance(error, OSError):
-                mb = f"{size / 1e6:.0f} MB of simulated rows"
+                much = f"{size / 1e6:.0f} MB" if size > 1e6 else f"{size / 1e3:.0f} kB"
                 raise InputError(
-                    f"{spool or 'memory'}: no room for {mb} ({error.strerror}); free some"
+                    f"{spool or 'memory'}: no room for {much} of simulated rows ({error.strerror}); free some"
                 ) from None
             raise
 

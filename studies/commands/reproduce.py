@@ -26,7 +26,9 @@ examples:
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
-    command.add_argument("run", nargs="+", metavar="RUN", help="what to make again")
+    command.add_argument(
+        "run", nargs="+", metavar=("RUN", "WORD"), help="what to make again; its name may have several words"
+    )
     command.add_argument(
         "--keep", action="store_true", help="keep what was made, in mlruns/reproduced; else it is removed"
     )

@@ -16,6 +16,8 @@ STEP_SHARE = 0.2
 """Halving the communication step may change the output by this share of the sensor's uncertainty."""
 INPUT_SHARE = 0.1
 """A constant input is changed by this share of its size."""
+EVEN = 1e-3
+"""An input that differs by this share of its range from its reverse is the same in reverse."""
 
 
 def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceModel:
@@ -25,7 +27,7 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     for column in range(scenario.inputs.shape[1]):
         inputs = scenario.inputs.copy()
         variable = case.fmu.variables[scenario.input_names[column]]
-        inputs[:, column] = _changed(inputs[:, column], variable)
+        inputs[:, column] = changed_input(inputs[:, column], variable)
         changed.append(replace(case.settings, scenario=replace(scenario, inputs=inputs)))
     return CircumstanceModel((case.settings, halved.settings, *changed), row)
 
@@ -49,10 +51,16 @@ def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Traj
     )
 
 
-def _changed(values: FloatArray, variable: FmuVariable) -> FloatArray:
-    """Return other values of the same kind: in reverse order, so that a switch stays one."""
+def changed_input(values: FloatArray, variable: FmuVariable) -> FloatArray:
+    """Return other values of the same kind: in reverse order, so that a switch stays one.
+
+    Args:
+        values: Of an input. Shape (t - 1,). [case's unit]
+        variable: The FMU's.
+    """
     backwards = values[::-1]
-    if not np.array_equal(backwards, values):
+    # Whole days of a clear sky are the same in reverse, but for rounding.
+    if np.abs(backwards - values).max() > EVEN * np.ptp(values):
         return backwards
     if variable.kind not in REAL_KINDS:
         known = (0, 1) if variable.kind == "Boolean" else tuple(variable.items.values())

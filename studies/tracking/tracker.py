@@ -185,7 +185,9 @@ class PatientTracker:
                 passing = _passes(error)
                 if passing and time.monotonic() < deadline:
                     if wait_s < 0.2:
-                        logger.warning("MLflow's store is away (%s); waiting for it", line)
+                        cure = _cure(line)
+                        waits = f"waiting for it up to {self._patience_s:.0f} s" + (f", {cure}" if cure else "")
+                        logger.warning("MLflow's store is away (%s); %s", line, waits)
                     time.sleep(wait_s)
                     wait_s = min(2.0 * wait_s, 5.0)
                     continue
@@ -217,6 +219,11 @@ _SQLITE_CURES = {
 }
 
 
+def _cure(line: str) -> str | None:
+    """Return what helps where a database of SQLite said this line, None where nothing is known to."""
+    return next((cure for sign, cure in _SQLITE_CURES.items() if sign in line), None)
+
+
 def open_tracker(paths: ProjectPaths) -> Tracker:
     """Open the project's MLflow store, creating it where absent; costs MLflow's import, some 3 s.
 
@@ -238,7 +245,7 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
         if paths.storage is not None:
             where = hide_passwords(paths.storage)
             raise InputError(f"MLflow cannot open {where} ({line}); check the URL and the server") from error
-        remedy = next((cure for sign, cure in _SQLITE_CURES.items() if sign in line), _REWRITE)
+        remedy = _cure(line) or _REWRITE
         raise InputError(f"MLflow cannot open {paths.tracking_database} ({line}); {remedy}") from error
     tracker.end_ghosts()
     return tracker

@@ -195,3 +195,36 @@ def test_progress_bars_are_left_out_where_nobody_watches(capsys: pytest.CaptureF
 )
 def test_durations_are_said_as_people_say_them(seconds: float, words: str) -> None:
     assert format_seconds(seconds) == words
+
+
+def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
+    theirs, ours = os.pipe()
+    os.close(theirs)
+    done = subprocess.run(
+        [sys.executable, "-m", "studies", "check", "--json"],
+        stdout=ours,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)},
+        check=False,
+    )
+    os.close(ours)
+    assert done.returncode == 141
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"), [(60, "adaptive, 25 calls, b…"), (120, "adaptive, 25 calls, best MSE")]
+)
+def test_a_narrow_window_keeps_the_times_of_a_bar(
+    columns: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
+    with Console().bars() as show:
+        show("adaptive", 25, 30, ", 25 calls, best MSE 0.0113 K²")
+    said = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", capsys.readouterr().err)
+    assert words in said
+    assert "0:00:00 to go" in said

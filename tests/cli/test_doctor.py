@@ -13,6 +13,7 @@ from simulation.case import load_case
 from studies.doctor.answers import look_at_influence
 from studies.doctor.declared import look_at_data, look_at_declaration, temperature_doubt
 from studies.doctor.patience import EXAMINATION_S, FIRST_S, SLOWER, Patience
+from studies.doctor.variants import changed_input
 
 EXAMINED = {
     "names, units, bounds",
@@ -239,3 +240,15 @@ def test_a_simulation_that_opens_the_fmu_has_time_to() -> None:
     slow = Patience(2, False, 1.0, opening_s=3.0)
     assert slow.with_opening(slow.row_timeout_s) == 1.0 + 3.0 * SLOWER
     assert Patience(2, True, None, opening_s=3.0).with_opening(None) is None
+
+
+def test_an_input_that_is_even_in_time_is_changed_too(project: Path) -> None:
+    """Whole days of a clear sky are the same in reverse, but for rounding."""
+    case = load_case(project / "fmus" / "office" / "case.toml")
+    variable = case.fmu.variables[case.scenario.input_names[0]]
+    sun = np.maximum(np.sin(2.0 * np.pi * (np.arange(144 * 3) + 0.5) / 144.0 - 0.5 * np.pi), 0.0) * 500.0
+    for values in (sun, sun * (1.0 + 1e-14 * np.arange(len(sun)))):
+        assert np.allclose(values, values[::-1])
+        assert np.abs(changed_input(values, variable) - values).max() > 10.0
+    rising = np.arange(5.0)
+    assert np.array_equal(changed_input(rising, variable), rising[::-1])

@@ -85,9 +85,9 @@ WRONG: dict[str, tuple[Change, str]] = {
         r'case\.toml: time_column = "Zeit" is in none of recording\.csv, whose times stand in time_s;',
     ),
     "newer schema": (toml("schema = 1", "schema = 2"), r"case\.toml: schema = 2: .*1"),
-    "missing key of a table": (
+    "misspelt key of a table": (
         toml("output_step_s", "output_steps"),
-        r"case\.toml: key time\.output_step_s is missing; add it",
+        r"case\.toml: unknown key time\.output_steps \(did you mean output_step_s\?\)",
     ),
     "unknown key": (
         toml("[[outputs]]", "[[outputs]]\nuncertanty = 1"),
