@@ -27,7 +27,7 @@ examples:
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     command.add_argument(
-        "run", nargs="+", metavar=("RUN", "WORD"), help="what to make again; its name may have several words"
+        "run", nargs="+", metavar="WORD", help="name of what to make again, in one word or several"
     )
     command.add_argument(
         "--keep", action="store_true", help="keep what was made, in mlruns/reproduced; else it is removed"

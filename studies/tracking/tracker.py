@@ -186,8 +186,8 @@ class PatientTracker:
                 if passing and time.monotonic() < deadline:
                     if wait_s < 0.2:
                         cure = _cure(line)
-                        waits = f"waiting for it up to {self._patience_s:.0f} s" + (f", {cure}" if cure else "")
-                        logger.warning("MLflow's store is away (%s); %s", line, waits)
+                        remedy = f"; {cure}" if cure else ""
+                        logger.warning("MLflow's store is away (%s); waiting for it%s", line, remedy)
                     time.sleep(wait_s)
                     wait_s = min(2.0 * wait_s, 5.0)
                     continue
