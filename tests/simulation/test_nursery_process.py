@@ -28,7 +28,9 @@ ROWS = ToyRC().parameter_space.from_unit(np.random.default_rng(0).random((3, 2))
 
 
 @pytest.fixture(autouse=True)
-def _nothing_rests() -> Iterator[None]:
+def _nothing_rests(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    # On a busy machine workers may take longer to close their model than a campaign waits for them.
+    monkeypatch.setattr("simulation.workers.nursery._GRACE_S", 30.0)
     end_resting()
     yield
     end_resting()
@@ -177,7 +179,7 @@ def test_a_fork_of_the_program_holds_nothing_up():
         simulate()
     end_resting()
     assert nurseries() == []
-    assert time.monotonic() - started < 20
+    assert time.monotonic() - started < 40
     fork.terminate()
     fork.join()
 
@@ -216,7 +218,7 @@ def test_ctrl_c_while_it_comes_to_rest_harms_nobody(when: str, monkeypatch: pyte
         monkeypatch.setattr(NurseryProcess, "rest", interrupted)
         with pytest.raises(KeyboardInterrupt):
             model.close()
-        monkeypatch.undo()
+        monkeypatch.setattr(NurseryProcess, "rest", rest)
         simulate()
         assert model.simulate(ROWS).digest == ToyRC().simulate(ROWS).digest
     assert len(nurseries()) == 1
@@ -225,7 +227,9 @@ def test_ctrl_c_while_it_comes_to_rest_harms_nobody(when: str, monkeypatch: pyte
 FORKING = """
 import os, sys
 sys.path[:0] = [{tests!r}, {root!r}]
+from simulation.workers import nursery
 from test_nursery_process import nurseries, simulate
+nursery._GRACE_S = 30.0
 simulate()
 (pid,) = nurseries()
 if (child := os.fork()) == 0:
