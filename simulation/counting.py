@@ -29,17 +29,11 @@ class CountingModel(WrappedModel):
         super().__init__(model)
         self._budget = budget
         self._n_calls = 0
-        self._failures: list[str] = []
 
     @property
     def n_calls(self) -> int:
         """Rows asked for so far, failed ones included."""
         return self._n_calls
-
-    @property
-    def failures(self) -> list[str]:
-        """Why rows failed, one reason for each that did."""
-        return self._failures
 
     @property
     def budget(self) -> int | None:
@@ -64,6 +58,4 @@ class CountingModel(WrappedModel):
                 f"{n} more calls would exceed the budget of {self._budget} ({self._n_calls} used)"
             )
         self._n_calls += n
-        answer = self._model.simulate(theta)
-        self._failures += [reason for reason in answer.failures if reason]
-        return answer
+        return self._model.simulate(theta)

@@ -21,6 +21,7 @@ class StoredModel(WrappedModel):
     Attributes:
         n_simulated: Rows that the model was asked for.
         n_reused: Rows asked of this object that the model was not asked for.
+        failures: Why rows failed that `simulate` was asked for, one reason each.
     """
 
     def __init__(self, model: ForwardModel, store: SimulationStore, *, retry_failed: bool = False) -> None:
@@ -35,6 +36,7 @@ class StoredModel(WrappedModel):
         self._store = store
         self._retry_before = store.now() if retry_failed else None
         self.n_simulated = self.n_reused = 0
+        self.failures: list[str] = []
 
     @property
     def store(self) -> SimulationStore:
@@ -72,9 +74,12 @@ class StoredModel(WrappedModel):
         theta = np.array(theta, dtype=np.float64)
         new = self._first_missing(theta)
         if len(new) == len(theta):
-            return self._ask_all(theta)
-        self._ask(theta, new, None)
-        return self._read(theta)
+            answer = self._ask_all(theta)
+        else:
+            self._ask(theta, new, None)
+            answer = self._read(theta)
+        self.failures += filter(None, answer.failures)
+        return answer
 
     def stream(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> Iterator[Trajectories]:
         """Simulate the rows that are not stored, then read all of them block by block.

@@ -31,7 +31,6 @@ class AdaptiveResult:
         objective: The same with a prior's penalty. [first output's unit squared]
         n_calls: Rows asked of the model.
         n_rounds: What it takes with as many parallel workers as rows are asked for in a round.
-        failures: Why rows failed, one reason for each that did.
         expected_gain: Part of the error that the surrogate last expected to gain. [1]
         history: Best MSE over rows asked.
         stop_reason: Why it ended, in words.
@@ -45,7 +44,6 @@ class AdaptiveResult:
     objective: float
     n_calls: int
     n_rounds: int
-    failures: list[str]
     expected_gain: float
     history: History
     stop_reason: str
@@ -149,7 +147,6 @@ class Adaptive:
             objective=float(best.objective[0]),
             n_calls=recorder.n_calls,
             n_rounds=search.n_rounds,
-            failures=recorder.failures,
             expected_gain=search.expected_gain,
             history=recorder.history,
             stop_reason=reason,

@@ -91,11 +91,6 @@ class Recorder:
         return self._counter.n_calls
 
     @property
-    def failures(self) -> list[str]:
-        """Why rows failed, one reason for each that did."""
-        return self._counter.failures
-
-    @property
     def best_mse(self) -> float:
         """MSE of the best row so far, infinite before anything succeeded."""
         return float(self.best.mse[0]) if self.best is not None else float("inf")

@@ -9,6 +9,7 @@ from studies.paper.catalog import Item, item_module
 from studies.paper.plan import Plan
 from studies.paper.result import item_folder, write_result
 from studies.paper.telling import tell_item
+from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Summary, digest_of, read_manifest, run_stage
 
 
@@ -19,6 +20,7 @@ def item_inputs(plan: Plan, item: Item) -> dict[str, Any]:
         "item": item.name,
         "case": case.digest,
         "measurement": case.measurement.digest,
+        **declared_inputs(case),
         "seed": plan.study.profile.seed,
         **item_module(item).inputs(plan),
     }

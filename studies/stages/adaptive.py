@@ -17,7 +17,7 @@ from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.recorder import Progress
 from studies.console import OnBar
-from studies.physical_model import open_physical_model, say_reused
+from studies.physical_model import failed_numbers, open_physical_model, say_reused
 from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, quantity, squared
 from studies.stages.calibrate import write_arrays
@@ -208,8 +208,7 @@ def calibrate_adaptively(
         "outputs": _outputs(case, result.y),
         "ledger": ledger.to_dict(),
         "n_rounds": result.n_rounds + math.ceil(ledger.n_relevance / settings.n_parallel),
-        "n_failed": len(result.failures),
-        "first_failure": next(iter(result.failures), None),
+        **failed_numbers(physical),
         "stop_reason": result.stop_reason + told_kept(result.converged, settings.max_calls, n_kept),
         "converged": result.converged,
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,

@@ -3,6 +3,7 @@
 from simulation.time_unit import told_period
 from studies.calibration.recorder import History
 from studies.console import format_seconds
+from studies.physical_model import warn_failed
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 from studies.stages.adaptive import DOUBT
 from studies.stages.calibrated_values import show_parameters
@@ -27,11 +28,7 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {count(n_calls, 'model call')}{rounds} "
         f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
     )
-    if n_failed := found.get("n_failed", 0):
-        console.warn(
-            f"{count(n_failed, 'simulation')} failed, the first one: {found['first_failure']} "
-            "(--retry-failed asks again)"
-        )
+    warn_failed(study, found)
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:

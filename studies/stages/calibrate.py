@@ -11,7 +11,7 @@ import numpy as np
 from simulation.errors import InputError
 from simulation.whole_file import whole_file
 from studies.paths import size_name
-from studies.physical_model import open_physical_model, say_reused
+from studies.physical_model import failed_numbers, open_physical_model, say_reused
 from studies.recipe import Recipe, recipe_of
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
@@ -181,6 +181,7 @@ def calibrate(
         "theta": dict(zip(space.names, theta.tolist(), strict=True)),
         "theta_screened": dict(zip(space.names, screened.tolist(), strict=True)),
         "ledger": replace(result.ledger, n_relevance=n_before + n_checks).to_dict(),
+        **failed_numbers(physical),
     }
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
     arrays = {

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from studies.console import Column
+from studies.physical_model import warn_failed
 from studies.report.wording import difference_unit, squared
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
@@ -50,6 +51,8 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
     study.console.table(
         f"{study.label}: calibration ({units}MSE screened and final by the FMU)", columns, rows
     )
+    for outcome in outcomes:
+        warn_failed(study, outcome.summary)
     show_validation(study, outcomes)
     if study.case.note:
         study.console.result(f"Note: {study.case.note}")

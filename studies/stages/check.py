@@ -10,6 +10,7 @@ from studies.doctor import Diagnosis, Finding, examine
 from studies.doctor.examination import Surgery
 from studies.doctor.keeping import KeepingModel
 from studies.physical_model import open_physical_model
+from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Study, Summary, run_stage
 
 
@@ -39,7 +40,7 @@ def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:
     inputs = {
         "case": study.case.digest,
         "measurement": study.case.measurement.digest,
-        "estimates": [parameter.estimate for parameter in study.case.parameter_space.parameters],
+        **declared_inputs(study.case),
         "profile": study.profile.to_dict(),
     }
 

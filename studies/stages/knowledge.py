@@ -35,6 +35,17 @@ def prior_inputs(case: Case) -> dict[str, Any]:
     return {"prior": {"parameters": beliefs, "weight": prior.weight}}
 
 
+def declared_inputs(case: Case) -> dict[str, Any]:
+    """Return what a case declares that neither its digest nor its measurement's holds."""
+    parameters = case.parameter_space.parameters
+    return {
+        "is_log": case.parameter_space.is_log.tolist(),
+        "estimates": [parameter.estimate for parameter in parameters],
+        "beliefs": [None if parameter.prior is None else asdict(parameter.prior) for parameter in parameters],
+        "error_lasts_s": case.measurement.error_lasts_s.tolist(),
+    }
+
+
 def prior_numbers(case: Case, theta: FloatArray) -> dict[str, Any]:
     """Return how far a calibrated point lies from what was known; empty where nothing was.
 

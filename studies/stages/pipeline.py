@@ -131,7 +131,7 @@ def run_stage(
     if again:
         file.unlink(missing_ok=True)
     finished = read_manifest(study.paths, file, digest)
-    if finished is not None:
+    if finished is not None and not (study.retry_failed and has_failed(finished["summary"])):
         study.console.say(f"{stage}: finished before, {reuse_note(finished['summary'])}")
         return Outcome(stage, digest, finished["summary"], True, float(finished["wall_s"]))
     started = time.perf_counter()
@@ -159,6 +159,12 @@ def run_stage(
         },
     )
     return Outcome(stage, digest, summary, False, wall_s)
+
+
+def has_failed(summary: Summary) -> bool:
+    """Say whether a stage counted simulations that failed, in all or by kind."""
+    n_failed = summary.get("n_failed", 0)
+    return bool(sum(n_failed.values()) if isinstance(n_failed, dict) else n_failed)
 
 
 def read_manifest(paths: ProjectPaths, file: Path, digest: str) -> dict[str, Any] | None:

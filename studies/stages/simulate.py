@@ -224,13 +224,9 @@ def show_sensitivity(study: Study, outcome: Outcome) -> None:
 
 
 def _is_complete(study: Study, designs: dict[str, FloatArray]) -> bool:
-    """Say whether all rows are stored and none of them shall be asked again."""
-    manifest = read_json(study.results / "simulate.json")
-    if manifest is None:
+    """Say whether all rows of a finished stage are still stored."""
+    if not (study.results / "simulate.json").is_file():
         return True
-    n_failed = sum(manifest.get("summary", {}).get("n_failed", {}).values())
-    if study.retry_failed and n_failed:
-        return False
     try:
         with SimulationStore.at(
             store_folder(study.paths, study.case), on_warning=study.console.warn

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.case import Case
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
-from studies.physical_model import open_physical_model, say_reused
+from studies.physical_model import failed_numbers, open_physical_model, say_reused
 from studies.recipe import recipe_of
 from studies.report.wording import count
 from studies.stages.calibrate import write_arrays
@@ -31,7 +32,7 @@ from studies.tracking.origin import environment
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
-from studies.uncertainty.findings import LEVEL, compensations, knowledge
+from studies.uncertainty.findings import LEVEL, compensations, correlation, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
 from studies.uncertainty.rows import telling_rows
 
@@ -83,6 +84,7 @@ def uncertainty_stage(
         "step": STEP,
         "seed": study.profile.seed,
         **prior_inputs(case),
+        **_noise_inputs(case, settings),
     }
     files = posterior_files(study, calibration.name)
     stage = f"uncertainty-{calibration.name}"
@@ -123,6 +125,12 @@ def uncertainty_stage(
         reuse_note=lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets",
         again=again,
     )
+
+
+def _noise_inputs(case: Case, settings: UncertaintySettings) -> dict[str, Any]:
+    """Return what the sensors' noise depends on beyond the measurement; empty where it does not."""
+    lasts_s = case.measurement.error_lasts_s
+    return {"error_lasts_s": lasts_s.tolist()} if settings.noise == "sensor" and lasts_s.any() else {}
 
 
 ChooseRows = Callable[[StoredModel, CalibrationProblem, Posterior], FloatArray]
@@ -169,6 +177,7 @@ def judge_calibration_point(
     say_reused(study, f"uncertainty-{name}", model, n_repeated=n_repeated)
     numbers, arrays = _told(study, name, settings, found)
     numbers["ledger"] |= {"n_known": known.n}
+    numbers |= failed_numbers(model)
     return numbers, arrays | {"known_theta": known_theta}, model.n_simulated
 
 
@@ -268,7 +277,7 @@ def _told(
         "directions": local.directions,
         "spread": local.spread,
         "correlation": local.correlation,
-        "posterior_correlation": _correlation(u),
+        "posterior_correlation": correlation(u),
     }
     return numbers, arrays
 
@@ -290,11 +299,3 @@ def _nearest(model: StoredModel, problem: CalibrationProblem, posterior: Posteri
     rows = telling_rows(problem.space.to_unit(theta[order]), np.concatenate(densities)[order])
     chosen: FloatArray = theta[order][rows]
     return chosen
-
-
-def _correlation(u: FloatArray) -> FloatArray:
-    """Return the correlation of a sample, 0 for what does not vary. Shape (p, p). [1]."""
-    deviation = u.std(axis=0)
-    normed = (u - u.mean(axis=0)) / np.where(deviation > 0.0, deviation, 1.0)
-    correlation: FloatArray = np.clip(normed.T @ normed / len(u), -1.0, 1.0)
-    return correlation

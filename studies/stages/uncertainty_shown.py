@@ -1,6 +1,7 @@
 """The uncertainty of a calibration on the terminal."""
 
 from studies.console import Column
+from studies.physical_model import warn_failed
 from studies.report.uncertainty import HOW_KNOWN, sentences, uncertainty_record
 from studies.report.wording import percent
 from studies.stages.pipeline import Outcome, Study
@@ -40,6 +41,7 @@ def show_uncertainty(study: Study, outcome: Outcome) -> None:
         ],
         rows,
     )
+    warn_failed(study, found)
     for sentence in sentences(record, tuple(output.unit for output in study.case.outputs)):
         study.console.result(sentence)
     if study.case.note:

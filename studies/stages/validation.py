@@ -156,7 +156,7 @@ def validate_calibration(
     if case.validation is None:
         return {}, {}
     points = dict(found)
-    estimates = [parameter.estimate for parameter in case.parameter_space.parameters]
+    estimates = _estimates(case)
     if None not in estimates:
         points = {"estimate": np.array(estimates, dtype=np.float64), **points}
     with open_physical_model(study, case=case.validation) as model:
@@ -170,7 +170,12 @@ def validation_inputs(case: Case) -> dict[str, Any]:
     """Return what a calibration depends on beyond the case where it is validated; empty where it is not."""
     if case.validation is None:
         return {}
-    return {"validation": [case.validation.digest, case.validation.measurement.digest]}
+    digests = [case.validation.digest, case.validation.measurement.digest]
+    return {"validation": digests, "estimates": _estimates(case)}
+
+
+def _estimates(case: Case) -> list[float | None]:
+    return [parameter.estimate for parameter in case.parameter_space.parameters]
 
 
 def show_validation(study: Study, outcomes: list[Outcome]) -> None:

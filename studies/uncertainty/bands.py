@@ -46,8 +46,13 @@ def bands_of(y: FloatArray, weights: FloatArray, noise: FloatArray, level: float
 
 
 def noise_of_outputs(noise: Noise, measurement: Measurement) -> FloatArray:
-    """Return the standard deviation of a measured value of each output. Shape (k,). [per output]."""
-    return np.asarray(noise.deviation / measurement.scales, dtype=np.float64)
+    """Return the standard deviation of a measured value of each output. Shape (k,). [per output].
+
+    It is to its sensor's uncertainty as the others are; how an output is weighted and how often it is
+    sampled say nothing about a single value of it.
+    """
+    uncertainty = np.asarray(measurement.uncertainty, dtype=np.float64)
+    return np.asarray(noise.deviation * uncertainty / uncertainty[0])
 
 
 def share_within(measurement: Measurement, ends: FloatArray, output: int) -> float:

@@ -87,15 +87,15 @@ def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, .
         deviations = x[:, i].std(), x[:, j].std()
         if min(deviations) <= 0.0:
             continue
-        correlation = float(np.corrcoef(x[:, i], x[:, j])[0, 1])
-        pair = x[:, i] + x[:, j] if correlation < 0 else x[:, i] - x[:, j]
+        together = float(np.corrcoef(x[:, i], x[:, j])[0, 1])
+        pair = x[:, i] + x[:, j] if together < 0 else x[:, i] - x[:, j]
         both_log = bool(space.is_log[i] and space.is_log[j])
         is_known = both_log and float(pair.std()) < CLEARLY * min(deviations)
-        if is_known or abs(correlation) >= NAMED:
-            known = ("product" if correlation < 0 else "ratio") if is_known else ""
+        if is_known or abs(together) >= NAMED:
+            known = ("product" if together < 0 else "ratio") if is_known else ""
             alone = min(_half(x[:, i]), _half(x[:, j]))
             name_i, name_j = space.names[i], space.names[j]
-            found.append(Compensation(name_i, name_j, correlation, known, _half(pair), alone))
+            found.append(Compensation(name_i, name_j, together, known, _half(pair), alone))
     found.sort(key=lambda one: (not one.known, -abs(one.correlation)))
     return tuple(found[:MOST_NAMED])
 
@@ -110,6 +110,17 @@ def knowledge(space: ParameterSpace, u: FloatArray) -> dict[str, str]:
     low, high = np.quantile(u, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
     words = ["determined" if w < DETERMINED else "open" if w > OPEN else "narrowed" for w in high - low]
     return dict(zip(space.names, words, strict=True))
+
+
+def correlation(u: FloatArray) -> FloatArray:
+    """Return the correlation of a sample, 0 for what does not vary. Shape (p, p). [1].
+
+    Args:
+        u: The sample. Shape (n, p). [1]
+    """
+    deviation = u.std(axis=0)
+    normed = (u - u.mean(axis=0)) / np.where(deviation > 0.0, deviation, 1.0)
+    return np.asarray(np.clip(normed.T @ normed / len(u), -1.0, 1.0))
 
 
 def _half(x: FloatArray) -> float:

@@ -37,10 +37,12 @@ class FailsInBand(WrappedModel):
     def __init__(self, model: ForwardModel, lower: float, upper: float) -> None:
         super().__init__(model)
         self._lower, self._upper = lower, upper
+        self.n_failed = 0
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         answer = self._model.simulate(theta)
         bad = (theta[:, 0] >= self._lower) & (theta[:, 0] <= self._upper)
+        self.n_failed += int(bad.sum())
         y = np.where(bad[:, None, None], np.nan, answer.y)
         return replace(answer, y=y, failures=tuple("in the band" if b else "" for b in bad))
 

@@ -174,6 +174,9 @@ def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     reasons = [reason for table in tables for reason in table["_failure"].to_pylist() if reason]
     assert line.startswith(f"studies: {len(reasons)} simulation")
     assert "failed, the first one: output" in line
+    asked = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20", "--retry-failed", "--json").stage
+    assert not asked["finished_before"]
+    assert asked["n_simulated"] == asked["n_failed"] == len(reasons)
 
 
 def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: Run) -> None:

@@ -1,6 +1,7 @@
 """Stages remember what they did: same inputs and files there means finished, anything else means again."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.case import load_case
+from simulation.case import Case, load_case
 from studies.console import Console
+from studies.paper.catalog import ITEMS
+from studies.paper.plan import BUDGETS, Plan
+from studies.paper.run import item_inputs
 from studies.paths import ProjectPaths, find_case, size_name
 from studies.profile import load_profile
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
@@ -33,8 +37,9 @@ def study(project: Path) -> Study:
 class Worker:
     """Does a stage and counts how often."""
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, summary: Summary | None = None) -> None:
         self.study, self.n_done = study, 0
+        self.summary = summary or {"n": 7}
         self.file = study.results / "result.txt"
 
     def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome:
@@ -52,7 +57,7 @@ class Worker:
         self.n_done += 1
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self.file.write_text("result")
-        return {"n": 7}, [self.file]
+        return self.summary, [self.file]
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,6 +96,39 @@ def test_a_result_not_worth_keeping_is_not_kept(study: Study) -> None:
     worker.run({"a": 1}, keep=False)
     worker.run({"a": 1})
     assert worker.n_done == 2
+
+
+@pytest.mark.parametrize(("n_failed", "n_done"), [(1, 2), ({"train": 0, "test": 1}, 2), ({"train": 0}, 1)])
+def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
+    study: Study, n_failed: int | dict[str, int], n_done: int
+) -> None:
+    Worker(study, {"n": 7, "n_failed": n_failed}).run({"a": 1})
+    patient = Worker(replace(study, retry_failed=True), {"n": 7})
+    first, second = patient.run({"a": 1}), patient.run({"a": 1})
+    assert 1 + patient.n_done == n_done
+    assert (first.reused, second.reused) == (n_done == 1, True)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('scale = "log"', 'scale = "linear"'),
+        ("estimate = 0.7", "estimate = 0.6"),
+        ("estimate = 0.7", "estimate = 0.7\nprior = { about = 0.7, within_factor = 1.5 }"),
+        ("uncertainty = 0.5", "uncertainty = 0.5\nerror_lasts_s = 7200"),
+    ],
+)
+def test_what_no_digest_holds_is_an_input_where_it_decides(study: Study, old: str, new: str) -> None:
+    def items(case: Case) -> dict[str, Any]:
+        plan = Plan(lambda **asked: replace(study, case=case), BUDGETS["small"], "office")
+        return item_inputs(plan, ITEMS[0])
+
+    file = study.case.path
+    before = load_case(file)
+    file.write_text(file.read_text().replace(old, new, 1))
+    after = load_case(file)
+    assert (after.digest, after.measurement.digest) == (before.digest, before.measurement.digest)
+    assert items(after) != items(before)
 
 
 def test_an_interrupted_stage_leaves_no_manifest(study: Study) -> None:

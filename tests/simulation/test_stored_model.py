@@ -100,11 +100,13 @@ def test_failed_rows_are_asked_again_once_and_on_request(store: SimulationStore)
     assert set(patient.simulate(design(10)).failures) == {"no licence"}
     patient.simulate(design(10))
     assert toy.n_calls == 20
+    assert patient.failures == ["no licence"] * 20
     toy.has_licence = True
     again = StoredModel(toy, store, retry_failed=True)
     assert again.simulate(design(10)).digest == ToyRC().simulate(design(10)).digest
     again.simulate(design(10))
     assert toy.n_calls == 30
+    assert again.failures == []
 
 
 def test_a_clock_that_is_put_back_neither_hides_nor_repeats_a_failed_row(

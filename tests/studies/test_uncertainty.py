@@ -16,7 +16,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
-from studies.uncertainty.bands import bands_of, share_within
+from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Predicted
 from studies.uncertainty.findings import compensations, knowledge
 from studies.uncertainty.identifiability import difference_rows, judged
@@ -328,6 +328,17 @@ def test_the_predictive_band_holds_the_measured_values():
     measured = 1.3 * rng.standard_normal((t, 1))
     measurement = Measurement.on_grid(time, measured, ("y",), np.array([1.0]))
     assert share_within(measurement, bands.predictive, 0) == pytest.approx(0.9, abs=0.04)
+
+
+@pytest.mark.parametrize("kind", ["sensor", "white", "correlated"])
+def test_a_value_is_as_uncertain_as_its_sensor_however_often_it_is_read_and_weighted(kind):
+    rng = np.random.default_rng(3)
+    time, uncertainty = np.arange(2400.0), np.array([0.5, 100.0])
+    measured = uncertainty * rng.standard_normal((len(time), 2))
+    measured[rng.permutation(len(time))[60:], 1] = np.nan
+    measurement = Measurement.on_grid(time, measured, ("T", "Q"), uncertainty, np.array([1.0, 3.0]))
+    noise = noise_of(kind, measurement, np.zeros((len(time), 2)), 2)
+    assert noise_of_outputs(noise, measurement) == pytest.approx(uncertainty, rel=0.15)
 
 
 def test_too_few_calls_are_refused_in_one_line():
