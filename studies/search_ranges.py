@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass
 STRICT = ConfigDict(extra="forbid", strict=False)
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Positive = Annotated[float, Field(gt=0.0)]
+Layers = Annotated[int, Field(ge=2, le=1_000)]
 Degree = Annotated[int, Field(ge=1, le=2)]
 POWERS_OF_TWO = ("n_latent", "n_hidden")
 WHOLE = ("n_layers", "n_scales", "degree")
@@ -26,7 +27,7 @@ class SearchRanges:
         n_hidden: hidden width, searched in powers of two.
         beta: weight of the reconstruction term (Eq. 4), searched on a logarithmic scale.
         learning_rate: searched on a logarithmic scale.
-        n_layers: number of linear layers.
+        n_layers: number of linear layers, at least 2.
         n_scales: scales of a Gaussian process's kernel.
         degree: of the polynomial in a Gaussian process's kernel, 1 or 2.
     """
@@ -35,7 +36,7 @@ class SearchRanges:
     n_hidden: tuple[Count, Count] | None = None
     beta: tuple[Positive, Positive] | None = None
     learning_rate: tuple[Positive, Positive] | None = None
-    n_layers: tuple[Count, Count] | None = None
+    n_layers: tuple[Layers, Layers] | None = None
     n_scales: tuple[Count, Count] | None = None
     degree: tuple[Degree, Degree] | None = None
 
@@ -43,6 +44,8 @@ class SearchRanges:
         for name, span in asdict(self).items():
             if span is not None and span[0] > span[1]:
                 raise ValueError(f"{name} must be [low, high], got {list(span)}")
+            if span is not None and name in POWERS_OF_TWO and not _n_powers_of_two(*span):
+                raise ValueError(f"{name} must hold a power of two, got {list(span)}")
 
     @property
     def names(self) -> list[str]:
@@ -58,7 +61,7 @@ class SearchRanges:
                 continue
             low, high = span
             if name in POWERS_OF_TWO:
-                n *= max(0, math.floor(math.log2(high)) - math.ceil(math.log2(low)) + 1)
+                n *= _n_powers_of_two(low, high)
             elif name in WHOLE:
                 n *= high - low + 1
             elif low < high:
@@ -78,6 +81,10 @@ class SearchRanges:
         if name in WHOLE and not float(value).is_integer():
             return "must be whole"
         return ""
+
+
+def _n_powers_of_two(low: float, high: float) -> int:
+    return max(0, math.floor(math.log2(high)) - math.ceil(math.log2(low)) + 1)
 
 
 NETWORK_RANGES = SearchRanges(n_latent=(8, 128), n_hidden=(64, 256), beta=(1.0, 1000.0))

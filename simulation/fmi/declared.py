@@ -1,6 +1,7 @@
 """What an FMU declares in its modelDescription.xml, as fmpy reads it, in this package's words."""
 
 import io
+import math
 import zipfile
 from pathlib import Path
 from typing import Any, Final
@@ -119,8 +120,9 @@ def declared_variable(variable: Any) -> FmuVariable:
 
 
 def number_or_none(text: object) -> float | None:
-    """Read a number where there is one."""
+    """Read a number where there is one; NaN and the infinities, which XML can write, say nothing."""
     try:
-        return float(str(text))
+        value = float(str(text))
     except ValueError:
         return None
+    return value if math.isfinite(value) else None

@@ -144,8 +144,8 @@ def case_name(text: str) -> str:
 
 def _folder(fmu_file: Path, paths: ProjectPaths, wanted: Path | None) -> Path:
     if wanted is not None:
-        return wanted
+        return wanted.resolve()
     # An FMU that was put into a folder of its own below fmus/ stays there.
     if fmu_file.resolve().parent.parent == paths.fmus.resolve():
-        return fmu_file.parent
+        return fmu_file.resolve().parent
     return paths.fmus / case_name(fmu_file.stem)

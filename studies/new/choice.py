@@ -79,6 +79,12 @@ class Times:
         return DAYS if self.stop_s >= DAY_S else SECONDS
 
 
+def parameter_candidates(fmu: FmuDescription) -> list[FmuVariable]:
+    """Return what can be calibrated: real parameters, then start values."""
+    parameters = [v for v in _of(fmu, "parameter") if _is_number(v)]
+    return [*parameters, *(v for v in fmu.variables.values() if v.is_start_value and _is_number(v))]
+
+
 def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     """Choose what to calibrate.
 
@@ -87,9 +93,7 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
         patterns: Names, or globs like "wall.*"; empty for the first parameters at the top level whose start
             values tell their order of magnitude.
     """
-    parameters = [v for v in _of(fmu, "parameter") if _is_number(v)]
-    starts = [v for v in fmu.variables.values() if v.is_start_value and _is_number(v)]
-    candidates = [*parameters, *starts]
+    candidates = parameter_candidates(fmu)
     if not candidates:
         raise InputError(
             f"{fmu.path}: has no real parameter that can be set; export it with parameters that are neither "
@@ -97,7 +101,7 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
         )
     if patterns:
         return _matching(fmu, candidates, patterns, "parameter")
-    plain = [v for v in parameters if not is_internal(v) and not bounds_for(v).is_guess]
+    plain = [v for v in candidates if not (v.is_start_value or is_internal(v)) and not bounds_for(v).is_guess]
     top = [v for v in plain if "." not in v.name] or plain or candidates
     shown = [v for v in candidates if not is_internal(v)] or candidates
     return _split(shown, top[:MOST_ACTIVE])

@@ -8,7 +8,7 @@ from typing import Any
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.console import Column, Console
 from studies.new.case import MadeCase, Wishes, describe, make_case
-from studies.new.choice import bounds_for, choose_parameters
+from studies.new.choice import bounds_for, choose_parameters, parameter_candidates
 from studies.new.text import INPUTS_FILE, MEASURED_FILE
 from studies.paths import ProjectPaths
 from studies.report.wording import count
@@ -61,7 +61,9 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
     fmu = describe(Path(options.fmu).expanduser())
     kinds = ("output" if fmu.names("output") else "local", "input", "parameter")
     groups = {what: [fmu.variables[n] for n in fmu.names(what)] for what in kinds}
-    active = {v.name for v in choose_parameters(fmu, options.parameter or ()).used}
+    named = options.parameter or ()
+    is_any = named or parameter_candidates(fmu)
+    active = {v.name for v in choose_parameters(fmu, named).used} if is_any else set()
     for what, variables in groups.items():
         console.table(
             f"{fmu.path.name}: {count(len(variables), what)}",
@@ -76,7 +78,8 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
                 for v in variables
             ],
         )
-    console.result("* calibrated unless you name others with --parameter")
+    if active:
+        console.result("* calibrated" + ("" if named else " unless you name others with --parameter"))
     console.document(
         {
             "command": "new",

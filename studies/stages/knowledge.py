@@ -35,6 +35,12 @@ def prior_inputs(case: Case) -> dict[str, Any]:
     return {"prior": {"parameters": beliefs, "weight": prior.weight}}
 
 
+def sensor_inputs(case: Case) -> dict[str, Any]:
+    """Return what sensors' noise depends on beyond the measurement; empty where nothing is declared."""
+    lasts_s = case.measurement.error_lasts_s
+    return {"error_lasts_s": lasts_s.tolist()} if lasts_s.any() else {}
+
+
 def declared_inputs(case: Case) -> dict[str, Any]:
     """Return what a case declares that neither its digest nor its measurement's holds."""
     parameters = case.parameter_space.parameters

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.case import Case
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import failed_numbers, open_physical_model, say_reused
 from studies.recipe import recipe_of
 from studies.report.wording import count
 from studies.stages.calibrate import write_arrays
-from studies.stages.knowledge import prior_inputs, prior_of
+from studies.stages.knowledge import prior_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import StoredCalibration, read_arrays
 from studies.stages.uncertainty_results import (
@@ -84,7 +83,7 @@ def uncertainty_stage(
         "step": STEP,
         "seed": study.profile.seed,
         **prior_inputs(case),
-        **_noise_inputs(case, settings),
+        **(sensor_inputs(case) if settings.noise == "sensor" else {}),
     }
     files = posterior_files(study, calibration.name)
     stage = f"uncertainty-{calibration.name}"
@@ -125,12 +124,6 @@ def uncertainty_stage(
         reuse_note=lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets",
         again=again,
     )
-
-
-def _noise_inputs(case: Case, settings: UncertaintySettings) -> dict[str, Any]:
-    """Return what the sensors' noise depends on beyond the measurement; empty where it does not."""
-    lasts_s = case.measurement.error_lasts_s
-    return {"error_lasts_s": lasts_s.tolist()} if settings.noise == "sensor" and lasts_s.any() else {}
 
 
 ChooseRows = Callable[[StoredModel, CalibrationProblem, Posterior], FloatArray]

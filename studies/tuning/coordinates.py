@@ -6,7 +6,6 @@ from typing import Any
 
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 
-from simulation.errors import InputError
 from studies.search_ranges import POWERS_OF_TWO, WHOLE, SearchRanges
 
 LOGARITHMIC = ("beta", "learning_rate")
@@ -22,10 +21,7 @@ def distributions(ranges: SearchRanges) -> dict[str, BaseDistribution]:
         if (span := getattr(ranges, name)) is None:
             continue
         low, high = span
-        lowest, highest = math.ceil(math.log2(low)), math.floor(math.log2(high))
-        if lowest > highest:
-            raise InputError(f"the search range of {name}, {low} to {high}, holds no power of two; widen it")
-        found[f"log2_{name}"] = IntDistribution(lowest, highest)
+        found[f"log2_{name}"] = IntDistribution(math.ceil(math.log2(low)), math.floor(math.log2(high)))
     for name in LOGARITHMIC:
         if (span := getattr(ranges, name)) is not None:
             found[name] = FloatDistribution(span[0], span[1], log=True)

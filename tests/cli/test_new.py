@@ -1,6 +1,7 @@
 """`studies new`: a case file from what an FMU says about itself, right at once, nothing overwritten."""
 
 import shlex
+import shutil
 import tomllib
 import zipfile
 from pathlib import Path
@@ -360,6 +361,36 @@ def test_the_list_shows_every_variable_and_writes_nothing(project: Path, studies
     assert {one["name"] for one in document["parameters"]} >= {"UA", "wall.k", "n.windows", "_cs_tol"}
     assert "wall.d[1]" in studies("new", str(room), "--list").out
     assert sorted(project.rglob("*")) == before
+
+
+def test_what_is_no_number_is_none(project: Path, studies: Run, tmp_path: Path) -> None:
+    odd = real("UA", 1, "parameter", 'start="NaN" min="-INF" max="INF"') + real("T", 2, "output")
+    fmu = make_fmu(tmp_path / "odd.fmu", odd)
+    (listed,) = studies("new", str(fmu), "--list", "--json").document["parameters"]
+    assert (listed["start"], listed["min"], listed["max"]) == (None, None, None)
+    assert studies("new", str(fmu)).code == 0
+
+
+def test_the_list_shows_an_fmu_that_cannot_be_calibrated(studies: Run, tmp_path: Path) -> None:
+    fmu = make_fmu(tmp_path / "closed.fmu", real("T", 1, "output"))
+    listed = studies("new", str(fmu), "--list")
+    assert listed.code == 0
+    assert "calibrated" not in listed.out
+    assert "no real parameter" in studies("new", str(fmu)).err
+
+
+@pytest.mark.parametrize("words", [(), ("--to", ".")])
+def test_a_case_is_named_after_its_folder_however_the_folder_is_written(
+    words: tuple[str, ...], project: Path, studies: Run, room: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = project / "fmus" / "room"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    copied = Path(shutil.copy(room, folder)).name
+    document = studies("new", copied, *words, "--json").document
+    assert document["case"] == "room"
+    assert document["next"][0] == "studies check room"
+    assert (project / "data" / "room" / "README.md").is_file()
 
 
 @pytest.mark.parametrize(

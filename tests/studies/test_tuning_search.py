@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
+from studies.profile import PROFILE_FOLDER, load_profile
 from studies.search_ranges import SearchRanges
 from studies.tuning.coordinates import distributions, nearest_params, to_settings
 from studies.tuning.search_space import Proposal, derived_seed, proposal_of, propose
@@ -63,11 +65,25 @@ def test_widths_are_searched_as_powers_of_two_and_rates_logarithmically() -> Non
     assert "n_layers" not in space
 
 
-def test_range_without_a_power_of_two_is_one_line() -> None:
-    with pytest.raises(
-        InputError, match=r"search range of n_latent, 5 to 7, holds no power of two; widen it"
-    ):
-        distributions(SearchRanges(n_latent=(5, 7)))
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("n_latent = [5, 7]", r"n_latent must hold a power of two, got \[5, 7\]"),
+        ("n_layers = [1, 3]", r"n_layers.*greater than or equal to 2"),
+        ("n_latent = [8, 4]", r"n_latent must be \[low, high\], got \[8, 4\]"),
+    ],
+)
+def test_a_range_that_cannot_be_searched_is_told_before_anything_is_simulated(
+    text: str, told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "own.toml"
+    shipped = (PROFILE_FOLDER / "smoke.toml").read_text()
+    file.write_text(shipped.replace("n_latent = [4, 8]", text))
+    with pytest.raises(InputError, match=told):
+        load_profile(str(file))
+
+
+def test_widths_between_powers_of_two_are_allowed() -> None:
     assert distributions(SearchRanges(n_latent=(3, 9)))["log2_n_latent"] == IntDistribution(2, 3)
 
 
