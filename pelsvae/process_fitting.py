@@ -67,7 +67,8 @@ def fit_processes(
         on_epoch: Told of searches, in parts of `max_epochs`, and last of what is returned.
 
     Returns:
-        The network, and what was last reported, by name: the searches' errors are of a part of the rows.
+        The network, and what was last reported, by name: its error, and the loss of the likeliest kernel of
+        all codes. The searches' errors before are of a part of the rows.
 
     Raises:
         TrainingDiverged: The loss or the validation error became NaN or infinite.
@@ -109,7 +110,8 @@ def fit_processes(
         members = _members(rows, known, found, config.n_members, networks, threads)
         network = _assembled(rows, basis, rest, members)
         _inflate(network, *validation, n_outputs)
-        report(network, found[0].loss, config.max_epochs)
+        of_all_codes = next(one.loss for one in found if one.is_final)
+        report(network, of_all_codes, config.max_epochs)
     return network, history[-1:]
 
 

@@ -30,7 +30,7 @@ class FitResult:
     Attributes:
         surrogate: With the weights of the best validated epoch.
         history: One value per validated epoch, by name, "epoch", "loss" and "validation_mae"
-            among them. Each of shape (number of validations,).
+            among them; of processes what they came to alone. Each of shape (number of validations,).
         best_epoch: Epoch whose weights were kept, from 1.
         n_epochs: Epochs done.
         stop_reason: "max_epochs" or "patience"; "fitted" for processes.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -16,7 +18,8 @@ from pelsvae.kernel_loss import kernel_loss
 from pelsvae.kernel_search import ROWS
 from pelsvae.linear_vae import LinearVae
 from pelsvae.member_shares import Shares, best_shares
-from pelsvae.process_fitting import MEMBER_ROWS
+from pelsvae.process_fitting import MANY_ROWS, MEMBER_ROWS
+from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
 
 # Forward differences with a step of 1.5e-8: half a second derivative of that, and cancellation of 1e-8.
@@ -196,6 +199,23 @@ def test_reports_end_with_the_surrogate_itself() -> None:
     assert reports[-1].validation_mae == pytest.approx(np.abs(result.surrogate.predict(theta) - y).mean())
     assert tuple(result.history) == ("epoch", "loss", "validation_mae")
     assert result.history["validation_mae"].tolist() == [reports[-1].validation_mae]
+    # Rows that are added are known better than the first ones were.
+    assert result.history["loss"].tolist() == [reports[-1].train_loss]
+    assert reports[-1].train_loss < reports[0].train_loss
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
+@pytest.mark.parametrize("n", [64, MANY_ROWS])
+def test_cuda_fits_and_predicts_like_the_cpu(n: int, tmp_path: Path) -> None:
+    theta, _ = rc_step(20, seed=3, n_outputs=2)
+    cpu, cuda = (fitted(n=n, max_epochs=2, device=device).surrogate for device in ("cpu", "cuda"))
+    expected = cpu.predict(theta)
+    assert np.abs(cuda.predict(theta) - expected).max() <= 1e-2 * np.abs(expected).max()
+    assert cuda.deviation(theta) == pytest.approx(cpu.deviation(theta), rel=0.1)
+    cuda.save(tmp_path)
+    again = Surrogate.load(tmp_path, device="cpu")
+    assert again.predict(theta) == pytest.approx(cuda.predict(theta), rel=1e-6)
+    assert cuda.jacobian(theta[0]).shape == cpu.jacobian(theta[0]).shape
 
 
 @pytest.mark.parametrize("n", [1, 2])
