@@ -136,7 +136,8 @@ class Campaign:
         if ran.n_rows:
             self._n_idle_deaths = 0
             self._speed.saw(ran.n_rows, ran.spent_s)
-        elif ran.why is Why.FRESH:
+        elif ran.why is Why.FRESH and not worker.n_rows:
+            # One that has answered rows is one of many that may end together, and has done its part.
             self._ended_between_rows("asked for another process")
         self._queue.give_back(run)
 

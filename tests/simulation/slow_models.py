@@ -125,10 +125,11 @@ class OncePerProcessToy(SlowToy):
     used: list[bool] = field(default_factory=list)
 
     def simulate(self, theta: np.ndarray) -> Trajectories:
+        answer = super().simulate(theta)
         if self.used:
             raise NeedsFreshProcess("once is enough")
         self.used.append(True)
-        return super().simulate(theta)
+        return answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -111,6 +111,13 @@ def test_a_model_that_works_once_per_process_gets_one_for_every_row():
         assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
 
 
+def test_many_processes_that_ask_for_another_at_once_are_no_reason_to_stop():
+    # Rows so long travel one by one, and processes in step come to their second one together.
+    rows = _rows(60, 0)
+    with ParallelModel(OncePerProcessToy(row_s=0.05).open, 8) as model:
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+
+
 def test_a_campaign_that_mostly_fails_stops_and_says_why(tmp_path: Path):
     rows = np.full((500, 2), [4.5, 1e4])
     rows[::3, 0] = 1.0
