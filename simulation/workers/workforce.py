@@ -96,6 +96,9 @@ class Workforce:
         if self.n_alive >= n or time.monotonic() < self._not_before:
             return
         if self._nursery is not None and not self._nursery.is_alive:
+            if self._nursery.workers:
+                # Their rows are given back as wait() buries them, all of them in one go.
+                return
             self._nursery.close()
             self._nursery = None
         if self._nursery is None:

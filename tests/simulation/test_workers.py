@@ -13,8 +13,10 @@ from simulation.errors import InputError
 from simulation.toy import ToyRC
 from simulation.workers.arena import Arena, recover_arenas
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
+from simulation.workers.messages import Ended
 from simulation.workers.nursery_process import end_resting
 from simulation.workers.parallel import ParallelModel
+from simulation.workers.workforce import Workforce
 
 sys.path.insert(0, str(Path(__file__).parent))
 from slow_models import (
@@ -116,6 +118,25 @@ def test_many_processes_that_ask_for_another_at_once_are_no_reason_to_stop():
     rows = _rows(60, 0)
     with ParallelModel(OncePerProcessToy(row_s=0.05).open, 8) as model:
         assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+
+
+def test_a_dead_nursery_is_replaced_after_the_end_of_its_workers_was_told():
+    workforce = Workforce(SlowToy().open, 2, policy=ExecutionPolicy(), on_warning=print)
+    end_resting()
+    before = set(psutil.Process().children())
+    try:
+        workforce.open()
+        (worker,) = workforce.workers
+        for nursery in set(psutil.Process().children()) - before:
+            nursery.kill()
+            psutil.wait_procs([nursery])
+        workforce.ask_for(2)
+        # Whoever gave it rows gets them back only so.
+        assert workforce.wait(5.0) == [(worker, Ended(worker.number, None))]
+        workforce.open()
+        assert workforce.workers
+    finally:
+        workforce.close(at_once=True)
 
 
 def test_a_campaign_that_mostly_fails_stops_and_says_why(tmp_path: Path):
