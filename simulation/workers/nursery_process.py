@@ -10,6 +10,7 @@ import os
 import resource
 import socket
 import subprocess
+import sys
 import tempfile
 import threading
 from dataclasses import dataclass, field
@@ -19,7 +20,6 @@ from typing import IO, Final, Self
 
 from simulation.workers.messages import Learnt, Limits, Rest, Rested, Task
 from simulation.workers.recipe import Recipe, packed
-from simulation.workers.worker import command
 
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -34,6 +34,11 @@ _END_S: Final = 60.0
 _REST_S: Final = 5.0
 # Longest rest. [s]
 _PATIENCE_S: Final = 60.0
+# What `python -c` runs, given a descriptor and sys.path.
+_BOOTSTRAP: Final = (
+    "import sys; sys.path[:] = sys.argv[2:]; "
+    "from simulation.workers.worker import main; main(int(sys.argv[1]))"
+)
 
 
 @dataclass(eq=False)
@@ -63,7 +68,7 @@ class NurseryProcess:
         log = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         with far:
             process = subprocess.Popen(
-                command(far.fileno()),
+                _command(far.fileno()),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -196,6 +201,11 @@ atexit.register(end_resting)
 os.register_at_fork(after_in_child=_forget)
 
 
+def _command(descriptor: int) -> list[str]:
+    places = [place or str(Path.cwd()) for place in sys.path]
+    return [sys.executable, "-c", _BOOTSTRAP, str(descriptor), *places]
+
+
 def _environment() -> dict[str, str]:
     return dict.fromkeys(_THREADS, "1") | os.environ
 
@@ -214,4 +224,4 @@ def _given_at_start() -> object:
     ]
     status = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     umask = [line for line in status if line.startswith("Umask:")]
-    return command(0), variables, limits, umask, os.sched_getaffinity(0), os.getpriority(os.PRIO_PROCESS, 0)
+    return _command(0), variables, limits, umask, os.sched_getaffinity(0), os.getpriority(os.PRIO_PROCESS, 0)

@@ -155,8 +155,20 @@ class _Nursery:
         descriptor = recv_handle(self._control)
         os.set_inheritable(descriptor, False)
         folder = self._folder(worker)
-        folder.mkdir()
-        pid = os.fork()
+        try:
+            folder.mkdir()
+            pid = os.fork()
+        except OSError as error:
+            # The others go on, and it is tried again later.
+            why = (
+                f"one more process for simulations cannot be started ({error.strerror}); lower "
+                f"simulation.max_workers, or free memory, processes or room in {tempfile.gettempdir()}"
+            )
+            shutil.rmtree(folder, ignore_errors=True)
+            with Connection(descriptor) as connection:
+                connection.send(Refused(why, is_input_error=True))
+            self._control.send(Ended(worker, None))
+            return
         if pid == 0:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
@@ -284,20 +296,3 @@ def _last_line(log: Path) -> str:
         return ""
     said = [" ".join(line.split()) for line in lines if line.strip()]
     return said[-1][:_LAST_LINE_CHARACTERS] if said else ""
-
-
-# How the process that this works for starts it: `python -c BOOTSTRAP <descriptor> <sys.path...>`.
-BOOTSTRAP: Final = (
-    "import sys; sys.path[:] = sys.argv[2:]; "
-    "from simulation.workers.worker import main; main(int(sys.argv[1]))"
-)
-
-
-def command(descriptor: int) -> list[str]:
-    """Return the command that starts a nursery.
-
-    Args:
-        descriptor: Its end of the connection.
-    """
-    places = [place or str(Path.cwd()) for place in sys.path]
-    return [sys.executable, "-c", BOOTSTRAP, str(descriptor), *places]

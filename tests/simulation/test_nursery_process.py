@@ -23,6 +23,9 @@ from simulation.workers import nursery_process
 from simulation.workers.nursery_process import NurseryProcess, end_resting
 from simulation.workers.parallel import ParallelModel
 
+sys.path.insert(0, str(Path(__file__).parent))
+from slow_models import SlowToy
+
 ROOT = Path(__file__).parents[2]
 ROWS = ToyRC().parameter_space.from_unit(np.random.default_rng(0).random((3, 2)))
 
@@ -199,6 +202,45 @@ def test_no_room_for_temporary_files_is_one_line(tmp_path: Path, monkeypatch: py
     ):
         model.simulate(ROWS)
     assert nurseries() == []
+
+
+NO_ROOM = """
+import errno, os, pathlib
+def limited(call):
+    n_calls = []
+    def limited_call(*arguments, **options):
+        n_calls.append(call)
+        if len(n_calls) > {n}:
+            raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        return call(*arguments, **options)
+    return limited_call
+"""
+
+
+@pytest.mark.parametrize("call", ["os.fork", "pathlib.Path.mkdir"])
+def test_where_one_process_can_be_started_it_goes_on(
+    call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "sitecustomize.py").write_text(f"{NO_ROOM.format(n=1)}{call} = limited({call})\n")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
+    rows, warnings = np.tile(ROWS, (20, 1)), []
+    with ParallelModel(SlowToy(row_s=0.02).open, 3, on_warning=warnings.append) as model:
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+        (pid,) = nurseries()
+        assert len(psutil.Process(pid).children()) == 1
+    assert len(warnings) == 1
+    assert "only 1 of 3 processes" in warnings[0]
+    assert "(Resource temporarily unavailable); lower simulation.max_workers" in warnings[0]
+
+
+def test_where_none_can_be_started_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "sitecustomize.py").write_text(f"{NO_ROOM.format(n=0)}os.fork = limited(os.fork)\n")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
+    with (
+        pytest.raises(InputError, match=r"cannot be started \(Resource temporarily unavailable\)"),
+        ParallelModel(ToyRC, 1) as model,
+    ):
+        model.simulate(ROWS)
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
