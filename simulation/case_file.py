@@ -221,18 +221,18 @@ def read_case_file(path: Path) -> CaseFile:
 def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     """Say the first fault as key, value and remedy; an unknown key may be a missing one, misspelt."""
     faults = error.errors(include_url=False)
-    fault = next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
+    # Of a union (number or table) each branch tells its own, which says nothing of the key.
+    unknown = (one for one in faults if one["type"] == "extra_forbidden" and one["loc"][:1] != ("fixed",))
+    fault = next(unknown, faults[0])
     location = fault["loc"]
-    # A union (number or table) reports each branch under its own name, which is no key of the file.
-    if location[:1] == ("fixed",):
-        location = location[:2]
+    if location[:1] == ("fixed",) and len(location) > 1:
+        name = str(location[1])
+        return f"fixed.{name} = {content['fixed'][name]!r}: {_FIXED_REMEDY}"
     key = _key(location, content)
     if fault["type"] == "extra_forbidden":
         return f"unknown key {key}{_suggestion(location)}; remove or correct it"
     if fault["type"] == "missing":
         return f"key {key} is missing; add it"
-    if location[:1] == ("fixed",):
-        return f"{key} = {fault['input']!r}: {_FIXED_REMEDY}"
     if fault["type"] == "model_type" and location[-1:] == ("prior",):
         return (
             f"{key} = {fault['input']!r}: {_prior_remedy(fault['input'], content['parameters'][location[1]])}"
@@ -246,6 +246,7 @@ _PLAIN = {
     "tuple_type": "is no pair; write two numbers, like [0, 10]",
     "too_long": "holds too much; write two numbers, like [0, 10]",
     "model_type": "is no table; write its keys as a table, like the other ones of the file",
+    "dict_type": "is no table; write its keys as a table, like the other ones of the file",
     "list_type": "is no list of tables; write its name in two brackets, [[...]], over each of them",
     "string_pattern_mismatch": "a name has letters, digits, - and _ only",
 }

@@ -86,8 +86,9 @@ def test_a_fixed_value_may_have_a_unit(decay_case: Path, value: str, kelvin: flo
         ("true", r"fixed\.x0 = true: x0 is a number; give one"),
         ('"warm"', r"fixed\.x0 = 'warm': x0 is a number; give one"),
         ("[1.0]", r"fixed\.x0 = \[1\.0\]: give a number, true or false, a text, \{ value = 20\.0"),
-        ("{ value = 7.0 }", r"fixed\.x0"),
-        ("nan", r"fixed\.x0"),
+        ("{ value = 7.0 }", r"toml: fixed\.x0 = \{'value': 7\.0\}: give a number, .*, \{ value = 20\.0"),
+        ('{ value = 7.0, unti = "K" }', r"toml: fixed\.x0 = \{'value': 7\.0, 'unti': 'K'\}: give a number"),
+        ("nan", r"toml: fixed\.x0 = nan: give a number"),
     ],
 )
 def test_a_wrong_fixed_value_is_one_line(decay_case: Path, value: str, message: str):
@@ -95,6 +96,17 @@ def test_a_wrong_fixed_value_is_one_line(decay_case: Path, value: str, message: 
     with pytest.raises(InputError, match=message) as caught:
         load_case(decay_case)
     assert "\n" not in str(caught.value)
+
+
+def test_fixed_that_is_no_table_is_one_line(decay_case: Path):
+    edit(
+        decay_case,
+        ("[fixed]\n", ""),
+        ('x0 = { first_measured = "y" }', ""),
+        ('name = "decay"', 'name = "decay"\nfixed = 3'),
+    )
+    with pytest.raises(InputError, match=r"toml: fixed = 3: is no table; write its keys as a table"):
+        load_case(decay_case)
 
 
 def test_patience_is_declared_and_changes_no_digest(decay_case: Path):
