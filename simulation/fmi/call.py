@@ -4,8 +4,11 @@ Addresses arrive as integers, so the machine code depends on no FMU and lies in 
 the module, or in the user's cache folder where the package is read-only.
 """
 
+import hashlib
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
 
 from llvmlite import ir
 from numba import njit, typeof, types
@@ -14,22 +17,45 @@ from numba.extending import intrinsic
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+# numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
+# that carries the digest of all of them is never found with an old body.
+SOURCES: Final = (
+    *("call", "inputs", "loop", "exchange_calls", "exchange_loop"),
+    *("sensitivity_calls", "sensitivity_loop", "sensitivity_radau"),
+)
+_DIGEST: Final = hashlib.sha256(
+    b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in SOURCES)
+).hexdigest()[:12]
+
 
 def compiled(function: _Function) -> _Function:
     """Compile a function without the interpreter's lock, from the cache on disk where there can be one.
 
     Args:
-        function: The function.
+        function: The function, of a module in SOURCES.
 
     Returns:
         The compiled function.
     """
+    return cast(_Function, cached(function, partial(njit, nogil=True, error_model="numpy")))
+
+
+def cached(function: Callable[..., Any], compiler: Callable[..., Any]) -> Any:
+    """Compile a function, from the cache on disk where there can be one.
+
+    Args:
+        function: The function, of a module in SOURCES.
+        compiler: numba's decorator with all of its options but `cache`.
+
+    Returns:
+        What the compiler made of it.
+    """
+    function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
     try:
-        loop: Any = njit(cache=True, nogil=True)(function)
+        return compiler(cache=True)(function)
     except RuntimeError:
         # numba found no folder to cache in (read-only package, no writable home): compile in every process.
-        loop = njit(nogil=True)(function)
-    return cast(_Function, loop)
+        return compiler()(function)
 
 
 def make_ready(function: Callable[..., Any], *arguments: Any) -> None:

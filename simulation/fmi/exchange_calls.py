@@ -4,18 +4,17 @@ Everything a simulation needs lies in one table of 64-bit integers: addresses, c
 last. It travels as CVODE's user data, so that right-hand side and roots run without the interpreter.
 """
 
-import hashlib
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar, cast
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from simulation.arrays import FloatArray
-from simulation.fmi.call import call_status
+from simulation.fmi.call import cached, call_status, compiled
 from simulation.fmi.inputs import COUNT, FUNCTION, REFERENCES, STRIDE, VALUES
 from simulation.fmi.instance import FATAL, WARNING
 
@@ -91,45 +90,12 @@ SLOT: Final = _Slots()
 FIRST_INPUT: Final = SLOT.SIZE
 
 _pointer: Any = types.CPointer
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-# numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
-# that carries the digest of all of them is never found with an old body.
-_SOURCES: Final = (
-    *("call", "inputs", "exchange_calls", "exchange_loop"),
-    *("sensitivity_calls", "sensitivity_loop", "sensitivity_radau"),
-)
-_DIGEST: Final = hashlib.sha256(
-    b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
-).hexdigest()[:12]
-
-
-def compiled(function: _Function) -> _Function:
-    """Compile a function without the interpreter's lock, from the cache on disk where there can be one.
-
-    Args:
-        function: The function.
-
-    Returns:
-        The compiled function.
-    """
-    function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
-    try:
-        result: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:
-        # numba found no folder to cache in (read-only package, no writable home): compile in every process.
-        result = njit(nogil=True, error_model="numpy")(function)
-    return cast(_Function, result)
 
 
 def _callback(function: Callable[..., Any]) -> Any:
     """Compile a function that CVODE calls with (t, vector, result, user data)."""
-    function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
     signature = types.int32(types.float64, types.intp, types.intp, _pointer(types.int64))
-    try:
-        return cfunc(signature, cache=True, error_model="numpy")(function)
-    except RuntimeError:
-        return cfunc(signature, error_model="numpy")(function)
+    return cached(function, partial(cfunc, signature, error_model="numpy"))
 
 
 def _call_address_of(_typing_context: Any, address: Any, argument: Any) -> Any:

@@ -10,11 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.call import call_status
+from simulation.fmi.call import call_status, compiled
 from simulation.fmi.exchange_calls import (
     SLOT,
     at_point,
-    compiled,
     completed_step,
     get_real,
     get_states,

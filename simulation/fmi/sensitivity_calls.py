@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.call import call_status
-from simulation.fmi.exchange_calls import SLOT, at_point, compiled, directional_derivative, get_real
+from simulation.fmi.call import call_status, compiled
+from simulation.fmi.exchange_calls import SLOT, at_point, directional_derivative, get_real
 from simulation.fmi.exchange_loop import BAD_CALL, GOOD
 from simulation.fmi.instance import WARNING
 

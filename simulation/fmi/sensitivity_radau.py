@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.exchange_calls import compiled
+from simulation.fmi.call import compiled
 
 _ROOT6: Final = 6.0**0.5
 # Collocation points, as shares of a step.

@@ -1,0 +1,40 @@
+"""Machine code in numba's cache is as new as every file that it was compiled from."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from simulation.fmi.call import SOURCES
+
+ROOM = Path(__file__).parents[2] / "simulation"
+COMPILE = """
+from simulation.fmi.loop import step_through_2
+words = "int64[:], int64, int64[:,:], uint32[:], float64[:], int64, int64, boolean, float64[:,:]"
+step_through_2.compile(f"UniTuple(int64, 3)({words})")
+print(sum(step_through_2.stats.cache_hits.values()))
+"""
+
+
+def test_a_change_of_what_a_loop_is_compiled_from_compiles_it_again(tmp_path: Path):
+    shutil.copytree(ROOM, tmp_path / "simulation", ignore=shutil.ignore_patterns("__pycache__"))
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def n_from_cache() -> str:
+        command = [sys.executable, "-c", COMPILE]
+        return subprocess.run(
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout
+
+    assert [n_from_cache(), n_from_cache()] == ["0\n", "1\n"]
+    inputs = tmp_path / "simulation" / "fmi" / "inputs.py"
+    inputs.write_text(inputs.read_text().replace("VALUES, STRIDE = range(5)", "STRIDE, VALUES = range(5)"))
+    assert n_from_cache() == "0\n"
+
+
+def test_every_module_with_machine_code_counts():
+    for file in (ROOM / "fmi").glob("*.py"):
+        text = file.read_text()
+        if "@compiled" in text or "@_callback" in text or " = intrinsic(" in text:
+            assert file.stem in SOURCES
