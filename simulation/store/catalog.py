@@ -200,8 +200,9 @@ class Catalog:
             try:
                 for rows in part.blocks():
                     _, found = self._index.look_up(rows.trajectories.theta)
-                    here = found.row == start + np.arange(rows.n)
-                    yield rows.take(here & (found.part == self._numbers[name]))
+                    best = (found.row == start + np.arange(rows.n)) & (found.part == self._numbers[name])
+                    if best.any():
+                        yield rows.take(best)
                     start += rows.n
             except PartDamagedError as damage:
                 self._set_aside(name, damage, part)

@@ -202,7 +202,7 @@ class Part:
                 theta[:, j] = _numbers(table[name])
             y = np.empty((n, len(layout.time), len(layout.output_names)))
             for k, name in enumerate(layout.output_names):
-                y[:, :, k] = np.from_dlpack(table[name].combine_chunks().flatten()).reshape(n, -1)
+                y[:, :, k] = np.from_dlpack(table[name].combine_chunks().flatten()).reshape(y.shape[:2])
             found = layout.trajectories(theta, y, table[FAILURE].to_pylist())
             whole = Rows(found, _moments(table[WRITTEN]))
             return whole, whole.checks(layout.model_digest) == _numbers(table[CHECK])

@@ -18,6 +18,8 @@ from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.store.folder import groups_to_merge
 from simulation.store.index import Entries, RowIndex
+from simulation.store.parts import Part, write_part
+from simulation.store.rows import Layout, Rows
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
@@ -160,6 +162,30 @@ def test_many_small_appends_end_in_few_files(tmp_path: Path) -> None:
     with open_store(tmp_path) as store:
         assert store.read(design(200)).digest == answer.digest
         assert len(store.theta) == 200
+
+
+def test_merging_parts_whose_last_ones_are_replaced_leaves_no_empty_group(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("simulation.store.rows.GROUP_BYTES", 1)
+    good = MODEL.simulate(np.array([[1.0, 1e4]]))
+    with open_store(tmp_path) as store:
+        store.append(good)
+        for _ in range(15):
+            store.append(failed(good.theta, "too late"))
+        assert store.read(good.theta).digest == good.digest
+    (part,) = parts(tmp_path)
+    assert pyarrow.parquet.ParquetFile(part).num_row_groups == 1
+
+
+def test_an_empty_group_is_no_damage(tmp_path: Path) -> None:
+    rows = Rows(MODEL.simulate(design(2)), np.zeros(2, dtype=np.int64))
+    layout = Layout("abc", MODEL.parameter_space.names, MODEL.output_names, MODEL.time)
+    with (tmp_path / "part").open("wb") as file:
+        write_part(file, layout, [rows.take(np.zeros(2, dtype=np.bool_))])
+    part = Part(tmp_path / "part", layout)
+    assert [block.n for block in part.blocks()] == [0]
+    part.close()
 
 
 def test_parts_are_merged_by_size() -> None:
