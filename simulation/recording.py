@@ -16,7 +16,6 @@ from simulation.timestamps import Clock, Timestamps
 
 TIME_COLUMN: Final = "time_s"
 STAMP_COLUMN: Final = "time"
-# What programs write where there is no value.
 # Cells that are no numbers and yet have a meaning: nothing was measured, or a switch.
 _WORDS: Final = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan) | {
     "true": 1.0,
@@ -111,7 +110,8 @@ def read_recording(
         rows.pop()
     if len(rows) < 3:
         raise InputError(f"{path}: {len(rows) - 1} rows of data; a recording has at least two")
-    _check_lengths(path, rows, delimiter)
+    n_used = 1 + max(header.index(name) for name in [time_name, *column_names])
+    _check_lengths(path, rows, n_used, delimiter)
     cells = {name: _cells(rows, header.index(name)) for name in [time_name, *column_names]}
     clock: Clock = "seconds"
     if time_name.endswith(("_s", "[s]")):
@@ -168,8 +168,12 @@ def _time_column(path: Path, header: list[str], asked: str | None) -> str:
     )
 
 
-def _check_lengths(path: Path, rows: list[list[str]], delimiter: str) -> None:
-    """Refuse values beyond the last column: with decimal commas between commas, all of them are wrong."""
+def _check_lengths(path: Path, rows: list[list[str]], n_used: int, delimiter: str) -> None:
+    """Refuse lines whose values may stand in other columns than those that they are of.
+
+    That is values beyond the last column, as of decimal commas between commas, and cells that are missing up
+    to the last column in use; beyond it, spreadsheets may leave out separators of empty cells.
+    """
     n = len(rows[0])
     for line, row in enumerate(rows, start=1):
         if len(row) > n and any(cell.strip() for cell in row[n:]):
@@ -177,10 +181,16 @@ def _check_lengths(path: Path, rows: list[list[str]], delimiter: str) -> None:
             raise InputError(
                 f"{path}: line {line} has {len(row)} cells, the header {n}; correct one of them{hint}"
             )
+        if len(row) < n_used:
+            raise InputError(
+                f"{path}: line {line} has {len(row)} cells, {n_used} are needed up to column "
+                f"{rows[0][n_used - 1].strip()}; remove it, or complete it with an empty cell for each value "
+                "that is not known"
+            )
 
 
 def _cells(rows: list[list[str]], index: int) -> list[str]:
-    return [row[index].strip() if index < len(row) else "" for row in rows[1:]]
+    return [row[index].strip() for row in rows[1:]]
 
 
 def _numbers(path: Path, name: str, cells: list[str], delimiter: str) -> FloatArray:
@@ -190,6 +200,8 @@ def _numbers(path: Path, name: str, cells: list[str], delimiter: str) -> FloatAr
     values = np.empty(len(cells))
     for row, cell in enumerate(cells):
         try:
+            if "_" in cell:
+                raise ValueError("only Python takes 1_0 for 10")
             values[row] = float(cell)
         except ValueError:
             if cell.casefold() not in _WORDS:

@@ -112,6 +112,14 @@ def test_a_german_export_is_read(decay_case: Path):
     assert after.measurement.digest == before.measurement.digest
 
 
+def test_cells_may_be_missing_behind_the_last_column_in_use_only(tmp_path: Path):
+    file = tmp_path / "room.csv"
+    file.write_text("time_s,T,Q,note\n0,20,1,dry\n600,21,2\n1200,22\n1800,23,4,wet\n\n")
+    np.testing.assert_array_equal(read_recording(file, ["T"]).columns["T"], [20, 21, 22, 23])
+    with pytest.raises(InputError, match=r"room\.csv: line 4 has 2 cells, 3 are needed up to column Q; "):
+        read_recording(file, ["Q", "T"])
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_tabs_and_other_encodings_are_read(decay_case: Path, encoding: str):
     before = load_case(decay_case)

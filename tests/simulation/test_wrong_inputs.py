@@ -232,7 +232,10 @@ WRONG: dict[str, tuple[Change, str]] = {
         csv(r"^(36000,[^,]*),.*$", r"\1,NaN"),
         r"line 22: heating has no value from 34200",
     ),
-    "short line": (csv(r"^36000,.*$", "36000,20.1"), r"line 22: heating has no value from 34200"),
+    "short line": (
+        csv(r"^36000,.*$", "36000,20.1"),
+        r"line 22 has 2 cells, 3 are needed up to column heating; remove it, or complete it with an",
+    ),
     "gap of an input longer than declared": (
         lambda folder: (
             csv(r"^36000,.*\n37800,.*\n", "")(folder),
@@ -246,10 +249,14 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "infinite cell": (csv(r"^3600,[^,]*,", "3600,inf,"), r"line 4, column T_degC: inf is not finite"),
     "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
-    "blank line inside": (csv(r"^3600,.*$", ""), r"line 4, column time_s: the time is missing"),
+    "blank line inside": (csv(r"^3600,.*$", ""), r"line 4 has 0 cells, 3 are needed up to column heating"),
     "text cell": (
         csv(r"^3600,[^,]*,", "3600,warm,"),
         r"line 4, column T_degC: 'warm' is not a number; correct it, or",
+    ),
+    "number that only Python reads": (
+        csv(r"^3600,[^,]*,", "3600,2_0,"),
+        r"line 4, column T_degC: '2_0' is not a number; correct it, or",
     ),
     "unsorted": (csv(r"^3600,", "900,"), r"line 4: time_s = 900 comes before the line above \(1800\); sort"),
     "duplicate time": (csv(r"^3600,", "1800,"), r"line 4: time_s = 1800 repeats the line above"),
