@@ -35,11 +35,12 @@ Every simulation of one model, one row each, in Parquet files. Read all of them 
 
     rows = pandas.read_parquet(".")             # in this folder
 
-One column per parameter. One column per output, whose cells are series over the times that _store.json lists
-as time_s: numpy.stack(rows["{output}"]) is an array of shape (rows, times). _failure says why a row failed
-and is empty where it is good. _written says when it was simulated. _check guards the row against damage.
-A simulation that failed and was asked again may be there twice: a good row counts before a failed one, then
-the newer one. Remove this folder, and everything is simulated again.
+One column per parameter, named _parameter_... if an output has the same name. One column per output, whose
+cells are series over the times that _store.json lists as time_s: numpy.stack(rows["{output}"]) is an array of
+shape (rows, times). _failure says why a row failed and is empty where it is good. _written says when it was
+simulated. _check guards the row against damage. A simulation that failed and was asked again may be there
+twice: a good row counts before a failed one, then the newer one. Remove this folder, and everything is
+simulated again.
 """
 
 

@@ -29,7 +29,7 @@ class PartDamagedError(Exception):
 def _schema(layout: Layout) -> Any:
     """Return the columns as pyarrow describes them."""
     series = pa.list_(pa.field("element", pa.float64(), nullable=False), len(layout.time))
-    fields = [(name, pa.float64()) for name in layout.parameter_names]
+    fields = [(name, pa.float64()) for name in layout.parameter_columns]
     fields += [(name, series) for name in layout.output_names]
     fields += [(FAILURE, pa.string()), (WRITTEN, pa.timestamp("us", "UTC")), (CHECK, pa.uint32())]
     return pa.schema(
@@ -46,7 +46,7 @@ def write_part(file: BinaryIO, layout: Layout, blocks: Iterable[Rows]) -> None:
         layout: What the rows have in common.
         blocks: The rows; one block is held in memory at a time.
     """
-    columns = [*layout.parameter_names, *(f"{name}.list.element" for name in layout.output_names)]
+    columns = [*layout.parameter_columns, *(f"{name}.list.element" for name in layout.output_names)]
     with pq.ParquetWriter(
         file,
         _schema(layout),
@@ -130,11 +130,11 @@ class Part:
             Parameters, shape (n, p) [per parameter]; which rows are good, shape (n,); when each was written,
             shape (n,) [µs].
         """
-        names = [*self._layout.parameter_names, FAILURE, WRITTEN]
+        parameters = self._layout.parameter_columns
         with _damage(self._path):
-            table = self._file.read(columns=names, use_threads=False)
-            theta = np.empty((self.n, len(self._layout.parameter_names)))
-            for j, name in enumerate(self._layout.parameter_names):
+            table = self._file.read(columns=[*parameters, FAILURE, WRITTEN], use_threads=False)
+            theta = np.empty((self.n, len(parameters)))
+            for j, name in enumerate(parameters):
                 theta[:, j] = _numbers(table[name])
             good = _numbers(compute.binary_length(table[FAILURE])) == 0
             return theta, good, _moments(table[WRITTEN])
@@ -198,7 +198,7 @@ class Part:
                 table = table.take(_plain(rows))
             n = table.num_rows
             theta = np.empty((n, len(layout.parameter_names)))
-            for j, name in enumerate(layout.parameter_names):
+            for j, name in enumerate(layout.parameter_columns):
                 theta[:, j] = _numbers(table[name])
             y = np.empty((n, len(layout.time), len(layout.output_names)))
             for k, name in enumerate(layout.output_names):

@@ -34,13 +34,20 @@ class Layout:
     time: FloatArray
 
     def __post_init__(self) -> None:
-        names = [*self.parameter_names, *self.output_names, FAILURE, WRITTEN, CHECK]
+        names = [*self.parameter_columns, *self.output_names, FAILURE, WRITTEN, CHECK]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InputError(
                 f"{twice[0]!r} names two columns of the simulations; parameters and outputs need names of "
                 f"their own, other than {FAILURE}, {WRITTEN} and {CHECK}"
             )
+
+    @property
+    def parameter_columns(self) -> tuple[str, ...]:
+        """Columns of the parameters; an initial state may have the name of an output."""
+        return tuple(
+            f"_parameter_{name}" if name in self.output_names else name for name in self.parameter_names
+        )
 
     @property
     def row_bytes(self) -> int:

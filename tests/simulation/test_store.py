@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -237,10 +238,23 @@ def test_a_store_of_another_model_is_refused_in_one_line(tmp_path: Path) -> None
         SimulationStore.at(tmp_path)
     with pytest.raises(InputError, match="no such file; simulate first"):
         SimulationStore.at(tmp_path / "none")
-    with pytest.raises(InputError, match="'R' names two columns"):
+    with pytest.raises(InputError, match="'_check' names two columns"):
         SimulationStore(
-            tmp_path, model_digest="a", parameter_names=("R",), output_names=("R",), time=MODEL.time
+            tmp_path, model_digest="a", parameter_names=("_check",), output_names=("R",), time=MODEL.time
         )
+
+
+def test_an_initial_state_may_be_an_output_as_well(tmp_path: Path) -> None:
+    answer = replace(MODEL.simulate(design(20)), output_names=("C",))
+    for is_new in (True, False):
+        with SimulationStore(
+            tmp_path, model_digest="a", parameter_names=("R", "C"), output_names=("C",), time=MODEL.time
+        ) as store:
+            if is_new:
+                store.append(answer)
+            assert store.read(answer.theta).digest == answer.digest
+    (part,) = parts(tmp_path)
+    assert pyarrow.parquet.read_schema(part).names[:3] == ["R", "_parameter_C", "C"]
 
 
 def test_rows_of_other_names_are_refused(tmp_path: Path) -> None:
