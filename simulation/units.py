@@ -137,12 +137,21 @@ def conversion(
         return Conversion()
     defined = (definitions or {}).get(model, UnitDefinition())
     _check_definition(model, defined, where)
+    theirs = defined.base or in_si(model)
     shown = next((pair for name, pair in defined.displayed.items() if _same(name, declared)), None)
     if shown is not None:
         factor = 1 / Fraction(str(shown[0]))
         offset = -Fraction(str(shown[1])) * factor
+        meant = in_si(declared)
+        if meant is not None and theirs is not None:
+            size, zero = factor * theirs.factor, offset * theirs.factor + theirs.offset
+            if not _agree(meant, Unit(size, zero, theirs.exponents), is_difference=is_difference):
+                raise InputError(
+                    f'{where}: the FMU defines "{declared}", a display unit of its "{model}", as something '
+                    f'else than "{declared}" means; give the values in "{model}", and check them'
+                )
     else:
-        mine, theirs = in_si(declared, definitions), defined.base or in_si(model)
+        mine = in_si(declared, definitions)
         if mine is None or theirs is None or mine.exponents != theirs.exponents:
             known = "contradicts" if mine is not None else "is not known, and is not"
             raise InputError(
@@ -156,22 +165,22 @@ def conversion(
 def _check_definition(name: str, defined: UnitDefinition, where: str) -> None:
     """Refuse to convert to a unit whose definition in the FMU is not what its name means."""
     meant = in_si(name)
-    if meant is None or defined.base is None:
-        return
-    # Some tools leave the angle out.
-    powers = [[power for power in unit.exponents if power[0] != "rad"] for unit in (meant, defined.base)]
-    close = all(
-        math.isclose(float(mine), float(theirs), rel_tol=1e-6)
-        for mine, theirs in (
-            (meant.factor, defined.base.factor),
-            (meant.offset, defined.base.offset),
-        )
-    )
-    if powers[0] != powers[1] or not close:
+    if meant is not None and defined.base is not None and not _agree(meant, defined.base):
         raise InputError(
             f'{where}: the FMU defines its unit "{name}" as something else than "{name}" means; '
             f'give the values in "{name}", which converts nothing, and check them'
         )
+
+
+def _agree(first: Unit, second: Unit, *, is_difference: bool = False) -> bool:
+    """Tell whether two units are the same, written with some digits; some tools leave the angle out."""
+    powers = [[power for power in unit.exponents if power[0] != "rad"] for unit in (first, second)]
+    return (
+        powers[0] == powers[1]
+        and math.isclose(first.factor, second.factor, rel_tol=1e-6)
+        # Only temperatures have zeros of their own.
+        and (is_difference or math.isclose(first.offset, second.offset, rel_tol=1e-6, abs_tol=1e-4))
+    )
 
 
 def in_si(text: str, definitions: Mapping[str, UnitDefinition] | None = None) -> Unit | None:

@@ -31,13 +31,15 @@ def binary_member(fmi_version: str, model_identifier: str) -> str:
 
 
 def declared_unit(unit: Any) -> UnitDefinition:
-    """Say what a unit definition of fmpy says."""
+    """Say what a unit definition of fmpy says; what has no size is none."""
     base = unit.baseUnit
     return UnitDefinition(
         base=None
-        if base is None
+        if base is None or not base.factor
         else Unit.of({name: int(getattr(base, name)) for name in BASE_UNITS}, base.factor, base.offset),
-        displayed={str(shown.name): (shown.factor, shown.offset) for shown in unit.displayUnits},
+        displayed={
+            str(shown.name): (shown.factor, shown.offset) for shown in unit.displayUnits if shown.factor
+        },
     )
 
 
@@ -56,7 +58,7 @@ def read_model(path: Path, content: bytes) -> tuple[Any, str]:
 
 
 def _complete(model: Any, content: bytes) -> None:
-    """Read what fmpy overlooks: in FMI 3.0 the attribute's name is a plural."""
+    """Read what fmpy overlooks of FMI 3.0: an attribute's name is a plural, a display unit may be inverse."""
     if str(model.fmiVersion) == "2.0":
         return
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -65,6 +67,15 @@ def _complete(model: Any, content: bytes) -> None:
         element = root.find(tag)
         if element is not None and element.get("providesDirectionalDerivatives") in ("true", "1"):
             interface.providesDirectionalDerivative = True
+    inverse = {
+        (unit.get("name"), shown.get("name"))
+        for unit in root.iterfind("UnitDefinitions/Unit")
+        for shown in unit.iterfind("DisplayUnit")
+        if shown.get("inverse") in ("true", "1")
+    }
+    for unit in model.unitDefinitions:
+        # No factor and offset make seconds of hertz.
+        unit.displayUnits = [one for one in unit.displayUnits if (unit.name, one.name) not in inverse]
 
 
 def declared_version(path: Path, said: str) -> FmiVersion:

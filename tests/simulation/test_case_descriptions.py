@@ -86,6 +86,14 @@ def test_the_fmu_s_display_units_are_units(decay_case: Path):
     assert y[0, 0, 0] == pytest.approx((300.0 - 273.15) * 0.8, abs=1e-9)
 
 
+def test_a_display_unit_without_a_size_is_none(decay_case: Path):
+    units = UNITS.replace(b'factor="0.8"', b'factor="0"')
+    describe(decay_case, (b'<UnitDefinitions><Unit name="K"/><Unit name="1/s"/><Unit name="K/s"/>', units))
+    edit(decay_case, ('unit = "degC"', 'unit = "degRe"'))
+    with pytest.raises(InputError, match=r'outputs\[y\]: unit = "degRe" is not known'):
+        load_case(decay_case)
+
+
 def test_any_unit_is_taken_where_the_fmu_has_none(decay_case: Path):
     describe(decay_case, (b'<Real unit="K"/>', b"<Real/>"))
     edit(decay_case, ('{ first_measured = "y" }', "300.0"))

@@ -4,6 +4,7 @@ import dataclasses
 import re
 import shutil
 import tempfile
+import zipfile
 from pathlib import Path
 
 import kinds_fmu
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from simulation.errors import InputError
+from simulation.fmi.description import read_description
 from simulation.fmi.fmu import FmuSettings
 from simulation.fmi.loop import step_through_2, step_through_3
 
@@ -139,6 +141,18 @@ def test_a_fixed_value_that_does_not_fit_is_refused_in_one_line(fmu: Path, fixed
     with pytest.raises(InputError, match=message) as error:
         kinds_fmu.kinds_settings(fmu, fixed=fixed).open()
     assert "\n" not in str(error.value)
+
+
+def test_an_inverse_display_unit_is_none_of_the_units_that_a_factor_converts(tmp_path: Path):
+    """A period in seconds is the inverse of a rate in 1/s."""
+    text = kinds_fmu.DESCRIPTION_3.format(state="false", once="false")
+    shown = '<DisplayUnit name="period" inverse="true"/><DisplayUnit name="1/min" factor="60"/></Unit>'
+    path = tmp_path / "kinds3.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text.replace("</Unit>", shown))
+        archive.writestr("binaries/x86_64-linux/kinds.so", "")
+    units = read_description(path).units
+    assert units["1/s"].displayed == {"1/min": (60.0, 0.0)}
 
 
 def test_only_reals_are_calibrated_and_arrays_are_not(fmu_3: Path):
