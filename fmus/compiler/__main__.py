@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
         except ModuleNotFoundError as error:
             raise CompileError(f"{error.name} is not installed; pip install -e '.[modelica]'") from None
         target = build_fmu(options.folder, options.output)
-    except CompileError as error:
+    except (CompileError, OSError) as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
     sys.stdout.write(f"{target}  sha256 {hashlib.sha256(target.read_bytes()).hexdigest()}\n")

@@ -39,9 +39,14 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
         Path of the FMU.
 
     Raises:
-        CompileError: If the model, the build file or the toolchain does not allow it.
+        CompileError: If the model, the build file, the toolchain or the target does not allow it.
+        OSError: If a source cannot be read or there is no room to compile.
     """
     settings = read_settings(folder)
+    target = target or folder / f"{settings.identifier}.fmu"
+    if target.is_dir() or not target.parent.is_dir():
+        wrong = "is a folder" if target.is_dir() else f"there is no folder {target.parent}"
+        raise CompileError(f"{target}: {wrong}; name a file to write, in a folder that is there")
     modelica = sorted(folder.glob("*.mo"))
     ode = make_explicit(read_model(modelica, settings.model, with_events=settings.events))
     code = write_code(ode, settings)
@@ -60,7 +65,6 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
     }
     if settings.fmi_version == "3.0":
         files["sources/buildDescription.xml"] = write_build_description(settings).encode()
-    target = target or folder / f"{settings.identifier}.fmu"
     _pack(files, target)
     return target
 
@@ -98,10 +102,15 @@ def _compile(sources: dict[str, bytes], settings: BuildSettings) -> bytes:
 
 def _pack(files: dict[str, bytes], target: Path) -> None:
     partial = target.with_name(target.name + ".part")
-    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name in sorted(files):
-            entry = zipfile.ZipInfo(name, _ZIP_DATE)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
-            archive.writestr(entry, files[name])
-    partial.replace(target)
+    try:
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+            for name in sorted(files):
+                entry = zipfile.ZipInfo(name, _ZIP_DATE)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+                archive.writestr(entry, files[name])
+        partial.replace(target)
+    except OSError as error:
+        raise CompileError(f"{target}: cannot be written ({error.strerror}); make room for it") from None
+    finally:
+        partial.unlink(missing_ok=True)
