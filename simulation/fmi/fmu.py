@@ -16,10 +16,11 @@ from simulation.fmi.description import read_description
 from simulation.fmi.numbers import wrong_number, wrong_output
 from simulation.fmi.plan import run_plan
 from simulation.fmi.runner import Runner
-from simulation.fmi.unpack import UnpackedFmu
+from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import Interface
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
+from simulation.scratch import ScratchFolder
 from simulation.trajectories import Trajectories
 
 if TYPE_CHECKING:
@@ -129,21 +130,21 @@ class FmuModel:
         )
         # The warm-up is simulated into rows that are not handed out.
         self._y_simulated = np.empty((plan.n_simulated, len(settings.output_names)))
-        unpacked = UnpackedFmu(settings.path)
+        scratch = unpacked(settings.path)
         try:
             self._runner = open_runner(
                 description,
                 plan,
-                unpacked.folder,
+                scratch.folder,
                 interface=settings.interface,
                 warmup=settings.warmup_for_fmu,
             )
         except BaseException:
-            unpacked.remove()
+            scratch.remove()
             raise
-        self._opened = (description, plan, unpacked.folder)
+        self._opened = (description, plan, scratch.folder)
         # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
-        self._finalizer = weakref.finalize(self, _close, self._runner, unpacked)
+        self._finalizer = weakref.finalize(self, _close, self._runner, scratch)
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -288,9 +289,9 @@ class FmuModel:
         self.close()
 
 
-def _close(runner: Runner, unpacked: UnpackedFmu) -> None:
+def _close(runner: Runner, scratch: ScratchFolder) -> None:
     runner.close()
-    unpacked.remove()
+    scratch.remove()
 
 
 def _nothing(_row: int) -> None:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from simulation.errors import InputError
+from simulation.scratch import ScratchFolder
 from simulation.workers.messages import (
     Ended,
     Hire,
@@ -37,7 +38,6 @@ from simulation.workers.messages import (
 )
 from simulation.workers.recipe import Facts, Recipe
 from simulation.workers.row_desk import RowDesk
-from simulation.workers.scratch import ScratchFolder
 from simulation.workers.warm_code import learnt, remember
 
 SCRATCH_PREFIX: Final = "simulation-workers-"
@@ -107,13 +107,7 @@ class _Nursery:
         self._limits = limits
         self._workers: dict[int, int] = {}
         self._n_oom_kills = _oom_kills()
-        try:
-            self._scratch = ScratchFolder(SCRATCH_PREFIX)
-        except OSError as error:
-            raise InputError(
-                f"{tempfile.gettempdir()}: no folder for simulations can be made there ({error.strerror}); "
-                "make room or set TMPDIR to another place"
-            ) from error
+        self._scratch = ScratchFolder(SCRATCH_PREFIX)
         self._pipe = self._wake, wake = os.pipe()
         for end in self._pipe:
             os.set_blocking(end, False)

@@ -29,7 +29,7 @@ def model(decay_case: Path):
 
 
 def _unpacked() -> set[str]:
-    return {path.name for path in Path(tempfile.gettempdir()).glob("simulation-fmu-*")}
+    return {path.name for path in Path(tempfile.gettempdir()).glob("simulation-fmus-*")}
 
 
 def test_the_numbers_are_those_of_the_closed_form(decay_case: Path):

@@ -1,5 +1,6 @@
 """Unpacked FMUs: nothing outside the folder, and no folder without a living owner."""
 
+import errno
 import os
 import stat
 import subprocess
@@ -11,13 +12,14 @@ from pathlib import Path
 import pytest
 
 from simulation.errors import InputError
-from simulation.fmi.unpack import UnpackedFmu, remove_orphans
+from simulation.fmi.unpack import SCRATCH_PREFIX, unpacked
+from simulation.scratch import sweep
 
 OWNER = """
 import sys, time
 from pathlib import Path
-from simulation.fmi.unpack import UnpackedFmu
-print(UnpackedFmu(Path(sys.argv[1])).folder, flush=True)
+from simulation.fmi.unpack import unpacked
+print(unpacked(Path(sys.argv[1])).folder, flush=True)
 time.sleep(60)
 """
 
@@ -49,6 +51,10 @@ def fmu(tmp_path: Path) -> Path:
     return path
 
 
+def full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def _link(name: str) -> zipfile.ZipInfo:
     link = zipfile.ZipInfo(name)
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
@@ -56,14 +62,14 @@ def _link(name: str) -> zipfile.ZipInfo:
 
 
 def test_what_running_needs_is_unpacked_and_gone_after_removal(fmu: Path, folder: Path):
-    unpacked = UnpackedFmu(fmu)
-    held = {str(path.relative_to(unpacked.folder)) for path in unpacked.folder.rglob("*") if path.is_file()}
+    scratch = unpacked(fmu)
+    held = {str(path.relative_to(scratch.folder)) for path in scratch.folder.rglob("*") if path.is_file()}
     assert {"modelDescription.xml", "resources/table.txt", "resources/program"} <= held
     assert not any(name.startswith(("documentation", "binaries/win64")) for name in held)
-    assert os.access(unpacked.folder / "resources/program", os.X_OK)
-    assert unpacked.folder.stat().st_mode & 0o077 == 0
-    unpacked.remove()
-    unpacked.remove()
+    assert os.access(scratch.folder / "resources/program", os.X_OK)
+    assert scratch.folder.stat().st_mode & 0o077 == 0
+    scratch.remove()
+    scratch.remove()
     assert not list(folder.iterdir())
 
 
@@ -72,7 +78,7 @@ def test_a_member_that_points_outside_is_refused(fmu: Path, folder: Path, name: 
     with zipfile.ZipFile(fmu, "a") as archive:
         archive.writestr(name, "no")
     with pytest.raises(InputError, match="points outside; do not trust this FMU"):
-        UnpackedFmu(fmu)
+        unpacked(fmu)
     assert not list(folder.iterdir())
     assert not list(folder.parent.parent.glob("**/escaped.txt"))
 
@@ -82,7 +88,7 @@ def test_a_link_is_refused_where_it_would_be_used(fmu: Path, folder: Path, name:
     with zipfile.ZipFile(fmu, "a") as archive:
         archive.writestr(_link(name), "/etc/passwd")
     with pytest.raises(InputError, match="which is a link; pack the file itself"):
-        UnpackedFmu(fmu)
+        unpacked(fmu)
     assert not list(folder.iterdir())
 
 
@@ -90,16 +96,16 @@ def test_a_damaged_member_is_named_in_one_line(fmu: Path, folder: Path):
     content = fmu.read_bytes()
     fmu.write_bytes(content.replace(b"1 2 3", b"1 2 4", 1))
     with pytest.raises(InputError, match=r"some\.fmu: cannot be unpacked \(Bad CRC-32 .*export it again"):
-        UnpackedFmu(fmu)
+        unpacked(fmu)
     assert not list(folder.iterdir())
 
 
 def test_a_full_disk_is_named_in_one_line(fmu: Path, folder: Path):
     script = (
         "import resource, sys\nfrom pathlib import Path\nfrom simulation.errors import InputError\n"
-        "from simulation.fmi.unpack import UnpackedFmu\nimport signal\n"
+        "from simulation.fmi.unpack import unpacked\nimport signal\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nresource.setrlimit(resource.RLIMIT_FSIZE, (4, 4))\n"
-        "try:\n    UnpackedFmu(Path(sys.argv[1]))\nexcept InputError as error:\n    print(error)"
+        "try:\n    unpacked(Path(sys.argv[1]))\nexcept InputError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", script, fmu], capture_output=True, text=True, check=True)
     assert done.stdout.strip().endswith(
@@ -108,16 +114,32 @@ def test_a_full_disk_is_named_in_one_line(fmu: Path, folder: Path):
     assert not list(folder.iterdir())
 
 
+def test_no_room_for_a_folder_is_named_in_one_line(fmu: Path, folder: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in ("tempfile.mkdtemp", "fcntl.flock"):
+        with monkeypatch.context() as patch:
+            patch.setattr(name, full)
+            with pytest.raises(
+                InputError, match=r"no temporary folder .*No space left on device\); .*TMPDIR"
+            ):
+                unpacked(fmu)
+        assert not list(folder.iterdir())
+    monkeypatch.setattr(tempfile, "tempdir", str(folder / "gone"))
+    with pytest.raises(
+        InputError, match=r"no temporary folder can be made .*gone.*; make room or set TMPDIR"
+    ):
+        unpacked(fmu)
+
+
 def test_the_folder_of_a_killed_process_goes_and_a_living_ones_stays(fmu: Path, folder: Path):
-    alive = UnpackedFmu(fmu)
+    alive = unpacked(fmu)
     with subprocess.Popen([sys.executable, "-c", OWNER, fmu], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         left = Path(process.stdout.readline().strip())
-        remove_orphans()
+        sweep(SCRATCH_PREFIX)
         assert left.exists()
         process.kill()
     assert left.exists()
-    remove_orphans()
+    sweep(SCRATCH_PREFIX)
     assert not left.exists()
     assert alive.folder.exists()
     alive.remove()
@@ -126,10 +148,10 @@ def test_the_folder_of_a_killed_process_goes_and_a_living_ones_stays(fmu: Path, 
 
 def test_many_at_once_neither_lose_a_folder_nor_leave_one(fmu: Path, folder: Path):
     script = (
-        "import sys\nfrom pathlib import Path\nfrom simulation.fmi.unpack import UnpackedFmu\n"
-        "for _ in range(100):\n    unpacked = UnpackedFmu(Path(sys.argv[1]))\n"
-        "    assert (unpacked.folder / 'resources' / 'table.txt').read_text() == '1 2 3'\n"
-        "    unpacked.remove()"
+        "import sys\nfrom pathlib import Path\nfrom simulation.fmi.unpack import unpacked\n"
+        "for _ in range(100):\n    scratch = unpacked(Path(sys.argv[1]))\n"
+        "    assert (scratch.folder / 'resources' / 'table.txt').read_text() == '1 2 3'\n"
+        "    scratch.remove()"
     )
     running = [subprocess.Popen([sys.executable, "-c", script, fmu]) for _ in range(4)]
     assert [process.wait() for process in running] == [0, 0, 0, 0]

@@ -197,7 +197,7 @@ def test_no_room_for_temporary_files_is_one_line(tmp_path: Path, monkeypatch: py
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     with (
-        pytest.raises(InputError, match=r"no folder for simulations .*No space left on device.*TMPDIR"),
+        pytest.raises(InputError, match=r"no temporary folder .*No space left on device.*TMPDIR"),
         ParallelModel(ToyRC, 1) as model,
     ):
         model.simulate(ROWS)

@@ -13,8 +13,8 @@ import pytest
 from simulation.counting import BudgetExceeded, CountingModel
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
+from simulation.scratch import ScratchFolder
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
-from simulation.workers.scratch import ScratchFolder
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
@@ -79,7 +79,7 @@ def test_where_there_are_no_locks_nobody_waits_for_one(tmp_path: Path, monkeypat
 
 KILLED = """
 import os
-from simulation.workers.scratch import ScratchFolder
+from simulation.scratch import ScratchFolder
 print(ScratchFolder("test-scratch-").folder, flush=True)
 os.kill(os.getpid(), 9)
 """

@@ -1,0 +1,71 @@
+"""Temporary folders that are gone when their process is, at the latest when the next one is made."""
+
+import contextlib
+import fcntl
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Final
+
+from simulation.errors import InputError
+
+_LOCK: Final = ".in-use"
+
+
+class ScratchFolder:
+    """A temporary folder that a lock marks as in use; folders without their owner are swept on the way.
+
+    Attributes:
+        folder: The folder.
+    """
+
+    def __init__(self, prefix: str) -> None:
+        """Make the folder, and remove those of the same prefix whose owner was killed.
+
+        Args:
+            prefix: How the names of these folders begin.
+
+        Raises:
+            InputError: If there is no room for it.
+        """
+        self._lock: int | None = None
+        unseen = None
+        try:
+            sweep(prefix)
+            unseen = Path(tempfile.mkdtemp(prefix=f".{prefix}"))
+            self._lock = os.open(unseen / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Nobody who sweeps ever meets it without its lock.
+            self.folder = unseen.rename(unseen.with_name(unseen.name[1:]))
+        except OSError as error:
+            if unseen is not None:
+                shutil.rmtree(unseen, ignore_errors=True)
+            if self._lock is not None:
+                os.close(self._lock)
+            raise InputError(
+                f"no temporary folder can be made ({error}); make room or set TMPDIR to another place"
+            ) from None
+
+    def remove(self) -> None:
+        """Remove the folder with all that is in it; removing it twice does no harm."""
+        if self._lock is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            os.close(self._lock)
+            self._lock = None
+
+
+def sweep(prefix: str) -> None:
+    """Remove the folders whose owners are gone; those of living ones stay.
+
+    Args:
+        prefix: How the names of these folders begin.
+    """
+    for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+        with contextlib.suppress(OSError):
+            lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
