@@ -134,9 +134,10 @@ class Arena:
         names = json.dumps([grid.parameter_names, grid.output_names]).encode()
         shape = (len(names), capacity, len(grid.parameter_names), len(grid.time), len(grid.output_names))
         places, size = layout(*shape)
-        descriptor, path = new_file(spool)
+        descriptor, path = -1, None
         try:
-            if spool is not None and hasattr(os, "posix_fallocate"):
+            descriptor, path = new_file(spool)
+            if path is not None:
                 # A full disk must be an error here and not a killed process at some later row.
                 os.posix_fallocate(descriptor, 0, size)
             else:
@@ -149,7 +150,8 @@ class Arena:
         except BaseException as error:
             if path is not None:
                 path.unlink(missing_ok=True)
-            os.close(descriptor)
+            if descriptor >= 0:
+                os.close(descriptor)
             if isinstance(error, OSError):
                 much = f"{size / 1e6:.0f} MB" if size > 1e6 else f"{size / 1e3:.0f} kB"
                 raise InputError(

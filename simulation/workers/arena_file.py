@@ -57,11 +57,10 @@ def new_file(spool: Path | None) -> tuple[int, Path | None]:
     Returns:
         The open file, and where it is.
     """
-    if spool is None and hasattr(os, "memfd_create"):
+    if spool is None:
         return os.memfd_create("arena", os.MFD_CLOEXEC), None
-    folder = Path(tempfile.gettempdir()) if spool is None else Path(spool)
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=folder)
+    spool.mkdir(parents=True, exist_ok=True)
+    descriptor, name = tempfile.mkstemp(prefix=f"{os.getpid()}-", suffix=SUFFIX, dir=spool)
     if owned(descriptor):
         return descriptor, Path(name)
     # Whoever recovers arenas was faster, and removes this one: it is empty.
