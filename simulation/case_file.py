@@ -136,7 +136,9 @@ class ValueWithUnit(Table):
     unit: Name
 
 
-FixedValue = bool | int | Finite | str | FirstMeasured | ValueWithUnit
+# A float where it is larger than any integer of an FMU.
+_Whole = Annotated[int, Field(ge=-(2**63), lt=2**64)]
+FixedValue = bool | _Whole | Finite | str | FirstMeasured | ValueWithUnit
 
 
 class SimulationTable(Table):
@@ -212,6 +214,9 @@ def read_case_file(path: Path) -> CaseFile:
         raise InputError(f"{path}: cannot be read ({error}); give a text file") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}; correct that line") from None
+    except ValueError:
+        # tomllib leaves this one to Python.
+        raise InputError(f"{path}: a number has thousands of digits; correct it") from None
     try:
         return CaseFile.model_validate(content)
     except ValidationError as error:
@@ -265,19 +270,16 @@ def _prior_remedy(value: object, parameter: dict[str, Any]) -> str:
 def _key(location: tuple[int | str, ...], content: Any) -> str:
     words = ""
     for part in location:
-        content = content[part] if _holds(content, part) else None
+        try:
+            content = content[part]
+        except (KeyError, IndexError, TypeError):
+            content = None
         if isinstance(part, int):
             name = content.get("name") if isinstance(content, dict) else None
             words += f"[{name}]" if isinstance(name, str) else f"[{part}]"
         else:
             words += f".{part}" if words else part
     return words or "the file"
-
-
-def _holds(content: Any, part: int | str) -> bool:
-    if isinstance(content, dict):
-        return part in content
-    return isinstance(content, list) and isinstance(part, int) and part < len(content)
 
 
 def _suggestion(location: tuple[int | str, ...]) -> str:
