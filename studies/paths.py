@@ -98,7 +98,7 @@ def size_name(n_train: int) -> str:
     return f"n{n_train:04d}"
 
 
-def find_project(storage: str | None = None) -> ProjectPaths:
+def find_project(storage: str | None) -> ProjectPaths:
     """Find the project: `$STUDIES_ROOT`, else a folder above the working one, else above this package.
 
     Args:

@@ -38,7 +38,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.keeping.collection import blocks_of, find_unused, is_agreed, remove
     from studies.keeping.wording import age, readable
 
-    paths, age_s = find_project(), age(chosen.older_than)
+    paths, age_s = find_project(chosen.storage), age(chosen.older_than)
     found = find_unused(paths, console, age_s=age_s, with_simulations=chosen.simulations)
     console.show(blocks_of(found))
     document = {

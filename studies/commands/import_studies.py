@@ -32,7 +32,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.keeping.importing import import_archive
     from studies.report.wording import count
 
-    done = import_archive(find_project(), Path(chosen.file).expanduser(), console)
+    done = import_archive(find_project(chosen.storage), Path(chosen.file).expanduser(), console)
     columns = [Column("study"), Column("new trials", True), Column("here before", True)]
     console.table(
         f"imported from {chosen.file}", columns, [[name, n, done.known[name]] for name, n in done.new.items()]

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 from project_for_tests import REPOSITORY, Run
 
-from studies.cli import COMMANDS, main
+from studies.cli import COMMANDS, EPILOG, build_parser, command_module, main
 from studies.console import Console, format_seconds
 
 HEAVY = (
@@ -59,15 +60,29 @@ def test_every_help_says_what_happens_and_gives_examples(
     assert max(map(len, explained)) <= 80
 
 
-def test_every_command_in_an_example_is_understood() -> None:
-    from studies.cli import EPILOG, build_parser, command_module
+def examples(text: str) -> list[list[str]]:
+    """Return the words of the commands that a help shows as examples."""
+    lines = [line.strip() for line in text.splitlines() if line.startswith("  studies ")]
+    return [shlex.split(re.split(r"\s{2,}", line)[0])[1:] for line in lines]
 
-    texts = [EPILOG, *(command_module(name).MORE for name in COMMANDS)]
-    examples = [line for text in texts for line in text.splitlines() if line.startswith("  studies ")]
-    assert len(examples) > 15
-    for example in examples:
-        words = re.split(r"\s{2,}", example.strip())[0].split()
-        build_parser().parse_args(words[1:])
+
+def test_every_command_in_an_example_is_understood() -> None:
+    shown = [
+        words for text in (EPILOG, *(command_module(c).MORE for c in COMMANDS)) for words in examples(text)
+    ]
+    assert len(shown) > 15
+    for words in shown:
+        build_parser().parse_args(words)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_works_on_the_storage_that_is_named(
+    new_project: Path, studies: Run, command: str
+) -> None:
+    """A storage that cannot be one tells which commands look at it before they do anything."""
+    answer = studies(*examples(command_module(command).MORE)[0], "--storage", "sqlite:///elsewhere.db")
+    assert (answer.code, answer.out) == (2, "")
+    assert "'sqlite:///elsewhere.db' is no PostgreSQL URL" in answer.err
 
 
 def test_version(studies: Run) -> None:

@@ -51,11 +51,11 @@ def test_the_project_is_found_from_below_and_by_the_variable(
     root = make_project(tmp_path / "project")
     monkeypatch.delenv("STUDIES_ROOT", raising=False)
     monkeypatch.chdir(root / "fmus" / "office")
-    assert find_project().root == root
+    assert find_project(None).root == root
     monkeypatch.chdir(tmp_path)
-    assert (find_project().root / "studies").is_dir()
+    assert (find_project(None).root / "studies").is_dir()
     monkeypatch.setenv("STUDIES_ROOT", str(root))
-    assert find_project().root == root
+    assert find_project(None).root == root
 
 
 def test_cases_are_found_by_folder_name_and_by_file_name(tmp_path: Path) -> None:
