@@ -20,6 +20,7 @@ from studies.keeping.stores import DAMAGE, KeptStudy, read_stores, read_study
 from studies.keeping.views import write_to_mlflow
 from studies.paths import ProjectPaths
 from studies.recipe import file_digest
+from studies.stages.pipeline import read_json
 from studies.tuning.champion import CHAMPION_FILE, read_champion
 from studies.tuning.trial_record import TrialRecord, best_record, replace_folder, trial_name
 from studies.tuning.trial_store import open_trials
@@ -205,20 +206,20 @@ def _take_results(source: ProjectPaths, paths: ProjectPaths, done: Imported) -> 
     labels = []
     for folder in sorted((source.mlruns / "results").glob("*/")):
         labels.append(folder.name)
-        for manifest in sorted(folder.glob("*.json")):
-            stage = manifest.stem
-            if stage.startswith("calibration-"):
+        for file in sorted(folder.glob("*.json")):
+            manifest = read_json(file) or {}
+            if manifest.get("stage") != file.stem:
                 continue
-            numbers = folder / f"{stage.replace('calibrate-', 'calibration-')}.json"
-            files = [file for file in (numbers, numbers.with_suffix(".npz"), manifest) if file.is_file()]
-            place = paths.results(folder.name)
-            if (place / manifest.name).is_file():
-                if file_digest(place / manifest.name) != file_digest(manifest):
-                    done.notes.append(f"{folder.name}/{stage}: finished here, yours stays")
+            place, name = paths.results(folder.name) / file.name, f"{folder.name}/{file.stem}"
+            if place.is_file():
+                if file_digest(place) != file_digest(file):
+                    done.notes.append(f"{name}: finished here, yours stays")
                 continue
-            for file in dict.fromkeys(files):  # the manifest last: with it the stage is finished
-                _copy_new(file, place / file.name, replaced=True)
-            done.stages.append(f"{folder.name}/{stage}")
+            made = [source.root / one for one in manifest["files"]]
+            # The manifest last: with it the stage is finished. Files elsewhere come with their studies.
+            for one in [*(one for one in made if one.parent == folder and one.is_file()), file]:
+                _copy_new(one, place.with_name(one.name), replaced=True)
+            done.stages.append(name)
     return labels
 
 

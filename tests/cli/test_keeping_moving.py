@@ -9,6 +9,7 @@ import tarfile
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from kept_project import LABEL, bad_findings, contents, copy_project, enter, flip, the_study, trial_folder
 from project_for_tests import TINY_PROFILE, Run, make_project
@@ -69,6 +70,37 @@ def test_a_study_is_the_same_in_another_project(
     again = studies("import", str(file), "--json").document
     assert (again["new"], again["known"]) == ({entry.name: 0}, {entry.name: 3})
     assert numbers_of(other) == wanted
+
+
+def test_a_stage_is_finished_elsewhere_with_all_its_files_or_not_at_all(
+    paths: ProjectPaths, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    made_up = {
+        "sensitivity": ["sensitivity"],
+        "uncertainty-n0016": ["posterior-n0016", "posterior-n0016-rows"],
+    }
+    for stage, stems in made_up.items():
+        files = [paths.results(LABEL) / f"{stem}.npz" for stem in stems]
+        for file in files:
+            np.savez(file, numbers=np.arange(3))
+        sizes = {paths.relative(file): file.stat().st_size for file in files}
+        told = {"stage": stage, "digest": stage, "summary": {}, "files": sizes, "wall_s": 1.0}
+        told |= {"finished": "2026-01-01T00:00:00+00:00", "recipe": {}, "environment": {}}
+        (paths.results(LABEL) / f"{stage}.json").write_text(json.dumps(told))
+    file = tmp_path / "study.tar.gz"
+    assert studies("export", LABEL, "--to", str(file)).code == 0
+    other = clean_project(tmp_path / "other", monkeypatch)
+
+    def killed(source: Path, place: Path) -> None:
+        if source.name == "sensitivity.npz":
+            raise KeyboardInterrupt
+        shutil.copyfile(source, place)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.keeping.importing.shutil.copy2", killed)
+        assert studies("import", str(file)).code == 130
+    assert studies("import", str(file)).code == 0
+    assert contents(other.results(LABEL)) == contents(paths.results(LABEL))
 
 
 def test_a_study_goes_to_a_server_and_back(
