@@ -17,8 +17,8 @@ from studies.tracking.origin import versions
 FORMAT: Final = 1
 MANIFEST: Final = "archive.json"
 _BLOCK: Final = 2**20
-_TOPS: Final = ("mlruns", "data")
-"""Folders of a project that an archive may hold files of."""
+_TOPS: Final = (("mlruns",), ("data",))
+"""First parts of the names that an archive may hold."""
 
 
 def pack(folder: Path, file: Path, said: Mapping[str, Any], on_progress: OnProgress) -> int:
@@ -112,7 +112,7 @@ def _plain(member: tarfile.TarInfo) -> tarfile.TarInfo:
 def _place(file: Path, folder: Path, member: tarfile.TarInfo) -> Path:
     name = PurePosixPath(member.name)
     is_inside = not name.is_absolute() and ".." not in name.parts and "\\" not in member.name
-    is_ours = member.name == MANIFEST or name.parts[0] in _TOPS
+    is_ours = member.name == MANIFEST or name.parts[:1] in _TOPS
     if not (member.isfile() and is_inside and is_ours):
         raise InputError(f"{file} holds {member.name!r}, which is none of ours; nothing was imported")
     return folder / name

@@ -168,13 +168,15 @@ def test_a_trial_that_says_something_else_stops_the_import(
 def test_archives_that_cannot_be_trusted_are_refused_in_one_line(
     archive: Path, paths: ProjectPaths, tmp_path: Path, studies: Run
 ) -> None:
-    damaged, cut, newer, evil, other = (tmp_path / f"{name}.tar.gz" for name in "abcde")
+    damaged, cut, newer, evil, other, ordinary = (tmp_path / f"{name}.tar.gz" for name in "abcdef")
     shutil.copy(archive, damaged)
     flip(damaged)
     cut.write_bytes(archive.read_bytes()[:-2000])
     write_tar(newer, {"archive.json": b'{"format": 99, "files": {}}'})
     write_tar(evil, {"../../evil.txt": b"x", "archive.json": b'{"format": 1, "files": {}}'})
     write_tar(other, {"archive.json": b'{"format": 1, "files": {"mlruns/x": {"sha256": "", "size": 0}}}'})
+    with tarfile.open(ordinary, "w:gz") as made:
+        made.add(paths.fmus, ".")
     before = contents(paths.mlruns)
     for file, said in (
         (damaged, "copy"),  # the checksum's word or that of the compression, as the byte happens to lie
@@ -182,6 +184,7 @@ def test_archives_that_cannot_be_trusted_are_refused_in_one_line(
         (newer, "is of format 99, this version reads 1"),
         (evil, "holds '../../evil.txt', which is none of ours; nothing was imported"),
         (other, "mlruns/x is missing"),
+        (ordinary, "holds '.', which is none of ours; nothing was imported"),
         (tmp_path / "nothing.tar.gz", "there is no file"),
         (tmp_path, "is a folder; give an archive"),
     ):
