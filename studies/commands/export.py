@@ -39,7 +39,9 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.report.wording import count
 
     file = Path(chosen.to).expanduser()
-    made = export(find_project(chosen.storage), chosen.which, file, console, with_simulations=chosen.with_simulations)
+    made = export(
+        find_project(chosen.storage), chosen.which, file, console, with_simulations=chosen.with_simulations
+    )
     parts = [count(len(made.studies), "study", "studies"), count(made.n_trials, "trial")]
     parts += [count(len(made.stages), "stage")] if made.stages else []
     parts += [count(made.n_rows, "simulation")] if made.n_rows else []
