@@ -14,6 +14,7 @@ from simulation.parameters import ParameterSpace
 from simulation.partly_fixed import PartlyFixedModel
 from studies.console import Column
 from studies.physical_model import open_physical_model
+from studies.recipe import file_digest
 from studies.report.wording import MISSING, count, difference_unit, percent, quantity, squared
 from studies.stages.knowledge import prior_of
 from studies.stages.pipeline import Study, digest_of, read_json
@@ -249,9 +250,11 @@ def _cost(study: Study, found: Mapping[str, Any], check: Mapping[str, Any] | Non
 
 
 def _sobol_digest(study: Study) -> str:
-    """Return the digest of stored Sobol indices of this case, "" where there are none."""
-    manifest = read_json(study.results / "sensitivity.json")
-    is_there = manifest is not None and manifest["inputs"]["case"] == study.case.digest
-    if manifest is None or not is_there or not (study.results / "sensitivity.npz").is_file():
+    """Return the digest of stored Sobol indices of this case, "" where there are none.
+
+    It is that of the indices themselves: done again, the same settings may come to others.
+    """
+    manifest, file = read_json(study.results / "sensitivity.json"), study.results / "sensitivity.npz"
+    if manifest is None or manifest["inputs"]["case"] != study.case.digest or not file.is_file():
         return ""
-    return str(manifest["digest"])
+    return file_digest(file)

@@ -1,6 +1,7 @@
 """What the user knows: priors in the case file, and parameters fixed because they matter least."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
 
 from simulation.case import load_case
 from studies.doctor.declared import look_at_declaration
+from studies.sensitivity import SobolIndices
 
 ADAPTIVE = ("calibrate", "office", "--jobs", "1")
 PRIOR = 'name = "UWin"\nprior = { about = 0.75, within_factor = 1.05 }\n'
@@ -133,6 +135,12 @@ def test_stored_sobol_indices_say_it_without_a_call(project: Path, studies: Run)
     told = studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9").out
     assert "the stored Sobol indices had cost 128 calls" in told
     assert "not known, the budget held no check of it" in told
+    file = project / "mlruns" / "results" / "office-sobol" / "sensitivity.npz"
+    indices = SobolIndices.load(file)
+    replace(indices, total_order=indices.total_order[..., ::-1]).save(file)  # done again, other rows failed
+    again = studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9", "--json").stage
+    assert not again["finished_before"]
+    assert again["restriction"]["fixed"] != found["restriction"]["fixed"]
 
 
 def test_the_papers_method_fixes_them_in_surrogate_and_model(
