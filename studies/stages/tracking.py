@@ -12,7 +12,7 @@ from studies.paths import ProjectPaths
 from studies.recipe import Recipe, memory_tags
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Study, Summary
-from studies.stages.results import StoredCalibration, calibration_record, measured_series
+from studies.stages.results import StoredCalibration, calibration_record, measured_series, n_free_of
 from studies.tracking.tracker import StageRun, Tracker, open_tracker
 
 
@@ -111,6 +111,7 @@ def _log_with_figures(
 
     numbers = stored.numbers
     record, measured = calibration_record(stored), measured_series(study.case)
+    n_free = n_free_of(numbers)
     metrics = {**run.metrics, "calls/all": numbers["ledger"]["total_honest"]}
     if "validation" in numbers:
         metrics["mse/validation"] = numbers["validation"]["points"][point]["mse"]
@@ -130,6 +131,7 @@ def _log_with_figures(
                     "case": study.case.name,
                     "case_sha256": study.case.digest,
                     **run.tags,
+                    **({} if n_free is None else {"n_free": n_free}),
                     **memory_tags(
                         recipe=numbers["recipe"],
                         environment=numbers["environment"],

@@ -108,13 +108,9 @@ def _size(study: Run, trials: Sequence[Run], calibrations: Sequence[Run]) -> Siz
     """Put together what is known of one size, from its trials: its study may still be running."""
     best, default = best_run(trials), default_run(trials)
     states = [run.data.tags.get("state") for run in trials]
-    n_train = study.data.tags["n_train"]
-    used = [
-        run for run in calibrations if run.data.tags.get("n_train") == n_train and run.data.tags.get("whole")
-    ]
-    calibration = used[0] if used else None
+    calibration = next((run for run in calibrations if _is_of(run, study)), None)
     return SizeResult(
-        n_train=int(n_train),
+        n_train=int(study.data.tags["n_train"]),
         run_id=study.info.run_id,
         status=study.info.status,
         best_run_id=best.info.run_id if best else "",
@@ -131,6 +127,13 @@ def _size(study: Run, trials: Sequence[Run], calibrations: Sequence[Run]) -> Siz
         mse=_metric(calibration, "mse/polished"),
         n_calls=_metric(calibration, "calls/all"),
     )
+
+
+def _is_of(calibration: Run, study: Run) -> bool:
+    """Say whether a calibration is written whole, of all parameters and with the surrogate of a study."""
+    tags = calibration.data.tags
+    is_ours = tags.get("surrogate_study") == study.data.tags["study_key"]
+    return is_ours and "whole" in tags and "n_free" not in tags
 
 
 def best_run(trials: Sequence[Run]) -> Run | None:

@@ -4,7 +4,7 @@ import logging
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,7 +53,7 @@ def register_champion(
         )
     versions = client.search_model_versions(f"name = '{name}'")
     known = [version for version in versions if version.tags.get(_IDENTITY) == identity]
-    version = known[0] if known else _create_version(client, info, folder, name, identity, run_id, wake)
+    version = known[0] if known else _create_version(client, spec, info, folder, identity, run_id, wake)
     if present is not None:
         client.set_registered_model_alias(name, PREVIOUS, present.version)
     client.set_registered_model_alias(name, ALIAS, version.version)
@@ -61,9 +61,9 @@ def register_champion(
 
 def _create_version(
     client: "MlflowClient",
+    spec: StudySpec,
     info: ChampionInfo,
     folder: Path,
-    name: str,
     identity: str,
     run_id: str,
     wake: Callable[[], None],
@@ -75,7 +75,7 @@ def _create_version(
         _save_model(info, folder, model, Path(scratch) / "code", run_id=run_id, place=place)
         client.log_artifacts(run_id, str(model), place)
     return client.create_model_version(
-        name,
+        model_name(spec.label, spec.n_train),
         source=f"{client.get_run(run_id).info.artifact_uri}/{place}",
         run_id=run_id,
         tags={
@@ -86,7 +86,7 @@ def _create_version(
             "case_sha256": info.digests["case"],
             **{metric.replace("/", "_"): f"{value:.6g}" for metric, value in info.metrics.items()},
         },
-        description=_description(info),
+        description=_description(info, spec.search.names),
     )
 
 
@@ -179,8 +179,10 @@ def _public_version(package: str) -> str:
     return version(package).split("+")[0]  # "2.13.0+cpu" is not to be had from every index
 
 
-def _description(info: ChampionInfo) -> str:
+def _description(info: ChampionInfo, searched: Sequence[str]) -> str:
     unit = difference_unit(info.output_unit)
     errors = ", ".join(f"{name} {value:.4g} {unit}" for name, value in info.metrics.items())
-    settings = ", ".join(f"{name} {info.config[name]:g}" for name in ("n_latent", "n_hidden", "beta"))
-    return f"Trial {info.index} of {info.study}: {settings}. {errors}. {info.note}"
+    settings = ", ".join(f"{name} {info.config[name]:g}" for name in searched)
+    return ". ".join(
+        part for part in (f"Trial {info.index} of {info.study}", settings, errors, info.note) if part
+    )

@@ -11,8 +11,8 @@ from urllib.parse import unquote, urlparse
 
 from studies.paths import ProjectPaths
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import Param, Run, connect, make_database
-from studies.tracking.tracker import RunStatus
+from studies.tracking.quiet_mlflow import Metric, Param, Run, connect, make_database
+from studies.tracking.tracker import History, RunStatus
 from studies.tuning.claim import is_dead, this_machine, this_owner
 from studies.tuning.trial_store import named_lock, open_trials
 
@@ -22,6 +22,7 @@ GRACE_S = 900.0
 """A run of another machine that was not heard of for so long is taken for abandoned; news wakes it again."""
 
 _LOOK_PERIOD_S = 30.0
+_N_CURVE_POINTS = 40  # a trial's curves fit in one call, which MLflow limits to 1,000 metrics
 _INTERRUPTED = "interrupted"
 logger = logging.getLogger(__name__)
 
@@ -175,13 +176,31 @@ def params(values: Mapping[str, Any]) -> list[Param]:
     return [Param(name, str(value)[:6000]) for name, value in values.items()]
 
 
-def thinned(curve: Sequence[tuple[int, float]], n_points: int) -> list[tuple[int, float]]:
+def thinned(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
     """Keep so many points of a curve that a chart of it looks the same, its ends among them."""
-    if len(curve) <= n_points:
+    if len(curve) <= _N_CURVE_POINTS:
         return list(curve)
     last = len(curve) - 1
-    kept = sorted({round(i * last / (n_points - 1)) for i in range(n_points)})
+    kept = sorted({round(i * last / (_N_CURVE_POINTS - 1)) for i in range(_N_CURVE_POINTS)})
     return [curve[i] for i in kept]
+
+
+def curve_points(history: History, start_ms: int, end_ms: int) -> list[Metric]:
+    """Return a training's learning curves, thinned, as metrics over its epochs.
+
+    Args:
+        history: the curves; "epoch" tells where their points lie.
+        start_ms: when the training began. [ms since 1970]
+        end_ms: when it ended. [ms since 1970]
+    """
+    epochs = [int(epoch) for epoch in history.get("epoch", [])]
+    points = []
+    for name, curve in history.items():
+        if name != "epoch":
+            for epoch, value in thinned(list(zip(epochs, map(float, curve), strict=True))):
+                at = start_ms + round((end_ms - start_ms) * epoch / epochs[-1])
+                points.append(Metric(f"curve/{name}", value, at, epoch))
+    return points
 
 
 def ms(seconds: float) -> int:

@@ -5,6 +5,7 @@ machine: a trial's run is found by its key under the study's lock, so that two m
 """
 
 import json
+import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -19,16 +20,14 @@ from studies.tracking.mlflow_datasets import dataset_inputs
 from studies.tracking.mlflow_notes import best_sentence, study_note, study_numbers
 from studies.tracking.mlflow_overview import NOTE, OverviewClock, update_overview
 from studies.tracking.mlflow_registry import fetch_champion, register_champion
-from studies.tracking.mlflow_runs import TERMINAL, RunStore, ms, params, thinned
+from studies.tracking.mlflow_runs import TERMINAL, RunStore, curve_points, ms, params, thinned
 from studies.tracking.mlflow_view import ON_BOARD, run_address, view_tags
-from studies.tracking.quiet_mlflow import Metric, RunTag
+from studies.tracking.quiet_mlflow import Metric, Run, RunTag
 from studies.tracking.tracker import History, RunStatus, StageRun
 from studies.tuning.study_spec import StudySpec, StudySummary
 from studies.tuning.trial_record import TrialRecord
 
-N_CURVE_POINTS = 40  # per curve: a trial's curves fit in one call, which MLflow limits to 1,000 metrics
 _STATUS: dict[str, RunStatus] = {"complete": "FINISHED", "pruned": "KILLED", "failed": "FAILED"}
-_BEST_SETTINGS = ("n_latent", "n_hidden", "beta", "learning_rate")
 
 
 class MlflowTracker:
@@ -96,7 +95,7 @@ class MlflowTracker:
         self.client.log_batch(run_id, metrics=metrics)
         pictures = self._draw(spec, run_id) if status == "FINISHED" else []
         said: dict[str, Any] = {"best_trial": summary.best_index, "n_trials": summary.n_trials}
-        said |= {f"best_{name}": summary.best_config.get(name) for name in _BEST_SETTINGS}
+        said |= {f"best_{name}": summary.best_config.get(name) for name in spec.search.names}
         if summary.best_index is not None:
             page, words = self.runs.experiment(spec.label), str.maketrans("_", " ")
             places = {
@@ -125,15 +124,20 @@ class MlflowTracker:
         )
 
     def log_stage(self, stage: StageRun) -> None:
-        """Write a stage as a run of its own, or complete the run an interruption left."""
+        """Write a stage as a run of its own, or complete the run an interruption left.
+
+        A stage that came to other numbers when it was done again is another run.
+        """
         with self.runs.lock(f"{stage.label}/{stage.kind}"):
             found = self.runs.find(stage.label, {"stage_key": stage.key, "role": stage.kind})
-            if any(run.info.status in TERMINAL and run.data.tags.get("whole") == "yes" for run in found):
+            whole = [r for r in found if r.info.status in TERMINAL and r.data.tags.get("whole") == "yes"]
+            if any(_tells(run, stage) for run in whole):
                 return
+            begun = [run for run in found if run not in whole]
             start = ms(stage.started_s if stage.started_s is not None else time.time() - stage.wall_s)
             end = start + round(1000 * stage.wall_s)
-            if found:
-                run_id = found[0].info.run_id
+            if begun:
+                run_id = begun[0].info.run_id
             else:
                 tags = {"role": stage.kind, "stage_key": stage.key, "label": stage.label, **stage.tags}
                 tags |= {NOTE: stage.note} if stage.note else {}
@@ -155,7 +159,7 @@ class MlflowTracker:
             numbers["n_train"] = float(stage.tags["n_train"])
         metrics = [Metric(name, float(value), end, 0) for name, value in numbers.items()]
         for name, curve in stage.curves.items():
-            points = thinned(curve, N_CURVE_POINTS)
+            points = thinned(curve)
             metrics += [Metric(name, float(value), end, int(step)) for step, value in points]
         for first in range(0, len(metrics), 1000):
             self.client.log_batch(run_id, metrics=metrics[first : first + 1000])
@@ -237,7 +241,7 @@ class MlflowTracker:
         }
         start, end = ms(record.started_s), ms(record.ended_s)
         metrics = [Metric(name, float(value), end, 0) for name, value in results.items()]
-        metrics += _curves(history, start, end)
+        metrics += curve_points(history, start, end)
         settings = {**record.config, "seed": record.seed, "n_train": record.n_train}
         self.client.log_batch(run_id, metrics=metrics, params=params(settings))
         self.runs.finish(run_id, _STATUS[record.state], end)
@@ -288,12 +292,8 @@ def _study_tags(spec: StudySpec) -> dict[str, str]:
     }
 
 
-def _curves(history: History, start_ms: int, end_ms: int) -> list[Metric]:
-    epochs = [int(epoch) for epoch in history.get("epoch", [])]
-    points = []
-    for name, curve in history.items():
-        if name != "epoch":
-            for epoch, value in thinned(list(zip(epochs, map(float, curve), strict=True)), N_CURVE_POINTS):
-                at = start_ms + round((end_ms - start_ms) * epoch / epochs[-1])
-                points.append(Metric(f"curve/{name}", value, at, epoch))
-    return points
+def _tells(run: Run, stage: StageRun) -> bool:
+    """Say whether a run has a stage's results."""
+    numbers = {name: float(value) for name, value in stage.metrics.items()}
+    told = run.data.metrics
+    return all(told.get(name) == value for name, value in numbers.items() if math.isfinite(value))

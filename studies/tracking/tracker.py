@@ -34,7 +34,8 @@ class StageRun:
         label: label of the study; MLflow's experiment.
         kind: what it is, for example "calibration" or "sensitivity".
         name: name a user reads, for example "n0064 calibration".
-        key: digest of the stage's inputs; a stage already logged under it is not logged again.
+        key: digest of the stage's inputs; a stage already logged under it with the same metrics is not
+            logged again.
         params: settings.
         metrics: results, one number each.
         curves: results over steps: pairs of step and value, for example the best MSE over model calls.

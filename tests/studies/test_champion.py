@@ -15,6 +15,7 @@ from tuning_checks import ignore
 from simulation.errors import InputError
 from simulation.store.row_set import RowSet
 from studies.paths import ProjectPaths
+from studies.search_ranges import SearchRanges
 from studies.tracking.mlflow_registry import model_name
 from studies.tracking.mlflow_tracker import MlflowTracker
 from studies.tracking.tracker import NullTracker
@@ -135,6 +136,19 @@ def test_registered_champion_has_the_alias_and_one_version(
     assert len(tracker.client.search_model_versions(f"name = '{name}'")) == 1
     version = tracker.client.get_model_version_by_alias(name, "champion")
     assert version.tags["case_sha256"] == CASE
+
+
+def test_a_registered_model_tells_the_settings_that_were_tuned(
+    tracker: MlflowTracker, original: tuple[StudySpec, Path, Path]
+) -> None:
+    spec, _, folder = original
+    spec = replace(spec, search=SearchRanges(n_layers=(2, 3)))
+    tracker.start_study(spec, n_trials=3)
+    tracker.register_champion(spec, folder)
+    version = tracker.client.get_model_version_by_alias("toy-small-n0016", "champion")
+    info = read_champion(folder)
+    assert version.description.startswith(f"Trial {info.index} of {info.study}. n_layers ")
+    assert "beta" not in version.description
 
 
 def test_new_champion_leaves_the_old_one_as_previous(

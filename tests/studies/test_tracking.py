@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tuning_checks import ignore
 
 from studies.paths import ProjectPaths
 from studies.report.wording import significant
+from studies.search_ranges import SearchRanges
 from studies.tracking.mlflow_runs import RunStore
 from studies.tracking.mlflow_tracker import MlflowTracker
 from studies.tracking.tracker import NullTracker, PatientTracker, StageRun, Tracker
@@ -228,6 +230,44 @@ def test_stage_is_a_run_with_curve_and_figures(tracker: MlflowTracker, tmp_path:
         "figures/polish.png"
     ]
     assert math.isclose(run.data.metrics["calibration/best_mse"], 0.01)
+
+
+def test_a_stage_that_came_to_other_numbers_is_another_run(tracker: MlflowTracker) -> None:
+    first = StageRun("toy-small", "sensitivity", "sensitivity", "k1", metrics={"a": 0.1, "b": math.inf})
+    second = replace(first, metrics={**first.metrics, "a": 0.2})
+    for stage in (first, second, second, first):
+        tracker.log_stage(stage)
+    told = [run.data.metrics["a"] for run in runs(tracker, "tags.role = 'sensitivity'")]
+    assert sorted(told) == [0.1, 0.2]
+
+
+def test_a_study_is_credited_with_its_own_surrogates_calibration_alone(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path]
+) -> None:
+    spec, folder = study
+    tell_all(tracker, spec, folder)
+
+    def calibrate(name: str, mse: float, **tags: Any) -> None:
+        numbers = {"mse/polished": mse, "calls/all": 100}
+        tags = {"n_train": 16, **tags}
+        tracker.log_stage(StageRun("toy-small", "calibration", name, name, metrics=numbers, tags=tags))
+
+    calibrate("ours", 0.25, surrogate_study=spec.name)
+    calibrate("of few parameters", 0.5, surrogate_study=spec.name, n_free=3)
+    calibrate("with another surrogate", 0.75, surrogate_study="toy-small/n0016/00000000")
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    history = tracker.client.get_metric_history(parent.info.run_id, "calibrated/mse")
+    assert {point.value for point in history} == {0.25}
+
+
+def test_a_study_tells_the_settings_that_it_tuned(
+    tracker: MlflowTracker, study: tuple[StudySpec, Path]
+) -> None:
+    spec, folder = study
+    tell_all(tracker, replace(spec, search=SearchRanges(n_layers=(2, 3))), folder)
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    told = {name for name in parent.data.tags if name.startswith("best_")}
+    assert told == {"best_trial", "best_n_layers"}
 
 
 def test_store_broken_in_the_middle_does_not_stop_a_study(
