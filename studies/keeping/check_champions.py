@@ -13,7 +13,7 @@ from studies.keeping.finding import StoreFinding, ok
 from studies.keeping.stores import KeptStudy, Stores
 from studies.paths import size_name
 from studies.report.wording import count
-from studies.tuning.champion import CHAMPION_FILE, SCHEMA, read_champion
+from studies.tuning.champion import CHAMPION_FILE, SCHEMA, crown, read_champion, restore_champion
 
 STORE = "champions"
 
@@ -103,17 +103,17 @@ def _schema(folder: Path) -> object:
 
 
 def _crown(stores: Stores, study: KeptStudy) -> str:
-    from studies.keeping.views import crown, tracker_of
-    from studies.tuning.champion import restore_champion
+    from studies.keeping.views import tracker_of
 
     place = stores.paths.champion(study.entry.label, study.entry.n_train)
     where = stores.paths.show(place)
-    if study.best is not None and crown(study, study.best):
+    if study.best is not None and crown(stores.paths, study.spec, study.best):
         return f"{where}: written from trial {study.best.index} of {study.name}"
     if not place.is_dir():
-        tracker = tracker_of(stores.paths)
-        label, n_train = study.entry.label, study.entry.n_train
-        if restore_champion(place, lambda folder: tracker.fetch_champion(label, n_train, folder)):
+        tracker, label, n_train = tracker_of(stores.paths), study.entry.label, study.entry.n_train
+        if restore_champion(
+            stores.paths, label, n_train, lambda folder: tracker.fetch_champion(label, n_train, folder)
+        ):
             return f"{where}: fetched from MLflow's registry"
     best = study.best.key if study.best else study.name
     return f"{where}: the weights are nowhere; type: studies reproduce {best}"

@@ -21,7 +21,7 @@ from studies.keeping.views import write_to_mlflow
 from studies.paths import ProjectPaths
 from studies.recipe import file_digest
 from studies.stages.pipeline import read_json
-from studies.tuning.champion import CHAMPION_FILE, read_champion
+from studies.tuning.champion import CHAMPION_FILE, champion_lock, read_champion
 from studies.tuning.trial_record import TrialRecord, best_record, replace_folder, trial_name
 from studies.tuning.trial_store import open_trials
 
@@ -194,10 +194,11 @@ def _take_champions(
                     done.notes.append(f"{where}: the champion here ({present}) stays")
                     continue
         scratch = place.with_name(f".{place.name}-new")
-        shutil.rmtree(scratch, ignore_errors=True)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(file.parent, scratch)
-        replace_folder(scratch, place)
+        with champion_lock(paths, theirs.label, theirs.n_train):
+            shutil.rmtree(scratch, ignore_errors=True)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copytree(file.parent, scratch)
+            replace_folder(scratch, place)
         done.champions.append(where)
 
 

@@ -1,7 +1,6 @@
 """Write Optuna's and MLflow's views of the studies, and the champions, again from the records."""
 
 import shutil
-import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -11,8 +10,8 @@ from studies.keeping.versions import require_mlflow_version
 from studies.paths import ProjectPaths
 from studies.tracking.mlflow_tracker import MlflowTracker
 from studies.tracking.tracker import History
-from studies.tuning.champion import read_champion, write_champion
-from studies.tuning.trial_record import SURROGATE_FOLDER, TrialRecord, summarize, trial_name
+from studies.tuning.champion import read_champion
+from studies.tuning.trial_record import TrialRecord, summarize
 
 
 @cache
@@ -51,18 +50,6 @@ def write_to_mlflow(study: KeptStudy) -> None:
 
 def _history(study: KeptStudy, record: TrialRecord) -> Callable[[], History]:
     return lambda: study.store.history(record.index)
-
-
-def crown(study: KeptStudy, best: TrialRecord) -> bool:
-    """Make a study's best surrogate the champion of its size; return whether its weights are there."""
-    folder = study.paths.champion(study.entry.label, study.entry.n_train)
-    with tempfile.TemporaryDirectory(prefix="studies-champion-") as scratch:
-        surrogate = Path(scratch) / trial_name(best.index) / SURROGATE_FOLDER
-        surrogate.mkdir(parents=True)
-        if not study.store.fetch_surrogate(best.index, surrogate):
-            return False
-        write_champion(study.spec, best, study_folder=Path(scratch), folder=folder)
-    return True
 
 
 def remove_folder(folder: Path) -> None:

@@ -240,7 +240,10 @@ def _restore(study: Study, n_train: int) -> None:
     if (folder / CHAMPION_FILE).is_file() or not has_tracking:
         return
     restore_champion(
-        folder, lambda scratch: tracker_of(study.paths).fetch_champion(study.label, n_train, scratch)
+        study.paths,
+        study.label,
+        n_train,
+        lambda scratch: tracker_of(study.paths).fetch_champion(study.label, n_train, scratch),
     )
 
 

@@ -3,16 +3,20 @@
 import hashlib
 import json
 import shutil
+import tempfile
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from simulation.errors import InputError
+from studies.paths import ProjectPaths, size_name
 from studies.tracking.origin import versions
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import SURROGATE_FOLDER, TrialRecord, replace_folder, trial_name, write_json
+from studies.tuning.trial_store import named_lock, open_trials
 
 if TYPE_CHECKING:
     from pelsvae.surrogate import Surrogate
@@ -84,6 +88,36 @@ class ChampionInfo:
         return asdict(self)
 
 
+def champion_lock(paths: ProjectPaths, label: str, n_train: int) -> AbstractContextManager[Any]:
+    """Return the lock under which the champion of a size is replaced; taking it waits."""
+    return named_lock(paths, f"champion/{label}/{size_name(n_train)}")
+
+
+def crown(paths: ProjectPaths, spec: StudySpec, best: TrialRecord, run_id: str = "") -> bool:
+    """Make a study's best surrogate the champion of its size.
+
+    Args:
+        paths: the project.
+        spec: the study.
+        best: its best trial.
+        run_id: MLflow run of that trial.
+
+    Returns:
+        Whether its weights are there.
+    """
+    with (
+        champion_lock(paths, spec.label, spec.n_train),
+        tempfile.TemporaryDirectory(prefix="studies-champion-") as scratch,
+    ):
+        surrogate = Path(scratch) / trial_name(best.index) / SURROGATE_FOLDER
+        surrogate.mkdir(parents=True)
+        if not open_trials(paths, spec).fetch_surrogate(best.index, surrogate):
+            return False
+        folder = paths.champion(spec.label, spec.n_train)
+        write_champion(spec, best, study_folder=Path(scratch), folder=folder, run_id=run_id)
+    return True
+
+
 def write_champion(
     spec: StudySpec, record: TrialRecord, *, study_folder: Path, folder: Path, run_id: str = ""
 ) -> bool:
@@ -93,7 +127,7 @@ def write_champion(
         spec: the study.
         record: its best trial, whose weights are still there.
         study_folder: folder of the study's trials.
-        folder: the champion's folder; replaced in one step.
+        folder: the champion's folder; empty for a moment while it is replaced, never half filled.
         run_id: MLflow run of the trial.
 
     Returns:
@@ -203,11 +237,13 @@ def load_champion(
         raise InputError(f"the champion in {folder} cannot be loaded: {error}") from None
 
 
-def restore_champion(folder: Path, fetch: Callable[[Path], bool]) -> bool:
+def restore_champion(paths: ProjectPaths, label: str, n_train: int, fetch: Callable[[Path], bool]) -> bool:
     """Bring back a missing champion folder from a copy kept elsewhere, such as the model registry.
 
     Args:
-        folder: where it shall lie.
+        paths: the project.
+        label: label of the study.
+        n_train: training-set size.
         fetch: copies the files into a given empty folder; returns whether there was a copy.
 
     Returns:
@@ -216,17 +252,19 @@ def restore_champion(folder: Path, fetch: Callable[[Path], bool]) -> bool:
     Raises:
         InputError: the copy is damaged.
     """
+    folder = paths.champion(label, n_train)
     scratch = folder.with_name(f".{folder.name}-new")
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir(parents=True)
-    try:
-        if not fetch(scratch):
-            return False
-        read_champion(scratch)
-        replace_folder(scratch, folder)
-        return True
-    finally:
+    with champion_lock(paths, label, n_train):
         shutil.rmtree(scratch, ignore_errors=True)
+        scratch.mkdir(parents=True)
+        try:
+            if not fetch(scratch):
+                return False
+            read_champion(scratch)
+            replace_folder(scratch, folder)
+            return True
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _as_declared(value: Any) -> Any:

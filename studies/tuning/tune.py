@@ -1,24 +1,22 @@
 """Tune the surrogates of several training-set sizes at once: one Optuna study each, in worker processes."""
 
 import logging
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import TypeVar
 
 from simulation.errors import InputError
 from simulation.workers.parallel import available_cores
 from studies.paths import ProjectPaths
 from studies.tracking.tracker import NullTracker, Tracker
-from studies.tuning.champion import write_champion
+from studies.tuning.champion import crown
 from studies.tuning.crew import Crew
 from studies.tuning.outage import wait_out
 from studies.tuning.postgres import database
 from studies.tuning.study_spec import StudySpec, StudySummary, TuneEvent
 from studies.tuning.study_store import StudyStore
-from studies.tuning.trial_record import SURROGATE_FOLDER, TrialRecord, best_record, summarize, trial_name
+from studies.tuning.trial_record import TrialRecord, best_record, summarize
 from studies.tuning.trial_store import StudyEntry, TrialStore, open_trials
 
 _T = TypeVar("_T")
@@ -38,9 +36,9 @@ def tune(
     """Bring every study to `n_trials` finished trials and crown its best surrogate.
 
     Studies run side by side, the largest training set first, and of each study so many trials as its
-    `n_parallel` says; other commands, also on other machines with the same storage, may work on them too. A
-    trial is trained with one thread. What the trials are depends neither on `n_jobs` nor on who trains them,
-    on interruptions or on how often a study was extended.
+    `n_parallel` says; other commands, also on other machines with the same storage, may work on them too.
+    What the trials are depends neither on `n_jobs` nor on who trains them, on interruptions or on how often a
+    study was extended.
 
     Args:
         studies: the studies.
@@ -156,7 +154,7 @@ class _Desk:
         champion = None
         if best is not None:
             champion = self._paths.champion(spec.label, spec.n_train)
-            self._crown(spec, best, champion)
+            self._crown(spec, best)
             self._tracker.register_champion(spec, champion)
         summary = summarize(spec, records, champion)
         self._tracker.finish_study(spec, summary, "FINISHED")
@@ -185,16 +183,10 @@ class _Desk:
             away_s, self._away_since_s = time.monotonic() - self._away_since_s, None
             logger.warning("going on after %.0f s of waiting; nothing is lost", away_s)
 
-    def _crown(self, spec: StudySpec, best: TrialRecord, champion: Path) -> None:
-        def crown() -> None:
-            with tempfile.TemporaryDirectory(prefix="studies-champion-") as scratch:
-                surrogate = Path(scratch) / trial_name(best.index) / SURROGATE_FOLDER
-                surrogate.mkdir(parents=True)
-                self._trials[spec.name].fetch_surrogate(best.index, surrogate)
-                run_id = self._tracker.trial_run_id(spec, best.key)
-                write_champion(spec, best, study_folder=Path(scratch), folder=champion, run_id=run_id)
-
-        self._patiently(crown)
+    def _crown(self, spec: StudySpec, best: TrialRecord) -> None:
+        run_id = self._tracker.trial_run_id(spec, best.key)
+        if not self._patiently(lambda: crown(self._paths, spec, best, run_id)):
+            raise InputError(f"the weights of {best.key} are gone; type: studies doctor --repair")
 
     def _track_trial(self, spec: StudySpec, record: TrialRecord) -> None:
         store = self._trials[spec.name]

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +19,11 @@ from studies.paths import ProjectPaths
 from studies.search_ranges import SearchRanges
 from studies.tracking.mlflow_registry import model_name
 from studies.tracking.mlflow_tracker import MlflowTracker
-from studies.tracking.tracker import NullTracker
+from studies.tracking.tracker import NullTracker, Tracker
 from studies.tuning.champion import (
     ChampionInfo,
+    champion_lock,
+    crown,
     load_champion,
     read_champion,
     restore_champion,
@@ -29,6 +32,7 @@ from studies.tuning.champion import (
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import best_record, read_records
 from studies.tuning.trial_worker import run_study
+from studies.tuning.tune import tune
 
 MakeSpec = Callable[..., StudySpec]
 CASE = "c" * 64
@@ -42,7 +46,7 @@ def original(make_spec: MakeSpec, tmp_path_factory: pytest.TempPathFactory) -> t
     spec = make_spec()
     run_study(spec, paths=paths, n_trials=3, emit=ignore)
     folder = mlruns / "champions" / "n0016"
-    crown(spec, spec.folder(mlruns), folder)
+    write_best(spec, spec.folder(mlruns), folder)
     return spec, spec.folder(mlruns), folder
 
 
@@ -52,7 +56,7 @@ def champion(original: tuple[StudySpec, Path, Path], tmp_path: Path) -> Path:
     return Path(shutil.copytree(original[2], tmp_path / "elsewhere" / "n0016"))
 
 
-def crown(spec: StudySpec, study_folder: Path, folder: Path) -> bool:
+def write_best(spec: StudySpec, study_folder: Path, folder: Path) -> bool:
     best = best_record(read_records(study_folder))
     assert best is not None
     return write_champion(spec, best, study_folder=study_folder, folder=folder, run_id="run")
@@ -91,7 +95,7 @@ def test_champion_knows_where_it_comes_from(original: tuple[StudySpec, Path, Pat
 def test_the_same_champion_is_not_written_again(original: tuple[StudySpec, Path, Path]) -> None:
     spec, study_folder, folder = original
     before = (folder / "champion.json").stat().st_mtime_ns
-    assert not crown(spec, study_folder, folder)
+    assert not write_best(spec, study_folder, folder)
     assert (folder / "champion.json").stat().st_mtime_ns == before
 
 
@@ -117,6 +121,31 @@ def test_unreadable_record_is_one_line(champion: Path, content: str) -> None:
     with pytest.raises(InputError, match=r"champion.json (is damaged|has schema 7)") as caught:
         load_champion(champion)
     assert "\n" not in str(caught.value)
+
+
+def test_a_champion_is_replaced_by_one_command_at_a_time(
+    original: tuple[StudySpec, Path, Path], tmp_path: Path
+) -> None:
+    spec, study_folder, folder = original
+    paths = ProjectPaths(Path(shutil.copytree(folder.parents[2], tmp_path / "project")))
+    best = best_record(read_records(study_folder))
+    assert best is not None
+    other = threading.Thread(target=crown, args=(paths, spec, best))
+    with champion_lock(paths, spec.label, spec.n_train):
+        other.start()
+        other.join(0.5)
+        assert other.is_alive()
+    other.join(60.0)
+    assert read_champion(paths.champion(spec.label, spec.n_train)).index == best.index
+
+
+def test_weights_that_are_gone_are_one_line(original: tuple[StudySpec, Path, Path], tmp_path: Path) -> None:
+    spec, _, folder = original
+    paths = ProjectPaths(Path(shutil.copytree(folder.parents[2], tmp_path / "project")))
+    for weights in spec.folder(paths.mlruns).glob("*/surrogate"):
+        shutil.rmtree(weights)
+    with pytest.raises(InputError, match=r"the weights of .*/t00\d are gone; type: studies doctor --repair"):
+        tune([spec], paths=paths, n_trials=3, n_jobs=1)
 
 
 def test_champion_of_other_physics_is_refused(champion: Path) -> None:
@@ -171,16 +200,18 @@ def test_champion_comes_back_from_the_registry(
     spec, _, folder = original
     tracker.start_study(spec, n_trials=3)
     tracker.register_champion(spec, folder)
-    restored = tmp_path / "restored" / "n0016"
-    assert restore_champion(restored, lambda scratch: tracker.fetch_champion("toy-small", 16, scratch))
-    assert load_champion(restored, case_digest=CASE)[1] == read_champion(folder)
-    assert not restore_champion(
-        tmp_path / "n0032", lambda scratch: tracker.fetch_champion("toy-small", 32, scratch)
-    )
-    assert not restore_champion(
-        tmp_path / "n0016", lambda scratch: NullTracker().fetch_champion("toy-small", 16, scratch)
-    )
-    assert [file.name for file in (tmp_path / "restored").iterdir()] == ["n0016"]
+    paths = ProjectPaths(tmp_path / "restored")
+
+    def restore(n_train: int, source: Tracker) -> bool:
+        return restore_champion(
+            paths, "toy-small", n_train, lambda scratch: source.fetch_champion("toy-small", n_train, scratch)
+        )
+
+    assert restore(16, tracker)
+    assert load_champion(paths.champion("toy-small", 16), case_digest=CASE)[1] == read_champion(folder)
+    assert not restore(32, tracker)
+    assert not restore(64, NullTracker())
+    assert [file.name for file in paths.champions("toy-small").iterdir()] == ["n0016"]
 
 
 def test_champion_comes_back_from_the_registry_of_a_moved_project(
@@ -193,8 +224,10 @@ def test_champion_comes_back_from_the_registry_of_a_moved_project(
     shutil.copytree(project.mlruns, moved.mlruns)
     project.artifacts.rename(tmp_path / "out-of-reach")
     there = MlflowTracker(moved)
-    restored = tmp_path / "restored" / "n0016"
-    assert restore_champion(restored, lambda scratch: there.fetch_champion("toy-small", 16, scratch))
+    assert restore_champion(
+        moved, "toy-small", 16, lambda scratch: there.fetch_champion("toy-small", 16, scratch)
+    )
+    restored = moved.champion("toy-small", 16)
     assert load_champion(restored, case_digest=CASE)[1] == read_champion(folder)
 
 
