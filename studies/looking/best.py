@@ -8,7 +8,7 @@ from typing import Any
 from studies.console import Block, Column, Said, Table
 from studies.looking.project import Project, StageLook, StudyLook
 from studies.looking.wording import error
-from studies.report.wording import MISSING, count, quantity, significant, squared
+from studies.report.wording import MISSING, count, quantity, setting, squared
 from studies.stages.pipeline import read_json
 from studies.tuning.trial_record import TrialRecord, trial_name
 
@@ -215,7 +215,7 @@ def _models(bench: Bench) -> Table:
                 error(model.default_mae),
                 MISSING if gain is None else "±0 %" if gain <= 0.0 else f"-{100 * gain:.0f} %",
                 *(
-                    _setting(config.get(name)) if _regressor(config) == regressor else MISSING
+                    setting(config.get(name)) if _regressor(config) == regressor else MISSING
                     for regressor, names in shown.items()
                     for name in names
                 ),
@@ -230,10 +230,6 @@ def _models(bench: Bench) -> Table:
 def _regressor(config: Mapping[str, Any]) -> str:
     """Return the form of a trial's surrogate; trials of earlier versions were all of networks."""
     return str(config.get("regressor", "network"))
-
-
-def _setting(value: Any) -> str:
-    return significant(value).rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
 
 
 def _worth(bench: Bench) -> str:

@@ -12,7 +12,7 @@ from studies.looking.project import Project, StudyLook
 from studies.looking.status import calibrations_table, studies_table, study_lines
 from studies.looking.things import LabelThing, TrialThing
 from studies.looking.wording import ago, error, moment
-from studies.report.wording import count, significant
+from studies.report.wording import count, setting
 from studies.tuning.trial_record import TrialRecord, trial_name
 
 METRICS = ("val/mae", "val/p90", "test/mae", "test/p90")
@@ -223,11 +223,7 @@ def _rank(study: StudyLook, record: TrialRecord) -> str:
 
 
 def _settings(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {_setting(value)}" for name, value in values.items())
-
-
-def _setting(value: Any) -> str:
-    return significant(value).rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+    return ", ".join(f"{name} {setting(value)}" for name, value in values.items())
 
 
 def _owner(owner: Mapping[str, Any]) -> str:

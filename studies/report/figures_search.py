@@ -22,7 +22,7 @@ from studies.report.drawing import (
 )
 from studies.report.records import Floats
 from studies.report.records_search import SearchRecord
-from studies.report.wording import axis_label, count, percent, quantity, significant
+from studies.report.wording import axis_label, count, percent, quantity, setting
 
 N_CURVES = 200  # more lines would be one dark area, and take seconds to draw
 _RANKS = LinearSegmentedColormap.from_list("ranks", ["#e3e0ea", SURROGATE, BEST_SURROGATE])
@@ -140,7 +140,7 @@ def _best_title(search: SearchRecord, unit: str) -> str:
     if not best.size:
         return f"n = {search.n_train}: none of {count(len(search.state), 'trial')} has an error yet"
     settings = ", ".join(
-        f"{name} {_setting(float(search.values[best[0], i]))}" for i, name in enumerate(search.names)
+        f"{name} {setting(float(search.values[best[0], i]), 2)}" for i, name in enumerate(search.names)
     )
     error = quantity(float(search.error[best[0]]), unit)
     return (
@@ -169,7 +169,7 @@ def _hyperparameter_axis(axes: Axes, search: SearchRecord, number: int) -> None:
         axes.set_xscale("log")
         axes.minorticks_off()
         ticks = _log_ticks(values)
-        axes.set_xticks(ticks, [_setting(tick) for tick in ticks])
+        axes.set_xticks(ticks, [setting(tick, 2) for tick in ticks])
         axes.set_xlim(*log_limits(values))
     elif values.size and (values == np.round(values)).all() and len(np.unique(values)) <= 6:
         axes.set_xticks(np.unique(values))
@@ -182,12 +182,6 @@ def _log_ticks(values: Floats) -> list[float]:
         return [float(value) for value in present]
     low, high = float(present[0]), float(present[-1])
     return [low, float(np.sqrt(low * high)), high]
-
-
-def _setting(value: float) -> str:
-    """Write a hyperparameter, without zeros that say nothing."""
-    text = significant(value, 2)
-    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
 def _parallel_lines(figure: Figure, axes: Axes, search: SearchRecord, unit: str) -> None:
@@ -215,7 +209,7 @@ def _parallel_lines(figure: Figure, axes: Axes, search: SearchRecord, unit: str)
         middle = float(np.sqrt(low * high)) if is_log and low > 0 else 0.5 * (low + high)
         for height, value in ((0.0, low), (0.5, middle), (1.0, high)) if high > low else ((0.5, low),):
             axes.annotate(
-                _setting(value), (place, height), (4, 0),
+                setting(value, 2), (place, height), (4, 0),
                 textcoords="offset points", va="center", fontsize=8, color=INK, zorder=1000,
                 bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.75},
             ).set_in_layout(False)  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 MISSING = "–"
 
@@ -21,6 +22,14 @@ def significant(value: float, digits: int = 3) -> str:
         return f"{value:.{digits - 1}e}"
     decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
     return f"{value:,.{decimals}f}"
+
+
+def setting(value: Any, digits: int = 3) -> str:
+    """Write a setting such as a hyperparameter; of a fraction without the zeros that say nothing."""
+    if not isinstance(value, float):
+        return str(value)
+    text = significant(value, digits)
+    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
 def declared(value: float) -> str:

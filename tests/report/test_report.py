@@ -27,7 +27,16 @@ from studies.report import CoverageSet, MeasuredSeries, Provenance, Reference, R
 from studies.report.findings import at_bound, calls_to_most, enclosed_fraction, largest_by_chance, residual_of
 from studies.report.tables import sensitivity_table, tuning_table
 from studies.report.tables_of_calibrations import calibrations_table, parameters_table
-from studies.report.wording import count, declared, difference_unit, listed, percent, significant, squared
+from studies.report.wording import (
+    count,
+    declared,
+    difference_unit,
+    listed,
+    percent,
+    setting,
+    significant,
+    squared,
+)
 
 VOID = {"meta", "img", "br", "link", "hr"}
 EVIL = "<script>alert('x')</script>\"&|$title${body}"
@@ -311,6 +320,13 @@ def test_largest_correlation_by_chance_agrees_with_draws() -> None:
 )  # fmt: skip
 def test_numbers_are_written_for_readers(value: float, text: str) -> None:
     assert significant(value) == text
+
+
+def test_settings_lose_no_zero_that_counts() -> None:
+    values = (100.0, 2000.0, 0.5, 3e-05, 128, True, "log", None)
+    assert [setting(value) for value in values] == [
+        "100", "2,000", "0.5", "3.00e-05", "128", "True", "log", "None",
+    ]  # fmt: skip
 
 
 @given(st.floats(1e-4, 1e6), st.integers(2, 6))
