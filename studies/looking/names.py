@@ -33,10 +33,10 @@ def chosen_labels(project: Project, which: str | None) -> tuple[str, ...]:
     if which is None or not project.labels:
         return project.labels
     found = tuple(
-        label
-        for label in project.labels
-        if fnmatchcase(label, which) or project.case_of(label) == which or label.startswith(f"{which}-")
+        label for label in project.labels if fnmatchcase(label, which) or project.case_of(label) == which
     )
+    if not found:  # the begin of labels; a case may share it with others, as office and office-recorded
+        found = tuple(label for label in project.labels if label.startswith(f"{which}-"))
     if not found:
         known = ", ".join(project.labels)
         cases = [case for case in map(project.case_of, project.labels) if case]
@@ -97,10 +97,12 @@ def _without_place(project: Project, text: str) -> str:
         champion = read_json(project.paths.root / Path(*parts) / "champion.json") or {}
         if "study" in champion and "index" in champion:
             return f"{champion['study']}/{trial_name(champion['index'])}"
-    if len(parts) >= 4 and parts[0] == "mlruns" and parts[1] in ("trials", "results"):
-        rest = [part for part in parts[2:] if part not in ("trial.json", "history.npz", "surrogate")]
-        rest[1] = Path(rest[1]).stem.replace("calibration-", "calibrate-")
-        return "/".join([rest[0], *rest[1].split("-", 1), *rest[2:]] if parts[1] == "trials" else rest)
+    if len(parts) >= 4 and parts[:2] == ("mlruns", "trials"):
+        rest = [part for part in parts[4:] if part not in ("trial.json", "history.npz", "surrogate")]
+        return "/".join([parts[2], *parts[3].split("-", 1), *rest])
+    if len(parts) >= 4 and parts[:2] == ("mlruns", "results"):
+        stage = Path(parts[3]).stem.replace("calibration-", "calibrate-")
+        return "/".join([parts[2], stage, *parts[4:]])
     if parts[:1] == ("data",) and text.endswith(".npz"):
         return Path(text).stem
     return text.rstrip("/")

@@ -26,6 +26,7 @@ def write_study(
     n_trials: int,
     seed: int = 0,
     n_planned: int | None = None,
+    case: str = "office",
     **changes: Any,
 ) -> TrialStore:
     """Write the trials of a study: the first complete, every seventh pruned, every eleventh failed."""
@@ -35,7 +36,7 @@ def write_study(
         StudyEntry(
             name=name,
             label=label,
-            case_name="office",
+            case_name=case,
             n_train=n_train,
             n_planned=n_trials if n_planned is None else n_planned,
             n_parallel=1,

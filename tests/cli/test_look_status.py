@@ -118,7 +118,12 @@ def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run)
     def labels(which: str) -> list[str]:
         return [study["label"] for study in studies("status", which, "--json").document["studies"]]
 
-    assert len(labels("office")) == 3
+    write_study(project, "office-recorded-quick", 64, n_trials=1, case="office-recorded")
+    assert labels("office") == ["office-paper", "office-quick", "office-quick-seed1"]
+    assert labels("office-quick") == ["office-quick"]
+    assert labels("office-recorded") == ["office-recorded-quick"]
+    write_study(project, "wall-quick", 64, n_trials=1, case="the wall")
+    assert labels("wall") == ["wall-quick"]
     assert labels("office-paper") == ["office-paper"]
     assert labels("*-seed?") == ["office-quick-seed1"]
     answer = studies("status", "ofice-paper")

@@ -101,6 +101,8 @@ def test_a_trial_is_shown_with_its_curve_its_run_and_its_lineage(studies: Run) -
         ("office-smok", "did you mean office-smoke?"),
         ("t0", "may be"),
         ("abcdef012345", "nothing is called 'abcdef012345'"),
+        ("mlruns/results/office-smoke/history.npz", "nothing is called 'mlruns/results/office-smoke/"),
+        ("mlruns/trials/office-smoke/trial.json", "nothing is called 'mlruns/trials/office-smoke/trial"),
     ],
 )
 def test_a_name_that_means_nothing_or_too_much_is_refused_in_one_line(
