@@ -69,16 +69,19 @@ def run_starts(
     if not lock.try_acquire():
         raise InputError(f"{row.series}: another command computes these starts; wait for it")
     try:
-        kept = KeptStarts(folder / f"{row.series}.starts.jsonl", digest_of(_series_inputs(study, row)))
+        digest = digest_of(_series_inputs(study, row))
+        kept = KeptStarts(folder / f"{row.series}.starts.jsonl", digest)
         missing = [j for j in range(row.n_starts) if j not in kept.starts]
         if missing:
-            # Differential evolution is one long start, which may not be lost.
-            journal = folder / f"{row.series}.journal" if row.method == "differential-evolution" else None
+            # Differential evolution is one long start, which may not be lost. Its points are the same for
+            # any problem of these bounds, so that the journal's name says whose answers it holds.
+            is_long = row.method == "differential-evolution"
+            journal = folder / f"{row.series}.{digest[:16]}.journal" if is_long else None
             task = Task(study.case.make_model, study.case.measurement, row, journal)
             theta0 = start_points(study.case.parameter_space, row)
             Crew(task, study.n_jobs, kept, row.n_starts, on_progress).run(missing, theta0)
-            if journal is not None:
-                journal.unlink(missing_ok=True)
+            for journal in folder.glob(f"{row.series}.*journal"):
+                journal.unlink()
         return tuple(kept.starts[j] for j in range(row.n_starts))
     finally:
         lock.release()

@@ -9,10 +9,10 @@ from paper_study_for_tests import study_in
 
 from simulation.counting import CountingModel
 from simulation.errors import InputError
-from simulation.measurement import Measurement
+from simulation.measurement import Measurement, Samples
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.toy import ToyRC
-from studies.paper.direct import direct_folder, joined_history, row_over_seeds, run_direct_row
+from studies.paper.direct import direct_folder, joined_history, row_over_seeds, run_direct_row, run_starts
 from studies.paper.direct_journal import Journal
 from studies.paper.direct_optimizers import StartResult, StartStoppedError, minimize_from, thinned
 from studies.paper.direct_row import DirectRow, paper_rows, published_row, start_points
@@ -150,6 +150,28 @@ def test_a_journal_of_other_points_is_not_believed(tmp_path):
     with Journal(file) as journal:
         found = minimize_from(ToyRC(), measurement, row, TRUTH[0], journal=journal)
     assert found.mse == minimize_from(ToyRC(), measurement, row, TRUTH[0]).mse
+
+
+def test_answers_of_another_problem_are_not_believed(tmp_path):
+    row = DirectRow("differential-evolution", max_calls=15 * 14 * 20)
+    study = study_in(tmp_path, n_jobs=1)
+    measured = study.case.measurement
+    warmer = tuple(Samples(one.time, one.values + 1.0) for one in measured.samples)
+    edited = replace(measured, samples=warmer)
+    other = replace(study, case=replace(study.case, measurement=edited))
+
+    def interrupt(progress):
+        if progress.n_calls:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_starts(study, row, interrupt)
+    (journal,) = direct_folder(study).glob("*.journal")
+    assert journal.stat().st_size > 0
+    (found,) = run_starts(other, row)
+    with other.case.make_model() as model:
+        assert found.mse == pytest.approx(edited.mse(model.simulate(found.theta[None]).y)[0], rel=1e-12)
+    assert not list(direct_folder(study).glob("*.journal"))
 
 
 def test_histories_are_joined_as_if_starts_had_been_made_in_turn():
