@@ -51,7 +51,7 @@ class ItemResult:
         work_s: time spent on it, finished stages included. [s]
         seeds: what was drawn with which seed.
         settings: what a reader must know to judge it: pairs of name and value.
-        metrics: single numbers for the tracking product.
+        metrics: single numbers for the tracking product; those that are None or not finite are left out.
         remarks: further paragraphs, e.g. how a vague sentence of the paper was read.
         uses: commands of the stages behind it.
         files: further files that it has written into its folder.
@@ -67,7 +67,7 @@ class ItemResult:
     work_s: float
     seeds: Mapping[str, int | list[int]]
     settings: tuple[tuple[str, str], ...] = ()
-    metrics: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, float | None] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
@@ -138,7 +138,7 @@ def write_result(folder: Path, result: ItemResult, head: Mapping[str, Any]) -> l
             "work_s": round(result.work_s, 1),
             "seeds": dict(result.seeds),
             "settings": dict(result.settings),
-            "metrics": {name: value for name, value in result.metrics.items() if value == value},
+            "metrics": {name: value for name, value in finite(result.metrics).items() if value is not None},
             "uses": list(result.uses),
             "paper": finite(dict(result.paper)),
             "numbers": finite(dict(result.numbers)),

@@ -13,6 +13,7 @@ from studies.paper.table4 import row_of
 from studies.paper.tuned import tune_sizes
 from studies.report.contents import Picture
 from studies.report.figures_polish_paths import SeedPanel, seeds_figure
+from studies.report.findings import quartiles
 from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, listed, quantity, squared
 from studies.stages.calibrate import calibrate_stage
@@ -96,9 +97,8 @@ def run(plan: Plan) -> ItemResult:
         seeds={"designs, trials and screening": list(plan.seeds)},
         settings=(("trials per seed and size", str(plan.budget.seed_trials)),),
         metrics={
-            f"median_calls/n{n:04d}": float(np.median(_values(found, "calls_to_usual")))
+            f"median_calls/n{n:04d}": float(quartiles(_values(found, "calls_to_usual"))[1])
             for n, found in rows.items()
-            if np.isfinite(np.median(_values(found, "calls_to_usual")))
         },
         uses=tuple(uses),
     )
@@ -106,16 +106,11 @@ def run(plan: Plan) -> ItemResult:
 
 def quartiles_of(rows: Sequence[dict[str, Any]]) -> dict[str, list[float]]:
     """Return quartiles and median of every quantity; a target that was never reached is infinite."""
-    return {key: _quartiles(_values(rows, key)).tolist() for key, _, _ in QUANTITIES}
+    return {key: quartiles(_values(rows, key)).tolist() for key, _, _ in QUANTITIES}
 
 
 def _values(rows: Sequence[dict[str, Any]], key: str) -> FloatArray:
     return np.array([np.inf if row[key] is None else row[key] for row in rows], dtype=np.float64)
-
-
-def _quartiles(values: FloatArray) -> FloatArray:
-    # Halves of the order statistics: an infinite value must not make NaN of a finite quartile.
-    return np.asarray(np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf"), dtype=np.float64)
 
 
 def _table(rows: dict[int, list[dict[str, Any]]], error_unit: str) -> Table:
@@ -138,7 +133,7 @@ def _table(rows: dict[int, list[dict[str, Any]]], error_unit: str) -> Table:
         )
         for key, title, unit in QUANTITIES:
             values = _values(found, key)
-            low, middle, high = _quartiles(values).tolist()
+            low, middle, high = quartiles(values).tolist()
             shown = units.get(unit, unit)
             name = f"{title} [{shown}]" if shown else title
             cells.append((n, name, values.min(), low, middle, high, values.max(), theirs.get(key)))
@@ -171,7 +166,7 @@ def _panels(rows: dict[int, list[dict[str, Any]]], unit: str) -> list[SeedPanel]
 def _title(rows: dict[int, list[dict[str, Any]]]) -> str:
     said = []
     for n, found in rows.items():
-        middle = float(_quartiles(_values(found, "calls_to_usual"))[1])
+        middle = float(quartiles(_values(found, "calls_to_usual"))[1])
         said.append(f"{count(middle)} (n = {n})" if np.isfinite(middle) else f"never (n = {n})")
     return f"Median model calls to {USUAL_MSE}: {listed(said)}"
 
@@ -181,8 +176,8 @@ def _verdict(rows: dict[int, list[dict[str, Any]]], unit: str) -> tuple[Agreemen
     for n, found in rows.items():
         paper = published_calibration(n)
         calls, final = (
-            _quartiles(_values(found, "calls_to_usual")),
-            _quartiles(_values(found, "mse_polished")),
+            quartiles(_values(found, "calls_to_usual")),
+            quartiles(_values(found, "mse_polished")),
         )
         told = [count(value) if np.isfinite(value) else "never" for value in calls.tolist()]
         reached = f"{USUAL_MSE} {unit} after {told[1]} calls" if told[1] != "never" else "never there"

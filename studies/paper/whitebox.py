@@ -105,7 +105,7 @@ def run(plan: Plan) -> ItemResult:
             ("case", study.case.name),
             ("screening", ", ".join(f"{k} {v}" for k, v in asdict(study.profile.screening).items())),
         ),
-        metrics={f"mse/{name}": row["mse"] for name, row in rows.items() if row["mse"] is not None},
+        metrics={f"mse/{name}": row["mse"] for name, row in rows.items()},
         uses=(
             *tuned.commands(trials),
             f"studies calibrate {study.command} --method paper",

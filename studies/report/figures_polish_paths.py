@@ -23,6 +23,7 @@ from studies.report.drawing import (
     log_limits,
 )
 from studies.report.figures_by_size import size_colors
+from studies.report.findings import quartiles
 from studies.report.records import Floats, Integers
 from studies.report.wording import axis_label, count
 
@@ -163,7 +164,7 @@ def _draw_seeds(axes: Axes, panel: SeedPanel) -> None:
         sideways = place + 0.16 * np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.full(1, place)
         axes.plot(sideways[: len(good)], good, linestyle="none", marker="o", markersize=4, color=POLISHED,
                   alpha=0.55, markeredgewidth=0)  # fmt: skip
-        low, middle, high = np.quantile(values, [0.25, 0.5, 0.75], method="inverted_cdf")
+        low, middle, high = quartiles(values)
         if np.isfinite(middle):
             top = high if np.isfinite(high) else axes.get_ylim()[1]
             axes.plot([place + 0.3] * 2, [low, top], color=INK, linewidth=1.2)

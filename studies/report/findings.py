@@ -38,6 +38,21 @@ def mean_over_time(indices: Floats) -> Floats:
         return np.asarray(np.nanmean(indices, axis=0), dtype=np.float64)
 
 
+def quartiles(values: Floats) -> Floats:
+    """Return lower quartile, median and upper quartile; a quartile between two values is their mean.
+
+    Args:
+        values: Infinite where a target was never reached. Shape (n,).
+
+    Returns:
+        Shape (3,).
+    """
+    # NumPy's would be NaN beside an infinite value.
+    ordered, places = np.sort(values), len(values) * np.array([0.25, 0.5, 0.75])
+    lower, upper = np.ceil(places).astype(int) - 1, np.floor(places).astype(int)
+    return np.asarray(0.5 * (ordered[lower] + ordered[upper]), dtype=np.float64)
+
+
 def ranking(sensitivity: SensitivityRecord, output: int) -> Integers:
     """Return the parameters' positions, largest mean first-order index first. Shape (p,)."""
     mean = mean_over_time(sensitivity.first_order[:, output])

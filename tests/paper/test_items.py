@@ -1,6 +1,8 @@
 """What the items of the paper compute: small pieces with known answers."""
 
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +16,10 @@ from studies.paper.catalog import ITEMS, chosen_items, item_module, with_needs
 from studies.paper.fig5 import daily_course
 from studies.paper.plan import BUDGETS, budget_for, trials_for
 from studies.paper.published import TABLE_4
-from studies.paper.result import finite
+from studies.paper.result import ItemResult, finite, write_result
 from studies.paper.seeds import quartiles_of
 from studies.profile import load_profile
+from studies.report.findings import quartiles
 from studies.sensitivity import sobol_indices
 
 
@@ -84,10 +87,26 @@ def test_a_target_that_is_never_reached_makes_a_quartile_infinite_and_no_other()
     known = {"test_mae": 1.0, "mse_surrogate": 1.0, "mse_screened": 1.0, "n_polish": 5, "mse_polished": 0.01,
              "total_paper": 40}  # fmt: skip
     rows = [{**known, "calls_to_usual": calls} for calls in (100, 140, 120, None)]
-    assert quartiles_of(rows)["calls_to_usual"][:2] == [100.0, 120.0]
-    never = [{**known, "calls_to_usual": calls} for calls in (100, None, None, None)]
+    assert quartiles_of(rows)["calls_to_usual"] == [110.0, 130.0, np.inf]
+    never = [{**known, "calls_to_usual": calls} for calls in (100, None, None)]
     assert quartiles_of(never)["calls_to_usual"] == [100.0, np.inf, np.inf]
     assert quartiles_of(never)["n_polish"] == [5.0, 5.0, 5.0]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 10])
+def test_the_median_is_the_one_of_numpy(n: int) -> None:
+    values = np.random.default_rng(n).random(n)
+    lower, middle, upper = quartiles(values)
+    assert middle == pytest.approx(np.median(values), rel=1e-15)
+    assert lower == pytest.approx(np.quantile(values, 0.25, method="averaged_inverted_cdf"), rel=1e-15)
+    assert upper == pytest.approx(np.quantile(values, 0.75, method="averaged_inverted_cdf"), rel=1e-15)
+
+
+def test_a_metric_of_what_failed_is_left_out(tmp_path: Path) -> None:
+    metrics = {"mse/n0032": None, "mse/n0064": 0.02, "median_calls/n0032": np.inf, "mae/n0032": np.nan}
+    result = ItemResult("differs", "", {}, {}, (), (), {}, 0.0, {}, metrics=metrics)
+    (file,) = write_result(tmp_path, result, {})
+    assert json.loads(file.read_text(encoding="utf-8"))["metrics"] == {"mse/n0064": 0.02}
 
 
 def test_what_is_not_finite_becomes_nothing_in_the_files() -> None:
