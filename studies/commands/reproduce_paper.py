@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console, format_seconds
@@ -61,7 +62,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--again", action="store_true", help="make the items again from their finished stages"
     )
     command.add_argument(
-        "--dry-run", action="store_true", help="say what would be done, and how long it takes"
+        "--dry-run", action="store_true", help="say what would be done and how long it takes; write nothing"
     )
     command.add_argument(
         "--export", type=Path, metavar="FILE", help="also write the numbers of all items to one JSON file"
@@ -74,6 +75,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.paper.catalog import chosen_items, with_needs
 
     items = with_needs(chosen_items(chosen.only))
+    _refuse_senseless(chosen)
     plan = _plan(chosen, console)
     from studies.paper.gather import build_page, export
     from studies.paper.run import estimates_s, run_item
@@ -91,13 +93,21 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     console.say(
         f"reproduce-paper: about {format_seconds(sum(costs.values()))} in all, less where stages are finished"
     )
+    document = {
+        "command": "reproduce-paper",
+        "label": study.label,
+        "budget": plan.budget.to_dict(),
+        "estimated_s": {name: round(cost, 1) for name, cost in costs.items()},
+    }
+    if chosen.dry_run:
+        console.document({**document, "dry_run": True})
+        return OK
     outcomes = []
-    if not chosen.dry_run:
-        for item in items:
-            wanted = chosen.again and item in chosen_items(chosen.only)
-            outcomes.append(run_item(plan, item, again=wanted))
-            # After every item, so that an interruption leaves a page of what is there.
-            build_page(plan)
+    for item in items:
+        wanted = chosen.again and item in chosen_items(chosen.only)
+        outcomes.append(run_item(plan, item, again=wanted))
+        # After every item, so that an interruption leaves a page of what is there.
+        build_page(plan)
     index = build_page(plan)
     if chosen.export is not None:
         export(study, chosen.export)
@@ -113,15 +123,33 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     console.result(f"Page: {index}")
     console.document(
         {
-            "command": "reproduce-paper",
-            "label": study.label,
-            "budget": plan.budget.to_dict(),
-            "estimated_s": {name: round(cost, 1) for name, cost in costs.items()},
+            **document,
             "page": study.paths.show(index),
             "stages": [outcome.to_dict() for outcome in outcomes],
         }
     )
     return OK
+
+
+def _refuse_senseless(chosen: argparse.Namespace) -> None:
+    """Refuse words that do not go together.
+
+    Raises:
+        InputError: one of them would be ignored.
+    """
+    from studies.paper.catalog import chosen_items
+    from studies.report.wording import listed
+
+    if chosen.dry_run and chosen.export is not None:
+        raise InputError("--dry-run writes nothing and --export a file; leave one of them away")
+    if chosen.row is None:
+        return
+    flags = (("--export", chosen.export), ("--again", chosen.again), ("--dry-run", chosen.dry_run))
+    beside = [flag for flag, is_given in flags if is_given]
+    if {item.name for item in chosen_items(chosen.only or ["table3"])} != {"table3"}:
+        beside.insert(0, f"--only {' '.join(chosen.only)}")
+    if beside:
+        raise InputError(f"--row makes one row of table3 and nothing else; leave {listed(beside)} away")
 
 
 def _one_row(plan: "Plan", name: str, console: Console) -> int:

@@ -25,21 +25,19 @@ def result_of(project: Path, item: str) -> dict[str, Any]:
     return content
 
 
-@pytest.fixture(scope="module")
-def empty_page(project: Path, reproduce: Reproduce) -> str:
-    """The page before anything was made."""
+def test_a_dry_run_says_what_it_costs_and_writes_nothing(project: Path, reproduce: Reproduce) -> None:
+    before = sorted(project.rglob("*"))
     code, document = reproduce("--dry-run")
     assert code == 0
     assert set(document["estimated_s"]) == {item.name for item in ITEMS}
-    assert not (project / RESULTS).exists()
     # Fig. 7 and Table 4 ask for the same studies: together they cost one training less.
     _, alone = reproduce("--dry-run", "--only", "table4")
     assert document["estimated_s"]["table4"] < alone["estimated_s"]["table4"]
-    return (project / PAGE).read_text()
+    assert sorted(project.rglob("*")) == before
 
 
 @pytest.fixture(scope="module")
-def made(empty_page: str, reproduce: Reproduce) -> dict[str, Any]:
+def made(reproduce: Reproduce) -> dict[str, Any]:
     """What the command said that made some of the items."""
     code, document = reproduce(
         "--only",
@@ -58,11 +56,6 @@ def made(empty_page: str, reproduce: Reproduce) -> dict[str, Any]:
     return document
 
 
-def test_before_anything_is_made_the_page_says_what_makes_it(empty_page: str) -> None:
-    for item in ITEMS:
-        assert f"studies reproduce-paper office --profile toy.toml --only {item.name}<" in empty_page
-
-
 def test_items_are_made_with_what_they_need(made: dict[str, Any]) -> None:
     assert [stage["stage"] for stage in made["stages"]] == [f"paper/{name}" for name in MADE]
     assert not any(stage["finished_before"] for stage in made["stages"])
@@ -72,7 +65,9 @@ def test_items_are_made_with_what_they_need(made: dict[str, Any]) -> None:
 def test_every_item_is_on_the_page_with_pictures_tables_and_verdict(project: Path) -> None:
     page = (project / PAGE).read_text()
     for item in ITEMS:
-        assert ("Not there yet" in section_of(page, item.name)) == (item.name not in MADE)
+        section = section_of(page, item.name)
+        assert ("Not there yet" in section) == (item.name not in MADE)
+        assert f"studies reproduce-paper office --profile toy.toml --seeds 1 --only {item.name}<" in section
     for name in MADE:
         result, section = result_of(project, name), section_of(page, name)
         assert result["verdict"]
@@ -167,3 +162,24 @@ def test_unknown_words_are_one_line(reproduce: Reproduce) -> None:
     assert (code, "no such item" in document["error"]) == (2, True)
     code, document = reproduce("--row", "powell")
     assert (code, document["error"].startswith("--row powell: there is no such row")) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "refused"),
+    [
+        (["--dry-run"], "leave --dry-run away"),
+        (["--only", "fig5"], "leave --only fig5 away"),
+        (["--only", "table2", "fig5", "--again"], "leave --only table2 fig5 and --again away"),
+        (["--only", "table3", "--export", "out.json"], "leave --export away"),
+    ],
+)
+def test_a_row_alone_is_refused_beside_what_it_would_ignore(
+    reproduce: Reproduce, words: list[str], refused: str
+) -> None:
+    code, document = reproduce("--row", "powell-scalar-physical-seed0-001", *words)
+    assert (code, document["error"]) == (2, f"--row makes one row of table3 and nothing else; {refused}")
+
+
+def test_a_dry_run_exports_nothing(reproduce: Reproduce) -> None:
+    code, document = reproduce("--dry-run", "--export", "out.json")
+    assert (code, "leave one of them away" in document["error"]) == (2, True)
