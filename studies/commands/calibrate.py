@@ -1,7 +1,6 @@
 """`studies calibrate`: find the parameters that fit best."""
 
 import argparse
-from typing import Any
 
 from simulation.errors import InputError
 from studies.commands import options, values
@@ -82,7 +81,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.calibrate import calibrate_stage, sizes_with_champion
-    from studies.stages.calibrated_values import calls_to, judged_values, show_calibrations, show_values
+    from studies.stages.calibrated_values import (
+        judged_values,
+        show_calibrations,
+        show_values,
+        target_numbers,
+    )
     from studies.stages.guideline import guideline_numbers
     from studies.stages.restriction import checked_size
 
@@ -96,13 +100,8 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
         outcome.summary["n_train"]: guideline_numbers(judged_values(study, outcome.summary))
         for outcome in outcomes
     }
-    extra: dict[str, Any] = {"guideline14": judged}
-    if chosen.target is not None:
-        extra |= {
-            "target": chosen.target,
-            "calls_to_target": {n: calls_to(study, n, chosen.target, n_free) for n in sizes},
-        }
-    return hand_over(study, "calibrate", outcomes, **extra)
+    told = target_numbers(study, outcomes, chosen.target)
+    return hand_over(study, "calibrate", outcomes, guideline14=judged, **told)
 
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:

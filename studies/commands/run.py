@@ -32,7 +32,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import say_warnings, show_diagnosis
     from studies.stages.calibrate import calibrate_stage
-    from studies.stages.calibrated_values import show_calibrations, show_values
+    from studies.stages.calibrated_values import show_calibrations, show_values, target_numbers
     from studies.stages.check import check_stage
     from studies.stages.learn import show_tuning, tune_stage
     from studies.stages.report import report_stage, show_report
@@ -58,4 +58,5 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     show_calibrations(study, calibrated, chosen.target)
     show_values(study, calibrated)
     show_report(study, reported)
-    return hand_over(study, "run", [checked, simulated, sensitivity, tuned, *calibrated, reported])
+    outcomes = [checked, simulated, sensitivity, tuned, *calibrated, reported]
+    return hand_over(study, "run", outcomes, **target_numbers(study, calibrated, chosen.target))

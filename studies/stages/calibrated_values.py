@@ -66,6 +66,19 @@ def calls_to(study: Study, n_train: int, target: float, n_free: int | None = Non
     return History(arrays["history_calls"], arrays["history_mse"]).calls_to(target)
 
 
+def target_numbers(study: Study, outcomes: list[Outcome], target: float | None) -> dict[str, Any]:
+    """Return by training-set size what a target cost, for programs; nothing where none was named."""
+    if target is None:
+        return {}
+    calls = {
+        outcome.summary["n_train"]: calls_to(
+            study, outcome.summary["n_train"], target, n_free_of(outcome.summary)
+        )
+        for outcome in outcomes
+    }
+    return {"target": target, "calls_to_target": calls}
+
+
 def show_values(study: Study, outcomes: list[Outcome]) -> None:
     """Print the calibrated parameters of the size with the lowest final error."""
     finished = [outcome.summary for outcome in outcomes if _error(outcome) < math.inf]

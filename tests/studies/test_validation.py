@@ -104,7 +104,7 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
     recording.write_text("\n".join(lines) + "\n")
     give_store(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-m", "studies", "run", "--profile", "smoke", "--json"],
+        [sys.executable, "-m", "studies", "run", "--profile", "smoke", "--target", "1e3", "--json"],
         env=os.environ | {"STUDIES_ROOT": str(tmp_path), "PYTHONPATH": str(REPOSITORY)},
         capture_output=True,
         text=True,
@@ -112,7 +112,10 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert load_case(path).measurement.n_samples == 481 - 48
-    stages = json.loads(done.stdout)["stages"]
+    document = json.loads(done.stdout)
+    assert document["target"] == 1000.0
+    assert document["calls_to_target"] == {"16": 17, "32": 33}, "the screened point is better than that"
+    stages = document["stages"]
     (calibration,) = [stage for stage in stages if stage["stage"] == "calibrate-n0032"]
     points = calibration["validation"]["points"]
     assert list(points) == ["estimate", "screened", "polished"]
