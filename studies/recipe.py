@@ -33,7 +33,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
     Args:
         study: the study.
         kind: "training", "calibration", "adaptive", "sensitivity" or "uncertainty".
-        command: the command that makes it, up to the words that name the study.
+        command: the command line that makes it.
         more: what this kind needs beyond case, profile and seed, as JSON values.
     """
     from simulation.case_file import read_case_file
@@ -50,7 +50,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
     return {
         "schema": SCHEMA,
         "kind": kind,
-        "command": f"{command} {study.command}",
+        "command": command,
         "label": study.label,
         "case": {
             "name": case.name,

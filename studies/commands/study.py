@@ -23,7 +23,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     from studies.profile import load_profile
 
     paths = find_project(chosen.storage)
-    profile = load_profile(chosen.profile)
+    profile = own_profile = load_profile(chosen.profile)
     label_end = ""
     if chosen.window is not None:
         label_end += f"-{chosen.window.label}"
@@ -61,6 +61,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         retry_failed=given.get("retry_failed", False),
         dask=given.get("dask"),
         max_hours=given.get("max_hours"),
+        own_profile=own_profile,
     )
     # Before anything else: some stages take away what is no longer whole before they begin.
     refuse_other_case(study)

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from studies.stages.results import (
     ADAPTIVE,
     StoredCalibration,
     adaptive_files,
+    n_free_of,
     restricted,
 )
 from studies.stages.tracking import log_adaptive
@@ -97,6 +98,17 @@ def adaptive_settings(
     return settings
 
 
+def adaptive_command(study: Study, numbers: Mapping[str, Any]) -> str:
+    """Return the command line that makes an adaptive calibration of this study, from its numbers."""
+    settings, n_free = numbers["settings"], n_free_of(numbers)
+    words = f"studies calibrate {study.command} --max-calls {settings['max_calls']}"
+    if settings["n_parallel"] > 1:
+        words += f" --parallel {settings['n_parallel']}"
+    if settings["target_mse"] is not None:
+        words += f" --target {settings['target_mse']}"
+    return words if n_free is None else f"{words} --most-relevant {n_free}"
+
+
 def adaptive_stage(
     study: Study, settings: Adaptive, *, n_free: int | None = None, again: bool = False
 ) -> Outcome:
@@ -133,7 +145,7 @@ def adaptive_stage(
         recipe = recipe_of(
             study,
             "adaptive",
-            command="studies calibrate" + ("" if n_free is None else f" --most-relevant {n_free}"),
+            command=adaptive_command(study, numbers),
             settings=asdict(settings),
             **more,
         )

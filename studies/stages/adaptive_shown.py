@@ -5,7 +5,7 @@ from studies.calibration.recorder import History
 from studies.console import format_seconds
 from studies.physical_model import warn_failed
 from studies.report.wording import count, difference_unit, percent, quantity, squared
-from studies.stages.adaptive import DOUBT
+from studies.stages.adaptive import DOUBT, adaptive_command
 from studies.stages.calibrated_values import show_parameters
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
@@ -49,7 +49,8 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     if study.case.note:
         console.result(f"Note: {study.case.note}")
     console.result(f"Pictures: studies report {study.command}")
-    console.result(f"How sure it is: studies uncertainty {study.command}")
+    if n_free is None:
+        console.result(f"How sure it is: studies uncertainty {study.command}")
     if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
 
@@ -69,15 +70,10 @@ def show_replaced(study: Study, before: Summary | None, outcome: Outcome) -> Non
     if not before["mse"] < found["mse"]:
         return
     unit = squared(difference_unit(study.case.outputs[0].unit))
-    asked, free = before["settings"], n_free_of(before)
-    words = f" --max-calls {asked['max_calls']}"
-    words += f" --parallel {asked['n_parallel']}" if asked["n_parallel"] > 1 else ""
-    words += f" --target {asked['target_mse']}" if asked["target_mse"] is not None else ""
-    words += f" --most-relevant {free}" if free is not None else ""
     study.console.warn(
         f"this replaces a better stored result, MSE {quantity(before['mse'], unit, 4)} after "
         f"{count(before['ledger']['total_paper'], 'model call')}; to have it back from the stored "
-        f"simulations, type: studies calibrate {study.command}{words}"
+        f"simulations, type: {adaptive_command(study, before)}"
     )
 
 

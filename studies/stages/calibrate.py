@@ -215,11 +215,11 @@ def _head(study: Study, champion: ChampionInfo) -> dict[str, Any]:
 def _recipe(study: Study, champion: ChampionInfo, restriction: Restriction | None) -> Recipe:
     """Return what rebuilds a calibration, its surrogate included."""
     more = {} if restriction is None else {"restriction": restriction.to_dict()}
+    few = "" if restriction is None else f" --most-relevant {restriction.n_free}"
     return recipe_of(
         study,
         "calibration",
-        command="studies calibrate --method paper"
-        + ("" if restriction is None else f" --most-relevant {restriction.n_free}"),
+        command=f"studies calibrate {study.words('polish')} --method paper --n-train {champion.n_train}{few}",
         **more,
         n_train=champion.n_train,
         datasets=datasets_of(study.profile, champion.n_train, champion.digests),

@@ -169,7 +169,7 @@ def _recipe(study: Study, spec: "StudySpec", simulated: Summary) -> Recipe:
     return recipe_of(
         study,
         "training",
-        command="studies tune",
+        command=f"studies tune {study.words('data', 'tuning')}",
         n_train=spec.n_train,
         datasets=datasets_of(study.profile, spec.n_train, spec.digests, simulated["files"]),
     )

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from simulation.whole_file import whole_file
 from studies.console import Console
 from studies.paths import ProjectPaths
-from studies.profile import Profile
+from studies.profile import Profile, changed_words
 from studies.recipe import Recipe
 from studies.tracking.origin import environment, versions
 
@@ -47,6 +47,7 @@ class Study:
         retry_failed: whether simulations that failed before are asked again.
         dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
         max_hours: no trial begins later than this after the tuning did; None sets no limit. [h]
+        own_profile: the profile as its file has it, None where nothing changed it.
     """
 
     case: "Case"
@@ -59,6 +60,11 @@ class Study:
     retry_failed: bool = False
     dask: str | None = None
     max_hours: float | None = None
+    own_profile: Profile | None = None
+
+    def words(self, *parts: str) -> str:
+        """Return the words that name this study and what was changed in some parts of its profile."""
+        return self.command + changed_words(self.own_profile or self.profile, self.profile.to_dict(), parts)
 
     @property
     def results(self) -> Path:

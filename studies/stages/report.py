@@ -2,15 +2,17 @@
 
 import hashlib
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
 from simulation.time_unit import told_period
-from studies.profile import Profile
+from studies.profile import Profile, changed_words
 from studies.report import Provenance, Reference, ReportData, build
 from studies.report.uncertainty import uncertainty_record
+from studies.stages.adaptive import adaptive_command
 from studies.stages.pipeline import Outcome, Study, Summary, run_stage
 from studies.stages.results import (
     ADAPTIVE,
@@ -112,23 +114,18 @@ def _report_data(study: Study) -> ReportData:
 
 def _provenance(study: Study) -> Provenance:
     profile, case = study.profile, study.case
-    methods = [stored.numbers for stored in stored_calibrations(study)]
-    adaptive = next((found for found in methods if found.get("method") == ADAPTIVE), None)
-    commands = [f"studies ui  # {study.label} in MLflow"]
-    has_surrogates = any(found.get("method") != ADAPTIVE for found in methods)
-    if has_surrogates:
-        commands.insert(0, f"studies run {study.command}")
-    if adaptive is not None:
-        commands.insert(0, _adaptive_command(study, adaptive))
+    stored = list(stored_calibrations(study))
+    commands = dict.fromkeys(command_of(study, one.numbers) for one in stored)
+    has_surrogates = any(not one.is_adaptive for one in stored)
     return Provenance(
-        commands=tuple(commands),
+        commands=(*commands, f"studies ui  # {study.label} in MLflow"),
         settings=(
             ("profile", profile.name),
             ("seed", str(profile.seed)),
             ("window", told_period(case.window_d)),
             ("communication step", f"{case.communication_step_s:g} s"),
             *(_surrogate_settings(profile) if has_surrogates else ()),
-            *([("adaptive", _told(adaptive["settings"]))] if adaptive is not None else []),
+            *((one.name, _told(one.numbers["settings"])) for one in stored if one.is_adaptive),
         ),
         digests=(
             ("case", case.digest),
@@ -150,16 +147,15 @@ def _surrogate_settings(profile: Profile) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _adaptive_command(study: Study, found: dict[str, Any]) -> str:
-    settings, n_free = found["settings"], n_free_of(found)
-    words = f"studies calibrate {study.command} --max-calls {settings['max_calls']}"
-    if settings["n_parallel"] > 1:
-        words += f" --parallel {settings['n_parallel']}"
-    if settings["target_mse"] is not None:
-        words += f" --target {settings['target_mse']:g}"
-    if n_free is not None:
-        words += f" --most-relevant {n_free}"
-    return words
+def command_of(study: Study, found: Mapping[str, Any]) -> str:
+    """Return the command line that makes a calibration again, with its surrogates where it has any."""
+    if found.get("method") == ADAPTIVE:
+        return adaptive_command(study, found)
+    recipe = found.get("recipe", {})
+    if n_free_of(found) is not None and recipe:
+        return str(recipe["command"])
+    own = study.own_profile or study.profile
+    return f"studies run {study.command}{changed_words(own, recipe.get('profile', {}))}"
 
 
 def _told(settings: dict[str, Any]) -> str:

@@ -147,7 +147,7 @@ def sensitivity_stage(study: Study) -> Outcome:
         "seed": study.profile.seed,
     }
     file = study.results / "sensitivity.npz"
-    recipe = recipe_of(study, "sensitivity", command="studies sensitivity")
+    recipe = recipe_of(study, "sensitivity", command=f"studies sensitivity {study.command}")
 
     def work() -> tuple[Summary, list[Path]]:
         from studies.stages.tracking import log_sensitivity

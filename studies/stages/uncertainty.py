@@ -22,11 +22,7 @@ from studies.stages.calibrate import write_arrays
 from studies.stages.knowledge import prior_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.results import StoredCalibration, read_arrays
-from studies.stages.uncertainty_results import (
-    StoredPosterior,
-    log_posterior,
-    posterior_files,
-)
+from studies.stages.uncertainty_results import StoredPosterior, log_posterior, posterior_files
 from studies.tracking.origin import environment
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
@@ -95,10 +91,13 @@ def uncertainty_stage(
             study, calibration.name, calibration.point[0], settings, known
         )
         summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
+        n_train = calibration.numbers["n_train"]
+        of = "--method adaptive" if calibration.is_adaptive else f"--n-train {n_train}"
         recipe = recipe_of(
             study,
             "uncertainty",
-            command="studies uncertainty" + ("" if calibration.is_adaptive else " --method paper"),
+            command=f"studies uncertainty {study.command} {of} --noise {settings.noise} "
+            f"--max-calls {settings.max_calls}",
             settings=asdict(settings),
             calibration={"name": calibration.name, "theta": calibration.numbers["theta"]},
         )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from simulation.errors import InputError
 from studies.paths import size_name
 from studies.recipe import memory_tags
+from studies.report.wording import listed
 from studies.stages.pipeline import Study, read_json
 from studies.stages.results import (
     ADAPTIVE,
@@ -92,7 +93,8 @@ def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] 
     if sizes and (method == ADAPTIVE or len(sizes) > 1):
         raise InputError("--n-train names one calibration of --method paper; give one size, or leave it away")
     # Of a restricted calibration the fixed parameters are not to be judged.
-    whole = [one for one in stored_calibrations(study) if n_free_of(one.numbers) is None]
+    everything = list(stored_calibrations(study))
+    whole = [one for one in everything if n_free_of(one.numbers) is None]
     stored = [one for one in whole if math.isfinite(one.mse)]
     by_name = {one.name: one for one in stored}
     if sizes:
@@ -105,8 +107,10 @@ def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] 
     if wanted is None:
         asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
         how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
+        few = [one.name for one in everything if one not in whole]
+        but = f" but {listed(few)}, which fixed some parameters" if few else ""
         raise InputError(
-            f"{study.label} has no calibration of {asked}; type: studies calibrate {study.command}{how}"
+            f"{study.label} has no calibration of {asked}{but}; type: studies calibrate {study.command}{how}"
         )
     return wanted
 

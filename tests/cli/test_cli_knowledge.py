@@ -117,6 +117,10 @@ def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, stu
         encoding="utf-8"
     )
     assert "prior 0.75 ×/÷ 1.05, moved by" in (folder / "parameters-adaptive.csv").read_text(encoding="utf-8")
+    assert "How sure it is" not in again.out, "fixed parameters are not to be judged"
+    commands = (folder / "index.html").read_text(encoding="utf-8")
+    for words in ("--max-calls 15\n", "--max-calls 90 --most-relevant 3\n"):
+        assert f"studies calibrate office {words}" in commands
     assert studies("show", "office-quick/calibrate-adaptive-relevant3").code == 0
     again = studies("reproduce", "office-quick/adaptive-relevant3", "--json")
     assert again.code == 0, again.err
@@ -135,6 +139,9 @@ def test_stored_sobol_indices_say_it_without_a_call(project: Path, studies: Run)
     told = studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9").out
     assert "the stored Sobol indices had cost 128 calls" in told
     assert "not known, the budget held no check of it" in told
+    answer = studies("uncertainty", "office", *profile)
+    assert answer.code == 2
+    assert "no calibration of any kind but adaptive-relevant3, which fixed some parameters" in answer.err
     file = project / "mlruns" / "results" / "office-sobol" / "sensitivity.npz"
     indices = SobolIndices.load(file)
     replace(indices, total_order=indices.total_order[..., ::-1]).save(file)  # done again, other rows failed
@@ -149,8 +156,9 @@ def test_the_papers_method_fixes_them_in_surrogate_and_model(
     root = copy_project(finished, tmp_path / "project", monkeypatch).root
     kept = stored(root, "n0016", "office-tiny")
     found = studies(
-        "calibrate", "--profile", "tiny.toml", "--n-train", "16", "--most-relevant", "3", "--json"
-    ).stage
+        "calibrate", "--profile", "tiny.toml", "--n-train", "16", "--most-relevant", "3", "--max-calls", "19",
+        "--json",
+    ).stage  # fmt: skip
     told = found["restriction"]
     for point in ("theta", "theta_screened"):
         assert {name: found[point][name] for name in told["fixed"]} == told["fixed"]
@@ -160,7 +168,12 @@ def test_the_papers_method_fixes_them_in_surrogate_and_model(
         ledger["total_paper"] == 16 + ledger["n_screen_checks"] + ledger["n_polish"] + ledger["n_relevance"]
     )
     assert stored(root, "n0016", "office-tiny") == kept
-    assert stored(root, "n0016-relevant3", "office-tiny")["theta"] == found["theta"]
+    numbers = stored(root, "n0016-relevant3", "office-tiny")
+    assert numbers["theta"] == found["theta"]
+    assert numbers["recipe"]["command"] == (
+        "studies calibrate office --profile tiny.toml --max-calls 19 --method paper --n-train 16 "
+        "--most-relevant 3"
+    )
 
 
 @pytest.mark.parametrize(

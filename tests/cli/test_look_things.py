@@ -75,6 +75,16 @@ def test_everything_can_be_shown_under_each_of_its_names(finished: Path, studies
         assert answer.out.splitlines()[-1].startswith("next: studies ")
 
 
+def test_what_was_changed_stands_in_the_commands_that_do_it_again(finished: Path) -> None:
+    page = (finished / "mlruns" / "reports" / LABEL / "index.html").read_text(encoding="utf-8")
+    assert "studies run office --profile smoke --trials 3\n" in page
+    recipes = [
+        json.loads(file.read_text(encoding="utf-8"))["recipe"]["command"]
+        for file in (finished / "mlruns" / "trials" / LABEL).glob("*/study.json")
+    ]
+    assert recipes == ["studies tune office --profile smoke --trials 3"] * 2
+
+
 def test_a_trial_is_shown_with_its_curve_its_run_and_its_lineage(studies: Run) -> None:
     answer = studies("show", "n16/t0")
     shown = answer.out

@@ -17,6 +17,7 @@ from studies.paper.run import item_inputs
 from studies.paths import ProjectPaths, find_case, size_name
 from studies.profile import load_profile
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
+from studies.stages.report import command_of
 from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
 
 
@@ -58,6 +59,20 @@ class Worker:
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self.file.write_text("result")
         return self.summary, [self.file]
+
+
+def test_a_calibrations_own_record_says_what_makes_it_again(study: Study) -> None:
+    polish = replace(study.profile.polish, max_calls=100)
+    changed = replace(study.profile, polish=polish, tuning=replace(study.profile.tuning, n_trials=8))
+    paper = {"recipe": {"profile": json.loads(json.dumps(changed.to_dict()))}}
+    settings = {"max_calls": 90, "n_parallel": 2, "target_mse": 0.0123456789}
+    adaptive = {"method": "adaptive", "settings": settings, "restriction": {"n_free": 3}}
+    # As studies run and studies report open the study.
+    for opened in (replace(study, profile=changed, own_profile=study.profile), study):
+        assert command_of(opened, paper) == "studies run office --trials 8 --max-calls 100"
+        assert command_of(opened, adaptive) == (
+            "studies calibrate office --max-calls 90 --parallel 2 --target 0.0123456789 --most-relevant 3"
+        )
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
