@@ -51,16 +51,19 @@ def headline_sentence(data: ReportData) -> str:
     if c is None:
         return "Nothing has been calibrated yet."
     unit = mse_unit(data.measurement)
+    relevance = f"{count(c.n_relevance)} to find and check what matters, " if c.n_relevance else ""
     if c.is_adaptive:
-        made = "each where those before it let the lowest error be expected, with no training set"
+        each = "the others each" if relevance else "each"
+        made = f"{each} where those before it let the lowest error be expected, with no training set"
     else:
         made = (
             f"{count(c.n_train)} for training, {count(c.n_screen_checks)} to check the screened point, "
             f"{count(c.n_polish)} to polish"
         )
+    few = "" if c.n_free is None else f"the {count(c.n_free)} most relevant of "
     sentence = (
-        f"{count(c.calls_paper, 'model call')} ({made}) calibrated "
-        f"{count(len(data.parameters.names), 'parameter')} without an initial guess to an MSE of "
+        f"{count(c.calls_paper, 'model call')} ({relevance}{made}) calibrated "
+        f"{few}{count(len(data.parameters.names), 'parameter')} without an initial guess to an MSE of "
         f"{quantity(c.mse_polished, unit)}"
     )
     known = [r for r in data.references if not r.is_target and r.mse > 0]
@@ -163,10 +166,10 @@ def overview_caption(calibrations: tuple[CalibrationRecord, ...], unit: str) -> 
         f"the lowest final MSE is {quantity(lowest.mse_polished, unit)} ({lowest.shown_name})."
     )
     if first is last:
-        return f"The screening gap at n = {first.n_train} is {quantity(first.screening_gap, unit)}. {ends}"
+        return f"The screening gap at {first.shown_name} is {quantity(first.screening_gap, unit)}. {ends}"
     return (
-        f"The screening gap goes from {quantity(first.screening_gap, unit)} at n = {first.n_train} to "
-        f"{quantity(last.screening_gap, unit)} at n = {last.n_train}. {ends}"
+        f"The screening gap goes from {quantity(first.screening_gap, unit)} at {first.shown_name} to "
+        f"{quantity(last.screening_gap, unit)} at {last.shown_name}. {ends}"
     )
 
 

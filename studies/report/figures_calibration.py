@@ -157,22 +157,23 @@ def polish_figure(
         )
     else:
         title = f"{calls} of polishing do not improve the screened point (MSE {quantity(screened, mse_unit)})"
-    n_train, n_check = calibration.n_train, calibration.n_train + calibration.n_screen_checks
+    n_screened, n_check = calibration.calls_to_screen, calibration.calls_to_polish
     last = max(calibration.calls_paper, int(calibration.history_calls.max(initial=0)), n_check + 1)
-    first = max(0.0, n_train - 0.6 * (last - n_train))
+    first = max(0.0, n_screened - 0.6 * (last - n_screened))
     known = [final, screened, calibration.mse_surrogate, *(r.mse for r in references)]
     with drawing(path, title=title, height_in=3.7, footnote=footnote) as figure:
         axes = figure.subplots()
         axes.set_xlim(first, last + 0.01 * (last - first))
         decimal_log(axes, *log_limits(np.concatenate([calibration.history_mse, np.array(known)])))
-        _shade_training(axes, n_train, first)
+        _shade_training(axes, calibration, first)
         for reference in references:
             axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
         _draw_promise(axes, calibration, mse_unit)
         calls_drawn = np.append(calibration.history_calls, last)
         best = np.append(calibration.history_mse, np.fmin.reduce(calibration.history_mse, initial=final))
         axes.step(calls_drawn, best, where="post", color=POLISHED, zorder=3)
-        axes.set_xlabel("model calls (training + screening check + polish)")
+        relevance = "relevance + " if calibration.n_before else ""
+        axes.set_xlabel(f"model calls ({relevance}training + screening check + polish)")
         axes.set_ylabel(axis_label("best MSE", mse_unit))
         labels = [EndLabel(final, f"{significant(final)} polished", POLISHED)]
         labels += [EndLabel(r.mse, f"{significant(r.mse)} {r.label}", MUTED) for r in references]
@@ -180,11 +181,12 @@ def polish_figure(
     return path
 
 
-def _shade_training(axes: Axes, n_train: int, first: float) -> None:
-    axes.axvspan(first, n_train, color=TRAINING, linewidth=0, zorder=0)
+def _shade_training(axes: Axes, calibration: CalibrationRecord, first: float) -> None:
+    axes.axvspan(first, calibration.calls_to_screen, color=TRAINING, linewidth=0, zorder=0)
     arrow = "← " if first > 0 else ""
+    before = f",\n{count(calibration.n_before)} for\nrelevance" if calibration.n_before else ""
     axes.annotate(
-        f"{arrow}{count(n_train)}\ntraining\nsimulations",
+        f"{arrow}{count(calibration.n_train)}\ntraining\nsimulations{before}",
         xy=(first, 0.97),
         xycoords=("data", "axes fraction"),
         xytext=(6, 0),
@@ -197,10 +199,10 @@ def _shade_training(axes: Axes, n_train: int, first: float) -> None:
 
 def _draw_promise(axes: Axes, calibration: CalibrationRecord, mse_unit: str) -> None:
     """Mark what the surrogate promised, what the physical model answered, and the gap between."""
-    n_train, n_check = calibration.n_train, calibration.n_train + calibration.n_screen_checks
+    n_screened, n_check = calibration.calls_to_screen, calibration.calls_to_polish
     promise, answer = calibration.mse_surrogate, calibration.mse_screened
     if math.isfinite(answer):
-        axes.plot([n_train, n_check], [promise, answer], color=FAINT, linewidth=1.2, zorder=1)
+        axes.plot([n_screened, n_check], [promise, answer], color=FAINT, linewidth=1.2, zorder=1)
         axes.plot([n_check], [answer], marker="D", markersize=6, color=SCREENED, zorder=5)
         text, height = f"screening check {quantity(answer, mse_unit)}", answer
     else:
@@ -209,11 +211,11 @@ def _draw_promise(axes: Axes, calibration: CalibrationRecord, mse_unit: str) -> 
         text, (n_check, height), (8, 3), textcoords="offset points", fontsize=8.5, color=SCREENED, va="bottom"
     )
     axes.plot(
-        [n_train], [promise], marker="o", markersize=6, color="white", markeredgecolor=SURROGATE, zorder=5
+        [n_screened], [promise], marker="o", markersize=6, color="white", markeredgecolor=SURROGATE, zorder=5
     )
     axes.annotate(
         f"promised by the\nsurrogate {significant(promise)}",
-        (n_train, promise),
+        (n_screened, promise),
         (-8, 0),
         textcoords="offset points",
         fontsize=8.5,
@@ -258,9 +260,7 @@ def overview_figure(
     known = np.append(rows.ravel(), [r.mse for r in references])
     with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
         axes = figure.subplots()
-        axes.set_xticks(
-            range(len(ordered)), ["adaptive" if c.is_adaptive else str(c.n_train) for c in ordered]
-        )
+        axes.set_xticks(range(len(ordered)), [_tick(c) for c in ordered])
         axes.set_xlim(-0.6, len(ordered) - 0.4)
         low, high = log_limits(known)
         decimal_log(axes, low / (high / low) ** 0.12, high)
@@ -279,6 +279,11 @@ def overview_figure(
         labels += [EndLabel(r.mse, r.label, MUTED) for r in references]
         end_labels(axes, labels)
     return path
+
+
+def _tick(c: CalibrationRecord) -> str:
+    few = "" if c.n_free is None else f"\n{c.n_free} parameters"
+    return ("adaptive" if c.is_adaptive else str(c.n_train)) + few
 
 
 def _draw_size(axes: Axes, place: int, c: CalibrationRecord) -> None:

@@ -145,4 +145,4 @@ def calls_to_most(calibration: CalibrationRecord, share: float = 0.9) -> int | N
     if not (math.isfinite(start) and 0 < end < start):
         return None
     reached = calibration.calls_to(start * (end / start) ** share)
-    return None if reached is None else reached - calibration.n_train - calibration.n_screen_checks
+    return None if reached is None else reached - calibration.calls_to_polish

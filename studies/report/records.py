@@ -127,7 +127,7 @@ class ParameterBox:
         return unit
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays cannot be compared: a record equals itself alone
 class CalibrationRecord:
     """One calibration: screened on a surrogate and polished, or adaptive on the physical model alone.
 
@@ -142,7 +142,7 @@ class CalibrationRecord:
         mse_polished: MSE by the physical model at the polished point.
         y_screened: The physical model at the screened point; NaN if it failed. Shape (t, k).
         y_polished: The physical model at the polished point. Shape (t, k).
-        history_calls: Model calls so far, training and screening check included, ascending. Shape (h,).
+        history_calls: Model calls so far, all those before the polish included, ascending. Shape (h,).
         history_mse: Best MSE after that many calls. Shape (h,).
         n_validation: Simulations of the validation set.
         n_test: Simulations of the test set.
@@ -156,6 +156,7 @@ class CalibrationRecord:
         method: How it was calibrated.
         n_adaptive: Calls of an adaptive calibration.
         n_relevance: Calls that found, and checked, which parameters matter.
+        n_before: Those of them that were made first of all.
         n_free: Parameters that were calibrated, the others fixed; None for all.
         knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
     """
@@ -182,6 +183,7 @@ class CalibrationRecord:
     method: Method = "paper"
     n_adaptive: int = 0
     n_relevance: int = 0
+    n_before: int = 0
     n_free: int | None = None
     knowledge: tuple[str, ...] = ()
 
@@ -209,6 +211,16 @@ class CalibrationRecord:
     def final(self) -> str:
         """What its last point is called."""
         return "calibrated" if self.is_adaptive else "polished"
+
+    @property
+    def calls_to_screen(self) -> int:
+        """Model calls before the screened point was checked."""
+        return self.n_before + self.n_train
+
+    @property
+    def calls_to_polish(self) -> int:
+        """Model calls before the polish began."""
+        return self.calls_to_screen + self.n_screen_checks
 
     @property
     def screening_gap(self) -> float:

@@ -171,10 +171,11 @@ def calibrate(
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
+    n_before = 0 if restriction is None else restriction.n_calls
+    result = replace(result, polish_history=result.polish_history.after(n_before))
     theta, screened = model.complete(result.theta), model.complete(result.theta_screened)
     n_left = profile.polish.max_calls - result.ledger.n_polish
     told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
-    n_before = 0 if restriction is None else restriction.n_calls
     validated, simulated = validate_calibration(study, {"screened": screened, "polished": theta})
     numbers = result.to_dict() | validated | prior_numbers(study.case, theta) | told
     numbers |= {
@@ -192,7 +193,7 @@ def calibrate(
         "y_surrogate": result.y_surrogate,
         "y_screened": result.y_screened,
         "y_polished": result.y_polished,
-        "history_calls": result.polish_history.n_calls + n_before,
+        "history_calls": result.polish_history.n_calls,
         "history_mse": result.polish_history.best_mse,
         **simulated,
     }

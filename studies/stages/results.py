@@ -183,6 +183,7 @@ def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
         stop_reason=numbers["polish_stop_reason"],
         surrogate=f"trial {numbers['surrogate']['trial']} of {numbers['surrogate']['study']}",
         n_relevance=ledger.get("n_relevance", 0),
+        n_before=numbers.get("restriction", {}).get("n_calls", 0),
         n_free=n_free_of(numbers),
         knowledge=known_before(numbers),
     )

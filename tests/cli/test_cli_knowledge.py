@@ -170,6 +170,14 @@ def test_the_papers_method_fixes_them_in_surrogate_and_model(
     assert stored(root, "n0016", "office-tiny") == kept
     numbers = stored(root, "n0016-relevant3", "office-tiny")
     assert numbers["theta"] == found["theta"]
+    with np.load(root / "mlruns/results/office-tiny/calibration-n0016-relevant3.npz") as arrays:
+        assert numbers["polish_history"]["n_calls"] == arrays["history_calls"].tolist()
+        assert arrays["history_calls"][0] == N_MORRIS + 16 + ledger["n_screen_checks"]
+    page = studies("report", "--profile", "tiny.toml")
+    assert page.code == 0, page.err
+    told = json.loads((root / "mlruns/reports/office-tiny/report.json").read_text(encoding="utf-8"))
+    rows = {row["n_free"]: row for row in told["tables"]["calibrations"]}
+    assert (rows[3]["calls_paper"], rows[P]["n_train"]) == (ledger["total_paper"], 16)
     assert numbers["recipe"]["command"] == (
         "studies calibrate office --profile tiny.toml --max-calls 19 --method paper --n-train 16 "
         "--most-relevant 3"

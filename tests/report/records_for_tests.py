@@ -80,6 +80,12 @@ def calibration(
     )  # fmt: skip
 
 
+def restricted(n_train: int = 64, *, n_free: int = 6) -> CalibrationRecord:
+    """Return a calibration of the most relevant parameters: 60 calls found them, 15 checked the others."""
+    whole = calibration(n_train)
+    return replace(whole, n_free=n_free, n_relevance=75, n_before=60, history_calls=whole.history_calls + 60)
+
+
 def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
     """Return an adaptive calibration: no training set, no screened point."""
     other = calibration(64, n_outputs=n_outputs)

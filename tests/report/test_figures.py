@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from records_for_tests import (
     measured,
     parameter_box,
     report_data,
+    restricted,
     sensitivity,
     trials,
 )
@@ -141,6 +143,25 @@ def test_calibrations_that_went_badly_are_drawn(
 def test_a_large_training_set_does_not_squeeze_the_polish(tmp_path: Path) -> None:
     large = polish_figure(calibration(4096, n_polish=65), (), tmp_path / "p.png", mse_unit="K²")
     assert ink(large) > 0.05
+
+
+def test_the_screened_point_stands_where_the_polish_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures: list[Figure] = []
+    save = Figure.savefig
+
+    def watched(figure: Figure, *arguments: Any, **more: Any) -> None:
+        figures.append(figure)
+        save(figure, *arguments, **more)
+
+    monkeypatch.setattr(Figure, "savefig", watched)
+    few = restricted(64)
+    polish_figure(few, (), tmp_path / "p.png", mse_unit="K²")
+    lines = figures[0].axes[0].get_lines()
+    (diamond,) = [line for line in lines if line.get_marker() == "D"]
+    (steps,) = [line for line in lines if line.get_drawstyle() == "steps-post"]
+    assert np.asarray(diamond.get_xdata())[0] == np.asarray(steps.get_xdata())[0] == few.history_calls[0]
 
 
 def test_several_outputs_get_panels_of_their_own(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from records_for_tests import (
     measured,
     parameter_box,
     report_data,
+    restricted,
     sensitivity,
     trials,
 )
@@ -277,6 +278,31 @@ def test_captions_say_numbers_of_the_data() -> None:
     assert "189 model calls (64 for training, 1 to check the screened point, 124 to polish)" in sentence
     assert "829 simulations" in sentence
     assert f"{c.calls_paper}" in captions.overview_caption((c,), "K²")
+
+
+def test_a_restricted_calibration_is_told_from_the_one_of_all_parameters() -> None:
+    few, whole = restricted(64, n_free=6), calibration(64)
+    sentence = captions.headline_sentence(report_data(calibrations=(few,)))
+    assert (
+        "264 model calls (75 to find and check what matters, 64 for training, 1 to check the screened point, "
+        "124 to polish) calibrated the 6 most relevant of 14 parameters" in sentence
+    )
+    found = replace(adaptive(), n_free=6, n_relevance=20, n_before=10)
+    sentence = captions.headline_sentence(report_data(calibrations=(found,)))
+    assert "91 model calls (20 to find and check what matters, the others each where" in sentence
+    better = replace(few, mse_polished=0.9 * whole.mse_polished)
+    table = calibrations_table(report_data(calibrations=(whole, better)))
+    assert [row["n_free"] for row in table.records()] == [14, 6]
+    assert table.emphasized == 1
+    alone = report_data(calibrations=(adaptive(), found))
+    assert [row["n_free"] for row in calibrations_table(alone).records()] == [14, 6]
+    assert "at n = 64, 6 most relevant parameters" in captions.overview_caption((whole, few), "K²")
+
+
+def test_the_search_for_what_matters_is_no_polish() -> None:
+    few, whole = restricted(64), calibration(64)
+    assert calls_to_most(few) == calls_to_most(whole)
+    assert captions.polish_caption(few, "K²") == captions.polish_caption(whole, "K²")
 
 
 def test_residual_is_what_numpy_says() -> None:
