@@ -77,20 +77,28 @@ class ExecutorModel(SpooledModel):
 
     def _work_off(self, arena: Arena, tally: Tally) -> None:
         queue = RowQueue(arena, run_s=_PIECE_S, min_run_s=_MIN_PIECE_S)
-        flying: dict[Future[PieceAnswer], Run] = {}
+        flying: dict[Future[PieceAnswer], tuple[Run, Executor | None]] = {}
         losses: Counter[int] = Counter()
         try:
             while not tally.look_at(arena):
                 slots = self._slots()
                 while queue.n_waiting and len(flying) < 2 * slots:
                     run = queue.take(self._speed.row_s, slots, max_rows=_PIECE_BYTES // arena.grid.row_bytes)
-                    flying[self._submit(simulate_piece, arena.theta[run.start : run.stop].copy())] = run
+                    try:
+                        future = self._submit(simulate_piece, arena.theta[run.start : run.stop].copy())
+                    except self._lost as error:
+                        if self._make_executor is None:
+                            raise
+                        self._lose(arena, run, error, losses, self._executor)
+                        queue.give_back(run)
+                        break
+                    flying[future] = run, self._executor
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    run = flying.pop(future)
+                    run, executor = flying.pop(future)
                     try:
                         self._keep(arena, run, future.result())
                     except self._lost as error:
-                        self._lose(arena, run, error, losses)
+                        self._lose(arena, run, error, losses, executor)
                         queue.give_back(run)
         finally:
             for future in flying:
@@ -105,7 +113,14 @@ class ExecutorModel(SpooledModel):
             else:
                 arena.states[row] = RowState.GOOD
 
-    def _lose(self, arena: Arena, run: Run, error: BaseException, losses: Counter[int]) -> None:
+    def _lose(
+        self,
+        arena: Arena,
+        run: Run,
+        error: BaseException,
+        losses: Counter[int],
+        executor: Executor | None,
+    ) -> None:
         """Give the rows of a lost piece another chance, except those that were lost too often."""
         self._on_warning(
             f"a process of the executor was lost ({type(error).__name__}); the {run.stop - run.start} rows "
@@ -115,7 +130,8 @@ class ExecutorModel(SpooledModel):
             losses[row] += 1
             if losses[row] > _MAX_LOSSES:
                 arena.fail(row, f"the process that simulated it was lost {losses[row]} times")
-        if isinstance(error, BrokenExecutor) and self._make_executor is not None:
+        # One that broke tells so of every piece that it had, also when it has been replaced.
+        if isinstance(error, BrokenExecutor) and executor is self._executor:
             self._let_go(at_once=True)
 
     @property

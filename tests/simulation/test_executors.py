@@ -7,9 +7,10 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -99,6 +100,32 @@ def test_a_process_that_is_killed_gives_its_rows_back():
     assert answer.digest == ToyRC().simulate(rows).digest
     assert warnings
     assert "simulated again" in warnings[0]
+
+
+class BreakingExecutor(ThreadPoolExecutor):
+    """Takes three pieces and is broken then, as a pool is whose process died before it is given the next."""
+
+    n_made = n_taken = 0
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        type(self).n_made += 1
+
+    def submit(self, *arguments: Any, **options: Any) -> Any:
+        self.n_taken += 1
+        if self.n_taken > 3:
+            raise BrokenExecutor("it is broken")
+        return super().submit(*arguments, **options)
+
+
+def test_an_executor_that_takes_no_piece_any_more_is_replaced_where_it_can_be():
+    rows, warnings = _rows(8), []
+    with closing(ExecutorModel(ToyRC, BreakingExecutor, n_slots=1, on_warning=warnings.append)) as model:
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+    assert 2 <= BreakingExecutor.n_made <= 4
+    assert len(warnings) == BreakingExecutor.n_made - 1
+    with pytest.raises(BrokenExecutor), BreakingExecutor() as executor:
+        ExecutorModel(SlowToy().open, executor, n_slots=4).simulate(rows)
 
 
 def test_an_address_without_a_scheduler_is_an_error_of_the_user(monkeypatch: pytest.MonkeyPatch):
