@@ -11,7 +11,8 @@ class NeedsFreshProcess(RuntimeError):  # noqa: N818 (says what is to be done, n
     Raised where an FMU ended with a fatal error (the standard then calls every instance of the process
     corrupt), where it refuses a second instance, or where not even a second instance answers like the first.
     No result was handed out for the row; rows before it are good. Whoever supervises the process ends it,
-    starts another and hands it the row again: the first row of a process never raises this.
+    starts another and hands it the row again. A process that raises this before it has answered any row was
+    no use; whoever supervises it gives up after some of them.
     """
 
 

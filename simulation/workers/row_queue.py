@@ -1,4 +1,7 @@
-"""Which rows of an arena wait, and which run owns which: no row is ever in two hands."""
+"""Which rows of an arena wait, and which run owns which.
+
+A row that is given to another at the very moment it begins is simulated by both, who write the same answer.
+"""
 
 import math
 from collections import deque
