@@ -118,11 +118,6 @@ class CaseData:
             )
         return time, values
 
-    @property
-    def end_s(self) -> float:
-        """End of the longest recording. [s]."""
-        return max(float(recording.time[-1]) for recording in self.recordings.values())
-
 
 def read_data(path: Path, file: CaseFile) -> CaseData:
     """Read every file that the case names, each once, and put them on one time axis.

@@ -1,8 +1,8 @@
 """A lock on a file that the operating system releases when its owner dies, however it dies."""
 
 import errno
+import fcntl
 import os
-import sys
 import time
 from pathlib import Path
 from types import TracebackType
@@ -39,7 +39,7 @@ class FileLock:
         self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            _lock_now(descriptor, shared=self._shared)
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if self._shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
             if error.errno in _HELD:
@@ -71,17 +71,3 @@ class FileLock:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock_now(descriptor: int, *, shared: bool) -> None:
-        # Windows shares no lock here: whoever would share waits a moment instead.
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-
-else:
-    import fcntl
-
-    def _lock_now(descriptor: int, *, shared: bool) -> None:
-        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)

@@ -41,7 +41,6 @@ class FmuDescription:
         model_name: Name of the model.
         generation_tool: Tool that made the FMU, "" for nothing said.
         sha256: SHA-256 of the FMU's bytes, in hexadecimal.
-        platforms: Platforms the FMU has a binary for.
         variables: All variables by name.
         fmi_version: "2.0" or "3.0".
         interfaces: Interfaces by name, "co-simulation" or "model-exchange"; at least one.
@@ -59,7 +58,6 @@ class FmuDescription:
     model_name: str
     generation_tool: str
     sha256: str
-    platforms: tuple[str, ...]
     variables: Mapping[str, FmuVariable]
     fmi_version: FmiVersion
     interfaces: Mapping[str, FmuInterface]
@@ -219,12 +217,12 @@ def read_description(path: Path) -> FmuDescription:
         raise InputError(
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
         )
-    platforms = {
-        name.split("/")[1] for name in members if name.startswith("binaries/") and name.count("/") > 1
-    }
     binaries = {name: binary_member(version, one.model_identifier) for name, one in interfaces.items()}
     runnable = {name: one for name, one in interfaces.items() if binaries[name] in members}
     if not runnable:
+        platforms = {
+            name.split("/")[1] for name in members if name.startswith("binaries/") and name.count("/") > 1
+        }
         held = f"it has one for {', '.join(sorted(platforms))}" if platforms else "it has none at all"
         raise InputError(
             f"{path}: no binary for this platform ({next(iter(binaries.values()))} is missing, {held}); "
@@ -238,7 +236,6 @@ def read_description(path: Path) -> FmuDescription:
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        platforms=tuple(sorted(platforms)),
         variables={str(variable.name): declared_variable(variable) for variable in model.modelVariables},
         fmi_version=version,
         interfaces=runnable,

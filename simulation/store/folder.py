@@ -147,13 +147,12 @@ class StoreFolder:
                 writers.release()
 
     def _sync(self) -> None:
-        """Bring names to the disk, where the system can."""
-        if os.name != "nt":
-            descriptor = os.open(self.path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+        """Bring names to the disk."""
+        descriptor = os.open(self.path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
     def _pin(self, layout: Layout) -> None:
         """Write the manifest, or check that it is this model's."""

@@ -1,6 +1,5 @@
 """A forward model that lives in supervised worker processes: a crash, a hang or a leak costs one row."""
 
-import contextlib
 import logging
 import os
 import threading
@@ -101,9 +100,7 @@ def available_cores() -> int:
     Returns:
         At least 1.
     """
-    with contextlib.suppress(AttributeError):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def exit_with_parent() -> None:

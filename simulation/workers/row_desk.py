@@ -176,16 +176,8 @@ class _Memory:
     """Memory of this process that is its own: arenas, which it shares, do not count."""
 
     def __init__(self) -> None:
-        try:
-            self._pages: int | None = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
-        except OSError:
-            self._pages = None
+        self._pages = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
 
     def mb(self) -> float:
-        if self._pages is None:
-            import resource
-
-            peak: Any = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-            return float(peak) / (1e6 if sys.platform == "darwin" else 1e3)
         _, resident, shared = os.pread(self._pages, 64, 0).split()[:3]
         return (int(resident) - int(shared)) * _PAGE_MB

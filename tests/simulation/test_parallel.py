@@ -100,8 +100,7 @@ def test_a_model_can_be_asked_between_two_blocks_of_a_stream(monkeypatch: pytest
 
 def test_the_cores_are_those_this_process_may_use():
     assert ParallelModel(ToyRC).n_workers == available_cores()
-    if hasattr(os, "sched_getaffinity"):
-        assert available_cores() == len(os.sched_getaffinity(0))
+    assert available_cores() == len(os.sched_getaffinity(0))
 
 
 def test_no_worker_is_no_choice():

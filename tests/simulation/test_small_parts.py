@@ -100,3 +100,9 @@ def test_a_scratch_folder_is_never_seen_without_its_lock_and_goes_after_its_owne
     for scratch in (first, second):
         scratch.remove()
     assert not list(tmp_path.iterdir())
+
+
+def test_another_system_is_told_at_once():
+    script = "import sys; sys.platform = 'darwin'; import simulation"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[-1].startswith("ImportError: simulations need Linux")

@@ -85,7 +85,6 @@ def kill_a_worker(master: int, dice: random.Random) -> bool:
     return True
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL")
 def test_no_reported_row_is_lost_or_simulated_twice_whoever_is_killed(tmp_path: Path) -> None:
     toy, dice = SlowToy(), random.Random(3)
     theta = uniform_design(toy.parameter_space, N_ROWS, 0)
