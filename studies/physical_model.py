@@ -7,6 +7,7 @@ from typing import Any
 
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
+from simulation.store.folder import users
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
@@ -40,14 +41,18 @@ def open_physical_model(
     """
     case = case or study.case
     console = study.console
-    with SimulationStore(
-        store_folder(study.paths, case),
-        model_digest=case.model_digest,
-        parameter_names=case.parameter_space.names,
-        output_names=case.measurement.output_names,
-        time=case.scenario.time,
-        on_warning=console.warn,
-    ) as store:
+    folder = store_folder(study.paths, case)
+    with (
+        users(folder, shared=True),
+        SimulationStore(
+            folder,
+            model_digest=case.model_digest,
+            parameter_names=case.parameter_space.names,
+            output_names=case.measurement.output_names,
+            time=case.scenario.time,
+            on_warning=console.warn,
+        ) as store,
+    ):
         if store.n_recovered:
             console.say(f"{store.n_recovered} simulations of an interrupted run are kept")
         with _supervised(study, case, policy or case.policy, store.spool) as model:

@@ -85,9 +85,9 @@ def import_archive(paths: ProjectPaths, file: Path, console: Console) -> Importe
                 for _ in _take_trials(paths, study, done):
                     n_done += 1
                     advance(n_done, n_all)
+        _take_sets(source, paths)  # before their rows: what a set names, gc leaves alone
         with console.progress("simulations", 1) as advance:
             _take_rows(source, paths, done)
-        _take_sets(source, paths)
         _take_champions(source, paths, studies, done)
         labels = _take_results(source, paths, done)
         _show(paths, studies, labels, console, done)

@@ -1,8 +1,14 @@
 """Files that nothing refers to: sets of rows, reports, what was kept aside, what killed processes left."""
 
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
+from simulation.errors import InputError
+from simulation.store.folder import users
+from simulation.store.row_set import RowSet
 from studies.keeping.check_records import SET_ASIDE
 from studies.keeping.leftover import Leftover, of_place
 from studies.keeping.scratch import Scratch, leftovers
@@ -18,7 +24,8 @@ def unused_files(stores: Stores) -> Iterator[Leftover]:
     used = used_sets(stores)
     for file in sorted(paths.data.glob("*/generated/sets/*.npz")):
         if paths.relative(file) not in used:
-            yield of_place("sets of rows", file, paths.show(file), "no stage and no study names it")
+            unnamed = of_place("sets of rows", file, paths.show(file), "no stage and no study names it")
+            yield replace(unnamed, remove=partial(_remove_set, stores, file))
     labels = {study.entry.label for study in stores.studies}
     labels |= {folder.name for folder in (paths.mlruns / "results").glob("*/")}
     for folder in sorted((paths.mlruns / "reports").glob("*/")):
@@ -54,6 +61,24 @@ def used_sets(stores: Stores) -> set[str]:
     for file in (stores.paths.mlruns / "results").glob("*/simulate.json"):
         used |= set((read_json(file) or {}).get("summary", {}).get("files", {}).values())
     return used
+
+
+def _remove_set(stores: Stores, file: Path) -> str:
+    """Remove a set unless a command works with its simulations: it may be about to name it."""
+    alone = None
+    with suppress(InputError):
+        store = RowSet.load(file).store
+        alone = users(store, shared=False) if store.is_dir() else None
+    if alone is not None and not alone.try_acquire():
+        return "a command works with its simulations now"
+    try:
+        if stores.paths.relative(file) in used_sets(stores):
+            return "a stage names it by now"
+        file.unlink(missing_ok=True)
+    finally:
+        if alone is not None:
+            alone.release()
+    return ""
 
 
 def _remove_scratch(one: Scratch) -> str:

@@ -1,6 +1,7 @@
 """Simulations that no set of rows refers to; they are expensive and go only when asked for."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray
 from simulation.errors import InputError
-from simulation.store.folder import StoreFolder, read_layout
+from simulation.store.folder import StoreFolder, read_layout, users
 from simulation.store.index import Keys, row_keys
 from simulation.store.parts import Part, PartDamagedError, write_part
 from simulation.store.row_set import RowSet
@@ -16,6 +17,7 @@ from simulation.store.rows import Layout
 from studies.keeping.leftover import Leftover
 from studies.keeping.stores import Stores
 from studies.keeping.unused_files import used_sets
+from studies.paths import ProjectPaths
 
 KIND = "simulations"
 
@@ -23,20 +25,13 @@ KIND = "simulations"
 def unused_rows(stores: Stores) -> Iterator[Leftover]:
     """Find the rows of every store that no set refers to."""
     paths = stores.paths
-    wanted: dict[Path, list[Keys]] = {}
-    for place in used_sets(stores):
-        try:
-            rows = RowSet.load(paths.root / place)
-        except InputError:
-            continue
-        wanted.setdefault(rows.store.resolve(), []).append(row_keys(rows.theta))
+    wanted = _wanted(paths.root / place for place in used_sets(stores))
     for folder in sorted(paths.data.glob("*/generated/simulations/*/")):
         try:
             layout = read_layout(folder)
         except InputError:
             continue
-        kept = wanted.get(folder.resolve(), [])
-        keys = np.unique(np.concatenate(kept)) if kept else None
+        keys = wanted.get(folder.resolve())
         n_rows = n_free = size = 0
         changed_s = 0.0
         for file in sorted(folder.glob("part-*.parquet")):
@@ -54,8 +49,20 @@ def unused_rows(stores: Stores) -> Iterator[Leftover]:
                 "no set of rows names them; calibrations and indices may ask for them again",
                 size,
                 changed_s,
-                partial(_drop, folder, layout, keys),
+                partial(_drop, paths, folder, layout),
             )
+
+
+def _wanted(sets: Iterable[Path]) -> dict[Path, Keys]:
+    """Return the rows that sets refer to, by the folder of their store."""
+    found: dict[Path, list[Keys]] = {}
+    for file in sets:
+        try:
+            rows = RowSet.load(file)
+        except InputError:
+            continue
+        found.setdefault(rows.store.resolve(), []).append(row_keys(rows.theta))
+    return {folder: np.unique(np.concatenate(keys)) for folder, keys in found.items()}
 
 
 def _free(file: Path, layout: Layout, keys: Keys | None) -> BoolArray:
@@ -70,32 +77,39 @@ def _free(file: Path, layout: Layout, keys: Keys | None) -> BoolArray:
     return ~np.isin(row_keys(theta), keys)
 
 
-def _drop(folder: Path, layout: Layout, keys: Keys | None) -> str:
-    """Write every part again without the rows that nobody refers to."""
-    files = StoreFolder(folder, layout)
-    lock = files.merging()
-    if not lock.try_acquire():
-        return "somebody merges its parts now"
+def _drop(paths: ProjectPaths, folder: Path, layout: Layout) -> str:
+    """Write every part again without the rows that nobody refers to, unless a command works with them.
+
+    Sets that have come since are left their rows, though no stage may name them yet.
+    """
+    alone = users(folder, shared=False)
+    if not alone.try_acquire():
+        return "a command works with them now"
     try:
-        for name in files.sizes():
-            try:
-                free = _free(folder / name, layout, keys)
-                if not free.any():
-                    continue
-                part = Part(folder / name, layout)
-                try:
-                    whole = list(part.blocks())
-                finally:
-                    part.close()
-            except (PartDamagedError, FileNotFoundError):
-                continue
-            start, kept = 0, []
-            for rows in whole:
-                kept.append(rows.take(~free[start : start + rows.n]))
-                start += rows.n
-            if not free.all():
-                files.publish(lambda file, kept=kept: write_part(file, layout, kept))  # type: ignore[misc]
-            files.remove([name])
+        files = StoreFolder(folder, layout)
+        with files.merging():
+            keys = _wanted(paths.data.glob("*/generated/sets/*.npz")).get(folder.resolve())
+            for name in files.sizes():
+                with suppress(PartDamagedError, FileNotFoundError):
+                    _drop_from(files, name, layout, keys)
     finally:
-        lock.release()
+        alone.release()
     return ""
+
+
+def _drop_from(files: StoreFolder, name: str, layout: Layout, keys: Keys | None) -> None:
+    free = _free(files.path / name, layout, keys)
+    if not free.any():
+        return
+    part = Part(files.path / name, layout)
+    try:
+        whole = list(part.blocks())
+    finally:
+        part.close()
+    start, kept = 0, []
+    for rows in whole:
+        kept.append(rows.take(~free[start : start + rows.n]))
+        start += rows.n
+    if not free.all():
+        files.publish(lambda file: write_part(file, layout, kept))
+    files.remove([name])

@@ -155,6 +155,41 @@ def test_simulations_go_only_when_asked_and_only_those_of_no_set(paths: ProjectP
     assert bad_findings(studies) == []
 
 
+def test_simulations_of_a_running_command_stay(
+    paths: ProjectPaths, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = []
+    save = RowSet.save
+
+    def clean_first(rows: RowSet) -> None:
+        said.append(studies("gc", "--simulations", "--yes"))
+        save(rows)
+
+    monkeypatch.setattr(RowSet, "save", clean_first)
+    assert studies("simulate", "--profile", "smoke", "--quiet").code == 0
+    assert {answer.code for answer in said} == {1}
+    assert all("rows stays: a command works with them now" in answer.err for answer in said)
+    assert "npz stays: a command works with its simulations now" in said[-1].err
+
+
+def test_rows_of_a_set_that_came_since_stay(
+    paths: ProjectPaths, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sets = paths.data / "office" / "generated" / "sets"
+    rows = RowSet.load(next(sets.glob("test*")))
+    free = rows.theta * 1.0000001
+
+    def simulated_meanwhile(*_: object) -> bool:
+        RowSet(free, rows.store, sets / "new.npz").save()
+        return True
+
+    with SimulationStore.at(rows.store) as store:
+        store.append(replace(rows.read(), theta=free))
+        monkeypatch.setattr("studies.keeping.collection.is_agreed", simulated_meanwhile)
+        assert studies("gc", "--simulations").code == 0
+        assert store.find(free).all()
+
+
 def test_an_age_that_is_none_is_refused(paths: ProjectPaths, studies: Run) -> None:
     answer = studies("gc", "--older-than", "soon")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
