@@ -149,7 +149,10 @@ class FileTrials:
             file.unlink(missing_ok=True)
 
     def beat(self, claim: Claim, *, epoch: int, value: float | None) -> None:
-        """Note that a claim's owner lives, and how far the trial is."""
+        """Note that a claim's owner lives, and how far the trial is; without effect once it has lost it."""
+        present = _read(self._claim_file(claim.index))
+        if present is None or present.get("token") != claim.token:
+            return
         said = {"token": claim.token, "epoch": epoch, "value": value, "heard_s": time.time()}
         write_json(self._beat_file(claim.index), said)
 
