@@ -73,6 +73,7 @@ _REFUSALS = {
     "failed to resolve host": "correct the host of the URL",
     "invalid": "correct the URL",
 }
+_UNRESOLVED = ("could not translate host name", "failed to resolve host")
 
 
 class StorageAwayError(InputError):
@@ -230,8 +231,10 @@ class Database:
 
         lines = [line.strip() for line in hide_passwords(str(error)).splitlines() if line.strip()]
         said = lines[0].removeprefix("connection failed: ") if lines else type(error).__name__
+        # Where the host was known before, or names cannot be looked up now, it is the network that is away.
+        is_away = any(sign in said for sign in _UNRESOLVED) and (self._is_ready or "Temporary" in said)
         for sign, remedy in _REFUSALS.items():
-            if sign in said and "No such file" not in said:
+            if not is_away and sign in said and "No such file" not in said:
                 return InputError(f"the storage {self.shown} refuses ({said}); {remedy}")
         if isinstance(error, OperationalError):
             return StorageAwayError(

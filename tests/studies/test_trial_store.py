@@ -12,6 +12,7 @@ import pytest
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.tuning.claim import GRACE_S, Claim, is_dead, this_owner
+from studies.tuning.postgres import Database, StorageAwayError
 from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_record import TrialRecord, record_to_json
 from studies.tuning.trial_store import StudyEntry, TrialStore, list_studies, named_lock, open_trials
@@ -117,7 +118,7 @@ def test_claims_tell_who_works_and_how_far(store: TrialStore, paths: ProjectPath
     store.put_claim(mine)
     store.put_claim(lost)
     store.beat(mine, epoch=7, value=0.25)
-    store.beat(replace(mine, token="of somebody else"), epoch=9, value=9.0) if paths.storage else None
+    store.beat(replace(mine, token="of somebody else"), epoch=9, value=9.0)
     other = open_trials(paths, store.name)
     (running,) = other.running()
     assert (running.index, running.owner, running.epoch, running.value) == (0, mine.owner, 7, 0.25)
@@ -191,3 +192,29 @@ def test_a_missing_driver_is_one_line_with_its_remedy(
     paths = ProjectPaths(tmp_path, "postgresql://me:secret@nowhere/studies")
     with pytest.raises(InputError, match=r"me:\*\*\*@nowhere.*pip install '\.\[postgres\]'"):
         list_studies(paths)
+
+
+UNKNOWN = "failed to resolve host 'nowhere': [Errno -2] Name or service not known"
+LOOKED_UP_IN_VAIN = "failed to resolve host 'nowhere': [Errno -3] Temporary failure in name resolution"
+
+
+@pytest.mark.parametrize(
+    ("said", "is_ready", "is_away"),
+    [(UNKNOWN, False, False), (UNKNOWN, True, True), (LOOKED_UP_IN_VAIN, False, True)],
+)
+def test_a_host_that_cannot_be_found_any_more_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, said: str, is_ready: bool, is_away: bool
+) -> None:
+    psycopg = pytest.importorskip("psycopg")
+
+    def fail(*_: object, **__: object) -> None:
+        raise psycopg.OperationalError(said)
+
+    monkeypatch.setattr("psycopg.connect", fail)
+    server = Database("postgresql://me:secret@nowhere/studies")
+    server._is_ready = is_ready
+    with pytest.raises(
+        InputError, match="does not answer" if is_away else "correct the host of the URL"
+    ) as one:
+        server.connect()
+    assert isinstance(one.value, StorageAwayError) == is_away
