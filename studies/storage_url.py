@@ -26,8 +26,10 @@ def read_storage(given: str) -> str:
     try:
         parts = urlsplit(given)
         _ = parts.port
-    except ValueError as error:
-        raise InputError(f"the storage {shown!r} is no URL ({error}); write {EXAMPLE}") from None
+    except ValueError:  # what it says may quote the password
+        parts = None
+    if parts is None or "@" in parts.path:
+        raise InputError(f"the storage {shown!r} is no URL; write {EXAMPLE}, and / in a password as %2F")
     if parts.scheme not in _SCHEMES:
         raise InputError(f"the storage {shown!r} is no PostgreSQL URL; write {EXAMPLE}")
     if not unquote(parts.path.strip("/")):
