@@ -2,6 +2,7 @@
 
 import argparse
 
+from simulation.errors import InputError
 from studies.commands.study import FAILED, OK
 from studies.console import Console
 from studies.paths import find_project
@@ -42,6 +43,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.keeping.examination import examine, repair
     from studies.keeping.finding import is_sound, show_findings
 
+    if chosen.copied and not chosen.upgrade:
+        raise InputError("--copied belongs to --upgrade; type: studies doctor --upgrade --copied")
     paths = find_project(chosen.storage)
     done: list[str] = []
     if chosen.upgrade:

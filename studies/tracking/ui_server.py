@@ -1,5 +1,6 @@
 """Start MLflow's user interface on this project's store, on loopback or with passwords."""
 
+import errno
 import os
 import signal
 import socket
@@ -162,7 +163,7 @@ def free_port(host: str, port: int | None, first: int) -> int:
         first: where to begin looking.
 
     Raises:
-        InputError: the port is taken, or none is free.
+        InputError: the port is taken, none is free, or the address is not this machine's.
     """
     if port is not None and not _is_free(host, port):
         raise InputError(f"port {port} on {host} is taken; choose another one or leave --port away")
@@ -189,7 +190,9 @@ def _is_free(host: str, port: int) -> bool:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
-        except OSError:
+        except OSError as error:
+            if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+                raise InputError(f"{host!r} is no address of this machine; correct --host") from None
             return False
     return True
 

@@ -182,6 +182,22 @@ def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(
     assert "a-secret" not in answer.out + answer.err
 
 
+def test_ui_says_which_address_is_wrong(
+    new_project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MLFLOW_AUTH_ADMIN_PASSWORD", "a-secret-of-many-letters")
+    for host in ("no.such.host.invalid", "192.0.2.1"):
+        answer = studies("ui", "--host", host)
+        assert (answer.code, answer.err.count("\n")) == (2, 1)
+        assert f"'{host}' is no address of this machine; correct --host" in answer.err
+
+
+def test_doctor_refuses_a_word_that_would_do_nothing(new_project: Path, studies: Run) -> None:
+    answer = studies("doctor", "--copied")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "--copied belongs to --upgrade" in answer.err
+
+
 def test_ctrl_c_says_how_to_go_on(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
