@@ -116,7 +116,6 @@ def _rebuild_all(stores: Stores) -> str:
 def _replace_journal(stores: Stores, journal: Path) -> str:
     place = free_name(journal.with_name(f"{journal.name}.damaged"))
     journal.replace(place)
-    _rebuild_all(stores)
     return f"the damaged journal is kept in {stores.paths.show(place)}; {_rebuild_all(stores)}"
 
 

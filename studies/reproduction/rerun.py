@@ -130,7 +130,7 @@ def _judge(rebuilt: Rebuilt, spec: StudySpec, trial: TrialRecord) -> Callable[[i
     known = range(max(0, trial.index - spec.n_parallel + 1))
     rivals = [rival for rival in rebuilt.recorded.rivals if rival.index in known]
     if len(rivals) == len(known):
-        return Pruner(spec, trial.index, rivals).is_hopeless
+        return Pruner(spec, rivals).is_hopeless
     last = max(map(int, trial.reports), default=0)
     if trial.state != "pruned":
         return lambda epoch, value: False

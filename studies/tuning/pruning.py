@@ -32,11 +32,10 @@ class Pruner:
 
     Args:
         spec: the study; with several objectives nothing is stopped.
-        index: the trial.
         finished: trials that it is compared with, in order.
     """
 
-    def __init__(self, spec: StudySpec, index: int, finished: Sequence[TrialRecord]) -> None:
+    def __init__(self, spec: StudySpec, finished: Sequence[TrialRecord]) -> None:
         self._least = float("inf")
         self._completed: Sequence[TrialRecord] = ()
         self._trial: Trial | None = None

@@ -100,7 +100,7 @@ def attempt(
     """
     claim = slot.claim
     config = proposal_of(spec, claim.index, claim.params, origin=claim.origin).config
-    pruner = Pruner(spec, claim.index, slot.finished)
+    pruner = Pruner(spec, slot.finished)
     outcome = TrialOutcome()
     tick = time.perf_counter()
 

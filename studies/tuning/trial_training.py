@@ -14,7 +14,7 @@ from studies.tuning.pruning import PRUNED
 from studies.tuning.study_data import StudyData
 from studies.tuning.study_spec import StudySpec, TrialState, output_metric
 
-N_REPORTS = 16  # each costs a journal write of some 6 ms; one per epoch would cost more than a training
+N_REPORTS = 16  # enough to stop a trial in time; all of them are kept in its record
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
 HISTORY = ("epoch", "loss", "validation_mae")  # what is known of a trial without a surrogate
 NORMAL_90 = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution

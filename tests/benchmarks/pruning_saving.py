@@ -89,7 +89,7 @@ def own(spec: StudySpec) -> Rule:
         records: list[TrialRecord] = []
         found = []
         for index, trained in enumerate(order):
-            pruner, n = Pruner(spec, index, records), len(trained.curve)
+            pruner, n = Pruner(spec, records), len(trained.curve)
             for place, step, value in compared(trained):
                 if place + 1 < n and pruner.is_hopeless(step, value):
                     n = place + 1
@@ -172,7 +172,7 @@ def live(
             seconds.append(0.0)
             for index in range(n_trials):
                 proposal = propose(study, index, records)
-                pruner = Pruner(study, index, records)
+                pruner = Pruner(study, records)
                 trained, outcome = train(study, proposal, data, index, pruner.is_hopeless)
                 record = as_record(study, trained, proposal, state=outcome.state)
                 records.append(replace(record, reports=outcome.reports))

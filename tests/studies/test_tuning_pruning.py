@@ -27,7 +27,7 @@ def past(spec: StudySpec, *curves: dict[int, float], state: TrialState = "comple
 
 def stopped_at(spec: StudySpec, records: Sequence[TrialRecord], curve: dict[int, float]) -> int | None:
     """Return the epoch at which a trial is stopped."""
-    pruner = Pruner(spec, len(records), records)
+    pruner = Pruner(spec, records)
     return next((epoch for epoch, value in curve.items() if pruner.is_hopeless(epoch, value)), None)
 
 
