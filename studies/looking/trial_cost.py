@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.case import Case
+from simulation.errors import InputError
 from studies.looking.project import Project, StudyLook
 from studies.profile import Profile
 from studies.stages.pipeline import Study
@@ -44,6 +45,9 @@ def trial_costs(project: Project, study: Study, *, say: Callable[[str], None]) -
         project: holds the records of earlier trials.
         study: what would be tuned.
         say: told before some epochs are timed, which takes seconds.
+
+    Raises:
+        InputError: the profile's device is not there.
     """
     case, profile = study.case, study.profile
     own = {n_train: _own_trials(project, study, n_train) for n_train in profile.data.n_train}
@@ -54,7 +58,10 @@ def trial_costs(project: Project, study: Study, *, say: Callable[[str], None]) -
         timed = [n for n in sorted({min(missing), max(missing)}) if _is_cheap(case, n)]
         if timed:
             say(f"timing some epochs of n_train {', '.join(map(str, timed))} on made-up data")
-            rates |= {n_train: _timed_epoch(case, profile, n_train) for n_train in timed}
+            try:
+                rates |= {n_train: _timed_epoch(case, profile, n_train) for n_train in timed}
+            except ValueError as error:  # such as a device that is not there
+                raise InputError(f"profile {profile.name}: {error}") from None
             basis = "epochs timed now"
     found = {
         n: TrialCost(statistics.mean(walls), f"mean of {len(walls)} trials")
@@ -138,13 +145,13 @@ def _timed_epoch(case: Case, profile: Profile, n_train: int) -> float:
     def hear(report: EpochReport) -> None:
         seen.append(time.perf_counter())
 
-    variant, validation = VARIANTS[profile.tuning.variant], made_up(profile.data.n_validation)
+    # As the trials will be trained.
+    variant = VARIANTS[profile.tuning.variant].replace(device=profile.tuning.device, n_threads=1)
+    validation = made_up(profile.data.n_validation)
     if variant.regressor == "gaussian-process":  # whose epochs are parts of one piece of work
         n = min(n_train, MOST_TIMED_ROWS)
-        fitted = fit(*made_up(n), validation, config=variant.replace(n_threads=1), seed=0)
+        fitted = fit(*made_up(n), validation, config=variant, seed=0)
         return fitted.wall_s / variant.max_epochs * n_train / n
-    config = variant.replace(
-        max_epochs=2 * N_TIMED, patience=2 * N_TIMED, validate_every=N_TIMED, n_threads=1
-    )
+    config = variant.replace(max_epochs=2 * N_TIMED, patience=2 * N_TIMED, validate_every=N_TIMED)
     fit(*made_up(n_train), validation, config=config, seed=0, on_epoch=hear)
     return (seen[-1] - seen[0]) / N_TIMED if len(seen) > 1 else 0.0

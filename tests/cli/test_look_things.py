@@ -243,6 +243,21 @@ def test_a_dry_run_knows_what_is_finished_and_writes_nothing(finished: Path, stu
     assert snapshot(finished) == before
 
 
+def test_epochs_are_timed_on_the_device_of_the_trials(
+    tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    profile = tmp_path / "device.toml"
+    profile.write_text(
+        'name = "device"\n[data]\nn_train = [128]\n[tuning]\nn_trials = 1\nvariant = "refined"\n'
+        'device = "cuda"\n',
+        encoding="utf-8",
+    )
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    answer = studies("tune", "--profile", str(profile), "--dry-run")
+    assert answer.code == 2
+    assert "profile device: device 'cuda' asked for" in answer.err.splitlines()[-1]
+
+
 def snapshot(root: Path) -> dict[str, str]:
     """Return the content of all files."""
     files = (file for file in root.rglob("*") if file.is_file())
