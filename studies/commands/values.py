@@ -4,6 +4,7 @@ import argparse
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from decimal import Decimal
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,17 @@ class Window:
     @property
     def label(self) -> str:
         """How results of this window are told apart: d8-16."""
-        return f"{self.unit}{self.begin:g}-{self.end:g}"
+        return f"{self.unit}{_all_digits(self.begin)}-{_all_digits(self.end)}"
 
     def __str__(self) -> str:
         """Return what can be typed."""
-        return f"{self.begin:g}-{self.end:g}{'' if self.unit == 'd' else self.unit}"
+        return f"{_all_digits(self.begin)}-{_all_digits(self.end)}{'' if self.unit == 'd' else self.unit}"
+
+
+def _all_digits(value: float) -> str:
+    """Write a number without an exponent, which the reader of windows refuses."""
+    text = f"{Decimal(repr(value)):f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def window(text: str) -> Window:

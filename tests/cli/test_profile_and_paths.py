@@ -7,6 +7,7 @@ import pytest
 from project_for_tests import make_project
 
 from simulation.errors import InputError
+from studies.commands.values import window
 from studies.paths import ProjectPaths, find_case, find_project
 from studies.profile import changed_words, load_profile, profile_names
 
@@ -43,6 +44,21 @@ def test_options_that_changed_a_profile_are_told() -> None:
     tuned = " --n-train 64 128 --trials 8 --parallel 4 --warm-start"
     assert changed_words(quick, changed) == f"{tuned} --max-calls 100"
     assert changed_words(quick, changed, ("data", "tuning")) == tuned
+
+
+@pytest.mark.parametrize(
+    ("text", "label"),
+    [
+        ("8-16", "d8-16"),
+        ("0-2.5h", "h0-2.5"),
+        ("0-1209600s", "s0-1209600"),
+        ("0-1234567s", "s0-1234567"),
+        ("0.00001-0.1234567", "d0.00001-0.1234567"),
+    ],
+)
+def test_a_window_keeps_all_its_digits_and_can_be_typed_again(text: str, label: str) -> None:
+    asked = window(text)
+    assert (asked.label, str(asked), window(str(asked))) == (label, text, asked)
 
 
 def test_a_profile_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
