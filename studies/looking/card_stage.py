@@ -15,11 +15,8 @@ from studies.looking.curve import plot
 from studies.looking.mlflow_runs import find_runs
 from studies.looking.project import Project, StageLook
 from studies.looking.things import DigestThing, RowSetThing
-from studies.report.wording import count, quantity, squared
+from studies.report.wording import bound_at, count, quantity, squared
 from studies.stages.pipeline import read_json
-
-AT_BOUND = 0.01
-"""Closer to a bound than this share of the range is at the bound."""
 
 
 def stage_blocks(project: Project, stage: StageLook) -> list[Block]:
@@ -136,8 +133,7 @@ def _parameters(project: Project, stage: StageLook) -> Table:
 def _at_bound(value: float, lower: float, upper: float, scale: str) -> str:
     if scale == "log":
         value, lower, upper = math.log(value), math.log(lower), math.log(upper)
-    share = (value - lower) / (upper - lower)
-    bound = "lower" if share < AT_BOUND else "upper" if share > 1.0 - AT_BOUND else ""
+    bound = bound_at((value - lower) / (upper - lower))
     return f"at the {bound} bound" if bound else ""
 
 

@@ -19,9 +19,7 @@ from studies.report.records import (
     SensitivityRecord,
 )
 from studies.report.records_tuning import TrialsRecord
-
-# Closer to a bound than this fraction of the box, a calibrated value is flagged.
-AT_BOUND = 1e-3
+from studies.report.wording import bound_at
 
 
 def mean_over_time(indices: Floats) -> Floats:
@@ -98,8 +96,7 @@ def best_trials(trials: TrialsRecord) -> Integers:
 
 def at_bound(parameters: ParameterBox, calibration: CalibrationRecord) -> tuple[str, ...]:
     """Say for every parameter whether its polished value lies at a bound: "lower", "upper" or nothing."""
-    unit = parameters.to_unit(calibration.theta_polished)
-    return tuple("lower" if u < AT_BOUND else "upper" if u > 1 - AT_BOUND else "" for u in unit.tolist())
+    return tuple(map(bound_at, parameters.to_unit(calibration.theta_polished).tolist()))
 
 
 @dataclass(frozen=True)

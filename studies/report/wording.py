@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from typing import Any
 
 MISSING = "–"
+AT_BOUND = 0.01
+"""Closer to a bound than this share of the range is at the bound."""
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -49,12 +51,23 @@ def percent(fraction: float) -> str:
     """Write a fraction as a percentage; a nearly-all or nearly-none is not rounded to all or none."""
     if math.isnan(fraction):
         return MISSING
-    if 0 < fraction < 0.001 or 0.999 < fraction < 1:
-        return "under 0.1 %" if fraction < 0.5 else "over 99.9 %"
-    text = f"{100 * fraction:.0f}"
-    if text in ("0", "100") and fraction not in (0.0, 1.0):
-        text = f"{100 * fraction:.1f}"
-    return f"{text} %"
+    size, sign = abs(fraction), "-" if fraction < 0 else ""
+    if 0 < size < 0.001 or 0.999 < size < 1:
+        beyond = "under" if (size < 0.5) == (fraction > 0) else "over"
+        return f"{beyond} {sign}{'0.1' if size < 0.5 else '99.9'} %"
+    text = f"{100 * size:.0f}"
+    if text in ("0", "100") and size not in (0.0, 1.0):
+        text = f"{100 * size:.1f}"
+    return f"{sign}{text} %"
+
+
+def bound_at(u: float) -> str:
+    """Return which bound a calibrated value lies at, "" for none.
+
+    Args:
+        u: The value in the calibration's coordinates, 0 at the lower bound and 1 at the upper. [1]
+    """
+    return "lower" if u < AT_BOUND else "upper" if u > 1.0 - AT_BOUND else ""
 
 
 def shown_unit(unit: str) -> str:

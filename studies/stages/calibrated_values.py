@@ -8,16 +8,13 @@ import numpy as np
 
 from studies.console import Column
 from studies.physical_model import warn_failed
-from studies.report.wording import difference_unit, squared
+from studies.report.wording import bound_at, difference_unit, squared
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.restriction import show_restriction
 from studies.stages.results import calibration_files, n_free_of, read_arrays
 from studies.stages.validation import show_validation
-
-AT_BOUND = 0.01
-"""Closer to a bound than this share of the range, in the calibration's coordinates, is at the bound."""
 
 
 def show_calibrations(study: Study, outcomes: list[Outcome], target: float | None) -> None:
@@ -114,7 +111,7 @@ def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
     theta = np.array([found[name] for name in space.names])
     rows = []
     for parameter, value, u in zip(space.parameters, theta, space.to_unit(theta), strict=True):
-        bound = "lower" if u < AT_BOUND else "upper" if u > 1.0 - AT_BOUND else ""
+        bound = bound_at(float(u))
         rows.append(
             [
                 parameter.name,

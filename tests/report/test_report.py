@@ -225,13 +225,17 @@ def test_parameters_table_flags_the_bounds() -> None:
     c, box = calibration(64), parameter_box()
     table = parameters_table(box, c)
     rows = {row["name"]: row for row in table.records()}
-    assert rows["cInt"]["at_bound"] == "upper"
-    assert rows["rExt1"]["at_bound"] == "lower"
-    assert sum(row["at_bound"] != "" for row in table.records()) == 2
+    flagged = {name: row["at_bound"] for name, row in rows.items() if row["at_bound"]}
+    assert flagged == {"cInt": "upper", "rExt1": "lower", "VSUP": "upper"}
     assert rows["UWin"]["estimate"] == 0.7
     assert [row["polished"] for row in table.records()] == c.theta_polished.tolist()
     assert "| 293.15 | 306.15 |" in table.to_markdown()
     assert at_bound(box, replace(c, theta_polished=box.lower)) == ("lower",) * 14
+    # As near as studies calibrate and studies show call it at the bound, in the logarithm where there is one.
+    for share, said in ((0.009, "lower"), (0.011, ""), (0.989, ""), (0.991, "upper")):
+        linear = box.lower + share * (box.upper - box.lower)
+        near = np.where(box.is_log, box.lower * (box.upper / box.lower) ** share, linear)
+        assert at_bound(box, replace(c, theta_polished=near)) == (said,) * 14
     assert at_bound(box, replace(c, theta_polished=np.sqrt(box.lower * box.upper))) == ("",) * 14
 
 
@@ -368,6 +372,9 @@ def test_words_and_units() -> None:
     )  # fmt: skip
     assert [percent(x) for x in (0, 0.00001, 0.5, 0.996, 0.99999, 1)] == [
         "0 %", "under 0.1 %", "50 %", "99.6 %", "over 99.9 %", "100 %",
+    ]  # fmt: skip
+    assert [percent(x) for x in (-0.004, 0.004, -0.5, -0.0, -1, -1e-5, -0.9999)] == [
+        "-0.4 %", "0.4 %", "-50 %", "0 %", "-100 %", "over -0.1 %", "under -99.9 %",
     ]  # fmt: skip
     assert (squared(difference_unit("degC")), squared("W/m2"), squared("")) == ("K²", "(W/m2)²", "")
     assert declared(0.7 / 5) == "0.14"
