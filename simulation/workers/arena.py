@@ -105,11 +105,9 @@ class Arena:
         self.theta = self._array("theta", places, (capacity, p))
         self.started = self._array("started", places, (capacity,))
         self.wall_s = self._array("wall_s", places, (capacity,))
-        self.states: npt.NDArray[np.uint8] = np.frombuffer(
-            self._memory, np.uint8, int(capacity), places["states"]
-        )
+        self.states: npt.NDArray[np.uint8] = np.frombuffer(self._memory, np.uint8, capacity, places["states"])
         self.owners: npt.NDArray[np.uint32] = np.frombuffer(
-            self._memory, np.uint32, int(capacity), places["owners"]
+            self._memory, np.uint32, capacity, places["owners"]
         )
         self._reasons = places["reasons"]
         self.y = self._array("y", places, (capacity, t, k))
