@@ -130,9 +130,10 @@ def _size(study: Run, trials: Sequence[Run], calibrations: Sequence[Run]) -> Siz
 
 
 def _is_of(calibration: Run, study: Run) -> bool:
-    """Say whether a calibration is written whole, of all parameters and with the surrogate of a study."""
-    tags = calibration.data.tags
-    is_ours = tags.get("surrogate_study") == study.data.tags["study_key"]
+    """Say whether a calibration is written whole, of all parameters and with a study's best surrogate."""
+    tags, wanted = calibration.data.tags, study.data.tags
+    used = tags.get("surrogate_study"), tags.get("surrogate_trial")
+    is_ours = used == (wanted["study_key"], wanted.get("best_trial"))
     return is_ours and "whole" in tags and "n_free" not in tags
 
 

@@ -247,15 +247,18 @@ def test_a_study_is_credited_with_its_own_surrogates_calibration_alone(
     spec, folder = study
     tell_all(tracker, spec, folder)
 
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    best = int(parent.data.tags["best_trial"])
+
     def calibrate(name: str, mse: float, **tags: Any) -> None:
         numbers = {"mse/polished": mse, "calls/all": 100}
-        tags = {"n_train": 16, **tags}
+        tags = {"n_train": 16, "surrogate_study": spec.name, "surrogate_trial": best, **tags}
         tracker.log_stage(StageRun("toy-small", "calibration", name, name, metrics=numbers, tags=tags))
 
-    calibrate("ours", 0.25, surrogate_study=spec.name)
-    calibrate("of few parameters", 0.5, surrogate_study=spec.name, n_free=3)
+    calibrate("ours", 0.25)
+    calibrate("of few parameters", 0.5, n_free=3)
+    calibrate("with an earlier best trial", 0.6, surrogate_trial=best + 1)
     calibrate("with another surrogate", 0.75, surrogate_study="toy-small/n0016/00000000")
-    (parent,) = runs(tracker, "tags.role = 'study'")
     history = tracker.client.get_metric_history(parent.info.run_id, "calibrated/mse")
     assert {point.value for point in history} == {0.25}
 
