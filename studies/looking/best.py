@@ -8,7 +8,7 @@ from typing import Any
 from studies.console import Block, Column, Said, Table
 from studies.looking.project import Project, StageLook, StudyLook
 from studies.looking.wording import error
-from studies.report.wording import MISSING, count, quantity, setting, squared
+from studies.report.wording import MISSING, count, percent, quantity, setting, squared
 from studies.stages.pipeline import read_json
 from studies.tuning.trial_record import TrialRecord, trial_name
 
@@ -213,7 +213,7 @@ def _models(bench: Bench) -> Table:
                 Said(error(metrics["val/mae"]), "strong"),
                 *(error(metrics.get(name)) for name in ("val/p90", "test/mae", "test/p90")),
                 error(model.default_mae),
-                MISSING if gain is None else "±0 %" if gain <= 0.0 else f"-{100 * gain:.0f} %",
+                MISSING if gain is None else "±0 %" if gain <= 0.0 else percent(-gain),
                 *(
                     setting(config.get(name)) if _regressor(config) == regressor else MISSING
                     for regressor, names in shown.items()
@@ -243,10 +243,10 @@ def _worth(bench: Bench) -> str:
     times = f"at {spent / first:.1f} times the training time of the default alone" if first else ""
     if not better:
         return f"Tuning found nothing better than the default configuration (trial 0), {times}."
-    mean = 100.0 * sum(gains) / len(gains)
+    mean = percent(sum(gains) / len(gains))
     return (
         f"Tuning beat the default configuration (trial 0) at {len(better)} of "
-        f"{count(len(gains), 'size')}, by {mean:.0f} % of its validation error on average, {times}."
+        f"{count(len(gains), 'size')}, by {mean} of its validation error on average, {times}."
     )
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import termios
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -156,6 +157,16 @@ def test_best_compares_only_what_was_judged_alike(project: Path, studies: Run) -
     answer = studies("best", "--n-train", "99")
     assert answer.code == 2
     assert "there are 64" in answer.err
+
+
+def test_best_tells_a_small_gain_from_none(project: Path, studies: Run) -> None:
+    store = write_study(project, "office-quick", 64, n_trials=1)
+    (default,) = store.records()
+    slightly = default.metrics | {"val/mae": 0.996 * default.metrics["val/mae"]}
+    store.write(replace(default, index=1, metrics=slightly), {})
+    shown = studies("best").out
+    assert " -0.4 % " in shown
+    assert "by 0.4 % of its validation error" in shown
 
 
 def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studies: Run) -> None:
