@@ -8,9 +8,10 @@ from pathlib import Path
 
 from studies.report import captions
 from studies.report.data import ReportData
-from studies.report.figures_calibration import calibration_figure, overview_figure, polish_figure
+from studies.report.figures_calibration import calibration_figure, polish_figure
 from studies.report.figures_convergence import convergence_figure
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
+from studies.report.figures_overview import overview_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure, pairs_figure, shown_pairs

@@ -1,4 +1,4 @@
-"""Pictures of calibrations: temperatures over time, MSE over model calls, and all sizes side by side."""
+"""Pictures of one calibration: temperatures over time, and MSE over model calls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from studies.report.drawing import (
     shortened,
     time_axis,
 )
-from studies.report.records import CalibrationRecord, Floats, MeasuredSeries
+from studies.report.findings import last_finite
+from studies.report.records import CalibrationRecord, MeasuredSeries
 from studies.report.wording import (
     axis_label,
     count,
@@ -88,10 +89,10 @@ def _draw_output(
     axes.plot(
         measured_at, measured.values, linestyle="none", marker=".", markersize=5, color=MEASURED, zorder=2
     )
-    labels = [EndLabel(_last(measured.values), "measured", INK)]
+    labels = [EndLabel(last_finite(measured.values), "measured", INK)]
     for name, values, color, width in series:
         axes.plot(simulated_at, values, color=color, linewidth=width, zorder=3)
-        labels.append(EndLabel(_last(values), name, color))
+        labels.append(EndLabel(last_finite(values), name, color))
     name, unit = measurement.output_names[output], measurement.units[output]
     axes.set_ylabel(axis_label(shortened(name), shortened(shown_unit(unit))))
     axes.set_ylim(*axes.get_ylim())
@@ -115,14 +116,9 @@ def _draw_residual(
     axes.axhline(0.0, color=INK, linewidth=0.8)
     measured_at = unit_of_time.of_seconds(measurement.samples[output].time)
     line_with_gaps(axes, measured_at, residual, color=POLISHED, linewidth=1.1)
-    labels.append(EndLabel(_last(residual), calibration.final, POLISHED))
+    labels.append(EndLabel(last_finite(residual), calibration.final, POLISHED))
     axes.set_ylabel(axis_label("residual", shortened(unit, 10)))
     end_labels(axes, labels)
-
-
-def _last(values: Floats) -> float:
-    finite = np.flatnonzero(np.isfinite(values))
-    return float(values[finite[-1]]) if finite.size else math.nan
 
 
 def polish_figure(
@@ -223,83 +219,4 @@ def _draw_promise(axes: Axes, calibration: CalibrationRecord, mse_unit: str) -> 
         ha="right",
         va="center",
         bbox={"facecolor": TRAINING, "edgecolor": "none", "pad": 1.0},
-    )
-
-
-def overview_figure(
-    calibrations: Sequence[CalibrationRecord],
-    references: Sequence[Reference],
-    path: Path,
-    *,
-    mse_unit: str,
-    footnote: str = "",
-) -> Path:
-    """Draw, for every training-set size, the MSE by the surrogate, by the model as screened, and as polished.
-
-    Args:
-        calibrations: One per size, at least one.
-        references: Known MSEs, drawn as lines; may be empty.
-        path: Where the PNG goes.
-        mse_unit: Unit of the MSE, e.g. "K²".
-        footnote: Small print.
-
-    Returns:
-        The path.
-    """
-    ordered = sorted(calibrations, key=lambda c: c.n_train)
-    finals = [c.mse_polished for c in ordered]
-    cheapest = min(ordered, key=lambda c: c.calls_paper)
-    span = (
-        f"an MSE of {quantity(finals[0], mse_unit)}"
-        if len(finals) == 1
-        else f"{significant(min(finals))} to {quantity(max(finals), mse_unit)}"
-    )
-    ends = "All end" if ordered[0].is_adaptive else "Polishing ends"
-    title = f"{ends} at {span}; the cheapest way takes {count(cheapest.calls_paper)} model calls"
-    rows = np.array([[c.mse_surrogate, c.mse_screened, c.mse_polished] for c in ordered])
-    known = np.append(rows.ravel(), [r.mse for r in references])
-    with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
-        axes = figure.subplots()
-        axes.set_xticks(range(len(ordered)), [_tick(c) for c in ordered])
-        axes.set_xlim(-0.6, len(ordered) - 0.4)
-        low, high = log_limits(known)
-        decimal_log(axes, low / (high / low) ** 0.12, high)
-        axes.grid(visible=False, axis="x")
-        for reference in references:
-            axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
-        for place, c in enumerate(ordered):
-            _draw_size(axes, place, c)
-        axes.set_xlabel("training simulations (above each: model calls that found the parameters)")
-        axes.set_ylabel(axis_label("MSE", mse_unit))
-        labels = [
-            EndLabel(_last(rows[:, 0]), "by the surrogate", SURROGATE),
-            EndLabel(_last(rows[:, 1]), "by the model,\nas screened", SCREENED),
-            EndLabel(_last(rows[:, 2]), ordered[-1].final, POLISHED),
-        ]
-        labels += [EndLabel(r.mse, r.label, MUTED) for r in references]
-        end_labels(axes, labels)
-    return path
-
-
-def _tick(c: CalibrationRecord) -> str:
-    few = "" if c.n_free is None else f"\n{c.n_free} parameters"
-    return ("adaptive" if c.is_adaptive else str(c.n_train)) + few
-
-
-def _draw_size(axes: Axes, place: int, c: CalibrationRecord) -> None:
-    finite = [v for v in (c.mse_surrogate, c.mse_screened, c.mse_polished) if math.isfinite(v)]
-    axes.plot([place] * 2, [min(finite), max(finite)], color=FAINT, linewidth=4, zorder=1)
-    axes.plot(
-        place, c.mse_surrogate, marker="o", markersize=7, color="white", markeredgecolor=SURROGATE, zorder=3
-    )
-    if math.isfinite(c.mse_screened):
-        axes.plot(place, c.mse_screened, marker="D", markersize=6.5, color=SCREENED, zorder=4)
-    axes.plot(place, c.mse_polished, marker="o", markersize=7.5, color=POLISHED, zorder=5)
-    axes.annotate(
-        f"{count(c.calls_paper)}",
-        (place, 0.015),
-        xycoords=("data", "axes fraction"),
-        ha="center",
-        fontsize=8.5,
-        color=INK,
     )

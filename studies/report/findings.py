@@ -36,6 +36,12 @@ def mean_over_time(indices: Floats) -> Floats:
         return np.asarray(np.nanmean(indices, axis=0), dtype=np.float64)
 
 
+def last_finite(values: Floats) -> float:
+    """Return the last value that is finite, NaN without one."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return float(values[finite[-1]]) if finite.size else math.nan
+
+
 def quartiles(values: Floats) -> Floats:
     """Return lower quartile, median and upper quartile; a quartile between two values is their mean.
 

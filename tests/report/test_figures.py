@@ -29,8 +29,9 @@ from records_for_tests import (
 from simulation.measurement import Samples
 from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
 from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart
-from studies.report.figures_calibration import calibration_figure, overview_figure, polish_figure
+from studies.report.figures_calibration import calibration_figure, polish_figure
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
+from studies.report.figures_overview import overview_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
 from studies.report.findings import enclosed_fraction
