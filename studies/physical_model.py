@@ -12,6 +12,7 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
 from simulation.workers.parallel import ParallelModel
+from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.report.wording import count
 from studies.stages.pipeline import StageError, Study
@@ -43,7 +44,7 @@ def open_physical_model(
     console = study.console
     folder = store_folder(study.paths, case)
     with (
-        users(folder, shared=True),
+        _used(folder, console),
         SimulationStore(
             folder,
             model_digest=case.model_digest,
@@ -60,6 +61,19 @@ def open_physical_model(
                 yield StoredModel(model, store, retry_failed=study.retry_failed)
             except CampaignStopped as stopped:
                 raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+
+
+@contextmanager
+def _used(folder: Path, console: Console) -> Iterator[None]:
+    """Keep others from removing simulations, after waiting for who does so now."""
+    lock = users(folder, shared=True)
+    if not lock.try_acquire():
+        console.say("waiting: studies gc removes simulations of this case")
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:

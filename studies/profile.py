@@ -255,7 +255,8 @@ def changed_words(
     for option, (part, name) in _OPTIONS.items():
         was = before[part][name]
         value = changed.get(part, {}).get(name, was)
-        if part in parts and _typed(value) != _typed(was):
+        is_typed = value is not False  # what is switched off cannot be typed
+        if part in parts and is_typed and _typed(value) != _typed(was):
             words += f" {option}{_typed(value)}"
     return words
 

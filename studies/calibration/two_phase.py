@@ -36,7 +36,7 @@ class CalibrationResult:
         mse_screened: Physical model's error there, infinite if it could not be simulated. [same]
         mse_polished: Physical model's error at the calibrated parameters. [same]
         ledger: Rows asked of the physical model, by purpose.
-        polish_history: Best physical MSE over rows paid, training and screening check included.
+        polish_history: Best physical MSE over rows paid, all those before the polish included.
         screen_history: Best surrogate MSE over surrogate evaluations.
         y_surrogate: Surrogate's trajectory at the screened point. Shape (t, k). [output's unit]
         y_screened: Physical trajectory at the screened point. Shape (t, k). [output's unit]

@@ -8,7 +8,7 @@ from studies.console import Block, Column, Console, Said, Table
 from studies.keeping.finding import listed
 from studies.keeping.leftover import Leftover, older
 from studies.keeping.stores import read_stores
-from studies.keeping.unused_files import unused_files
+from studies.keeping.unused_files import SETS, unused_files
 from studies.keeping.unused_rows import unused_rows
 from studies.keeping.unused_runs import unused_runs
 from studies.keeping.unused_studies import unused_studies, unused_weights
@@ -34,9 +34,11 @@ def find_unused(
     with console.progress("reading records", 1) as advance:
         stores = read_stores(paths, advance)
     found = [*unused_studies(stores), *unused_weights(stores), *unused_runs(stores), *unused_files(stores)]
+    found = older(found, age_s)
     if with_simulations:
-        found += unused_rows(stores)
-    return older(found, age_s)
+        gone = {paths.root / one.name for one in found if one.kind == SETS}
+        found += older(list(unused_rows(paths, gone)), age_s)
+    return found
 
 
 def blocks_of(found: Sequence[Leftover]) -> list[Block]:

@@ -17,6 +17,8 @@ from studies.keeping.upgrade import COPIES
 from studies.keeping.views import remove_folder
 from studies.stages.pipeline import read_json
 
+SETS = "sets of rows"
+
 
 def unused_files(stores: Stores) -> Iterator[Leftover]:
     """Find files that may go."""
@@ -24,7 +26,7 @@ def unused_files(stores: Stores) -> Iterator[Leftover]:
     used = used_sets(stores)
     for file in sorted(paths.data.glob("*/generated/sets/*.npz")):
         if paths.relative(file) not in used:
-            unnamed = of_place("sets of rows", file, paths.show(file), "no stage and no study names it")
+            unnamed = of_place(SETS, file, paths.show(file), "no stage and no study names it")
             yield replace(unnamed, remove=partial(_remove_set, stores, file))
     labels = {study.entry.label for study in stores.studies}
     labels |= {folder.name for folder in (paths.mlruns / "results").glob("*/")}

@@ -1,6 +1,6 @@
 """Simulations that no set of rows refers to; they are expensive and go only when asked for."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -15,17 +15,19 @@ from simulation.store.parts import Part, PartDamagedError, write_part
 from simulation.store.row_set import RowSet
 from simulation.store.rows import Layout
 from studies.keeping.leftover import Leftover
-from studies.keeping.stores import Stores
-from studies.keeping.unused_files import used_sets
 from studies.paths import ProjectPaths
 
 KIND = "simulations"
 
 
-def unused_rows(stores: Stores) -> Iterator[Leftover]:
-    """Find the rows of every store that no set refers to."""
-    paths = stores.paths
-    wanted = _wanted(paths.root / place for place in used_sets(stores))
+def unused_rows(paths: ProjectPaths, gone: Collection[Path]) -> Iterator[Leftover]:
+    """Find the rows of every store that no set refers to.
+
+    Args:
+        paths: the project.
+        gone: sets that are about to be removed.
+    """
+    wanted = _wanted(file for file in _sets(paths) if file not in gone)
     for folder in sorted(paths.data.glob("*/generated/simulations/*/")):
         try:
             layout = read_layout(folder)
@@ -51,6 +53,10 @@ def unused_rows(stores: Stores) -> Iterator[Leftover]:
                 changed_s,
                 partial(_drop, paths, folder, layout),
             )
+
+
+def _sets(paths: ProjectPaths) -> Iterator[Path]:
+    return paths.data.glob("*/generated/sets/*.npz")
 
 
 def _wanted(sets: Iterable[Path]) -> dict[Path, Keys]:
@@ -88,7 +94,7 @@ def _drop(paths: ProjectPaths, folder: Path, layout: Layout) -> str:
     try:
         files = StoreFolder(folder, layout)
         with files.merging():
-            keys = _wanted(paths.data.glob("*/generated/sets/*.npz")).get(folder.resolve())
+            keys = _wanted(_sets(paths)).get(folder.resolve())
             for name in files.sizes():
                 with suppress(PartDamagedError, FileNotFoundError):
                     _drop_from(files, name, layout, keys)

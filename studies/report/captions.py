@@ -158,7 +158,8 @@ def convergence_caption(calibration: CalibrationRecord, unit: str) -> str:
 def overview_caption(calibrations: tuple[CalibrationRecord, ...], unit: str) -> str:
     """Say how the screening gap and the cost change with the size of the training set."""
     screened = [c for c in calibrations if not c.is_adaptive]
-    first, last = screened[0], screened[-1]
+    comparable = [c for c in screened if c.n_free is None] or screened
+    first, last = comparable[0], comparable[-1]
     cheapest = min(calibrations, key=lambda c: c.calls_paper)
     lowest = min(calibrations, key=lambda c: c.mse_polished)
     ends = (

@@ -36,10 +36,10 @@ def overview_figure(
     mse_unit: str,
     footnote: str = "",
 ) -> Path:
-    """Draw, for every training-set size, the MSE by the surrogate, by the model as screened, and as polished.
+    """Draw, for every calibration, the MSE by the surrogate, by the model as screened, and as polished.
 
     Args:
-        calibrations: One per size, at least one.
+        calibrations: At least one; of a size there may be several, of all parameters and of few.
         references: Known MSEs, drawn as lines; may be empty.
         path: Where the PNG goes.
         mse_unit: Unit of the MSE, e.g. "K²".

@@ -56,7 +56,7 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
 
 
 def calls_to(study: Study, n_train: int, target: float, n_free: int | None = None) -> int | None:
-    """Return the calls (training, screening check, polish) after which the error was at most the target."""
+    """Return the calls, as the paper counts, after which the error was at most the target."""
     from studies.calibration.recorder import History
 
     arrays = read_arrays(calibration_files(study, n_train, n_free).arrays)

@@ -137,7 +137,10 @@ def run_stage(
     if again:
         file.unlink(missing_ok=True)
     finished = read_manifest(study.paths, file, digest)
-    if finished is not None and not (study.retry_failed and has_failed(finished["summary"])):
+    if finished is not None and study.retry_failed and has_failed(finished["summary"]):
+        file.unlink(missing_ok=True)
+        finished = None
+    if finished is not None:
         study.console.say(f"{stage}: finished before, {reuse_note(finished['summary'])}")
         return Outcome(stage, digest, finished["summary"], True, float(finished["wall_s"]))
     started = time.perf_counter()

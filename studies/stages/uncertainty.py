@@ -69,7 +69,7 @@ def uncertainty_stage(
     """
     case = study.case
     sampling = sampling_within(settings.max_calls, case.parameter_space.n_parameters)
-    inputs = {
+    asked = {
         "case": case.digest,
         "measurement": case.measurement.digest,
         "is_log": case.parameter_space.is_log.tolist(),
@@ -81,12 +81,15 @@ def uncertainty_stage(
         **prior_inputs(case),
         **(sensor_inputs(case) if settings.noise == "sensor" else {}),
     }
+    # Bands of earlier versions took an output's weight and sampling for its noise.
+    shares = case.measurement.scales * case.measurement.uncertainty / case.measurement.uncertainty[0]
+    inputs = asked | ({} if np.allclose(shares, 1.0) else {"bands": "by sensor"})
     files = posterior_files(study, calibration.name)
     stage = f"uncertainty-{calibration.name}"
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        known = _KnownRows(files.rows, digest_of(inputs))
+        known = _KnownRows(files.rows, digest_of(asked))
         numbers, arrays, n_simulated = judge_calibration_point(
             study, calibration.name, calibration.point[0], settings, known
         )

@@ -157,7 +157,7 @@ def validate_calibration(
         return {}, {}
     points = dict(found)
     estimates = _estimates(case)
-    if None not in estimates:
+    if estimates:
         points = {"estimate": np.array(estimates, dtype=np.float64), **points}
     with open_physical_model(study, case=case.validation) as model:
         validation = validate(case, model, points)
@@ -171,11 +171,14 @@ def validation_inputs(case: Case) -> dict[str, Any]:
     if case.validation is None:
         return {}
     digests = [case.validation.digest, case.validation.measurement.digest]
-    return {"validation": digests, "estimates": _estimates(case)}
+    estimates = _estimates(case)
+    return {"validation": digests} | ({"estimates": estimates} if estimates else {})
 
 
-def _estimates(case: Case) -> list[float | None]:
-    return [parameter.estimate for parameter in case.parameter_space.parameters]
+def _estimates(case: Case) -> list[float]:
+    """Return the estimates where every parameter has one, empty otherwise."""
+    known = [one.estimate for one in case.parameter_space.parameters if one.estimate is not None]
+    return known if len(known) == case.parameter_space.n_parameters else []
 
 
 def show_validation(study: Study, outcomes: list[Outcome]) -> None:

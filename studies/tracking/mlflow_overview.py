@@ -57,7 +57,7 @@ def update_overview(store: RunStore, label: str) -> str:
         if before.get(NOTE) != text:
             store.client.set_tag(run_id, NOTE, text)
             _log_totals(store, run_id, sizes)
-            _log_calibrations(store, sizes)
+            _log_calibrations(store, sizes, studies)
         if not found or found[0].info.status != "FINISHED":
             store.finish(run_id, "FINISHED")
     describing = experiment_note(
@@ -77,12 +77,16 @@ def _log_totals(store: RunStore, run_id: str, sizes: Sequence[SizeResult]) -> No
     store.client.log_batch(run_id, metrics=[Metric(k, float(v), now, 0) for k, v in numbers.items()])
 
 
-def _log_calibrations(store: RunStore, sizes: Sequence[SizeResult]) -> None:
-    """Write on each study what the newest calibration with its surrogate came to, for the leaderboard."""
+def _log_calibrations(store: RunStore, sizes: Sequence[SizeResult], studies: Mapping[str, Run]) -> None:
+    """Write on each study what the newest calibration with its best surrogate came to, for the leaderboard.
+
+    What an earlier best surrogate's came to becomes NaN.
+    """
     now = ms(time.time())
-    for size in sizes:
+    for size, study in zip(sizes, studies.values(), strict=True):
         numbers = {"calibrated/mse": rounded(size.mse), "calibrated/calls": size.n_calls}
-        metrics = [Metric(k, v, now, 0) for k, v in numbers.items() if math.isfinite(v)]
+        told = study.data.metrics
+        metrics = [Metric(k, v, now, 0) for k, v in numbers.items() if math.isfinite(v) or k in told]
         if metrics:
             store.client.log_batch(size.run_id, metrics=metrics)
 

@@ -185,8 +185,13 @@ class _Desk:
 
     def _crown(self, spec: StudySpec, best: TrialRecord) -> None:
         run_id = self._tracker.trial_run_id(spec, best.key)
-        if not self._patiently(lambda: crown(self._paths, spec, best, run_id)):
+        if self._patiently(lambda: crown(self._paths, spec, best, run_id)):
+            return
+        # Another command may have found a better one by now and keeps the weights of that one alone.
+        newest = best_record(self._patiently(self._trials[spec.name].records))
+        if newest is None or newest.index == best.index:
             raise InputError(f"the weights of {best.key} are gone; type: studies doctor --repair")
+        self._crown(spec, newest)
 
     def _track_trial(self, spec: StudySpec, record: TrialRecord) -> None:
         store = self._trials[spec.name]

@@ -1,6 +1,7 @@
 """`studies gc`: what nothing refers to goes when asked, and nothing else."""
 
 import io
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -153,6 +154,20 @@ def test_simulations_go_only_when_asked_and_only_those_of_no_set(paths: ProjectP
     for one, rows in zip(sets, before, strict=True):
         assert np.array_equal(one.read().y, rows.y)
     assert bad_findings(studies) == []
+
+
+def test_rows_of_a_young_set_are_not_told_as_free(paths: ProjectPaths, studies: Run) -> None:
+    sets = paths.data / "office" / "generated" / "sets"
+    rows = RowSet.load(next(sets.glob("test*")))
+    with SimulationStore.at(rows.store) as store:
+        store.append(replace(rows.read(), theta=rows.theta * 1.0000001))
+    RowSet(rows.theta * 1.0000001, rows.store, sets / "unnamed.npz").save()
+    for part in rows.store.glob("part-*"):
+        os.utime(part, (0.0, 0.0))
+    (all_of_it,) = found(studies, "--simulations")["simulations"]
+    (old,) = found(studies, "--simulations", "--older-than", "1d")["simulations"]
+    n_free, n_old = (int(name.rsplit(": ")[1].split()[0]) for name in (all_of_it, old))
+    assert n_free - n_old == rows.n
 
 
 def test_simulations_of_a_running_command_stay(

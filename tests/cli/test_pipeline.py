@@ -124,6 +124,19 @@ def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
     assert (first.reused, second.reused) == (n_done == 1, True)
 
 
+def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(study: Study) -> None:
+    def work() -> tuple[Summary, list[Path]]:
+        raise KeyboardInterrupt
+
+    worker = Worker(study, {"n": 7, "n_failed": 1})
+    worker.run({})
+    patient = replace(study, retry_failed=True)
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(patient, "work", what="", inputs={}, work=work, reuse_note=lambda summary: "")
+    worker.run({})
+    assert worker.n_done == 2
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -1,6 +1,7 @@
 """Profiles are budgets checked at the edge; paths find the project and its cases."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,8 @@ def test_options_that_changed_a_profile_are_told() -> None:
     tuned = " --n-train 64 128 --trials 8 --parallel 4 --warm-start"
     assert changed_words(quick, changed) == f"{tuned} --max-calls 100"
     assert changed_words(quick, changed, ("data", "tuning")) == tuned
+    warm = replace(quick, tuning=replace(quick.tuning, warm_start=True))
+    assert changed_words(warm, quick.to_dict()) == ""  # nothing switches it off
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,8 @@ from studies.tuning.champion import (
     write_champion,
 )
 from studies.tuning.study_spec import StudySpec
-from studies.tuning.trial_record import best_record, read_records
+from studies.tuning.trial_record import best_record, read_records, trial_name
+from studies.tuning.trial_store import open_trials
 from studies.tuning.trial_worker import run_study
 from studies.tuning.tune import tune
 
@@ -137,6 +138,31 @@ def test_a_champion_is_replaced_by_one_command_at_a_time(
         assert other.is_alive()
     other.join(60.0)
     assert read_champion(paths.champion(spec.label, spec.n_train)).index == best.index
+
+
+def test_a_better_trial_of_another_command_is_crowned(
+    original: tuple[StudySpec, Path, Path], tmp_path: Path
+) -> None:
+    spec, _, folder = original
+    paths = ProjectPaths(Path(shutil.copytree(folder.parents[2], tmp_path / "project")))
+    trials = open_trials(paths, spec)
+
+    class Meanwhile(NullTracker):
+        """Another command finds a better trial while this one looks for the run of the best."""
+
+        def trial_run_id(self, spec: StudySpec, key: str) -> str:
+            best = best_record(trials.records())
+            if best is not None and best.index < 3:
+                better = {"val/mae": 0.5 * best.metrics["val/mae"]}
+                place = spec.folder(paths.mlruns)
+                trials.write(
+                    replace(best, index=3, metrics=best.metrics | better), trials.history(best.index)
+                )
+                shutil.move(place / trial_name(best.index) / "surrogate", place / trial_name(3))
+            return ""
+
+    tune([spec], paths=paths, n_trials=3, n_jobs=1, tracker=Meanwhile())
+    assert read_champion(paths.champion(spec.label, spec.n_train)).index == 3
 
 
 def test_weights_that_are_gone_are_one_line(original: tuple[StudySpec, Path, Path], tmp_path: Path) -> None:

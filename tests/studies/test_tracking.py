@@ -261,6 +261,11 @@ def test_a_study_is_credited_with_its_own_surrogates_calibration_alone(
     calibrate("with another surrogate", 0.75, surrogate_study="toy-small/n0016/00000000")
     history = tracker.client.get_metric_history(parent.info.run_id, "calibrated/mse")
     assert {point.value for point in history} == {0.25}
+    # Trained on, the study has another best trial, with which nothing is calibrated yet.
+    tracker.client.set_tag(parent.info.run_id, "best_trial", str(best + 2))
+    calibrate("with the former best trial", 0.2)
+    (parent,) = runs(tracker, "tags.role = 'study'")
+    assert math.isnan(parent.data.metrics["calibrated/mse"])
 
 
 def test_a_study_tells_the_settings_that_it_tuned(

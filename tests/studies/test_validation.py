@@ -45,6 +45,9 @@ def test_an_edited_estimate_is_validated_anew(tmp_path: Path) -> None:
     after = load_case(file)
     assert after.digest == before.digest
     assert validation_inputs(after) != validation_inputs(before)
+    # Without one of them, none is simulated.
+    file.write_text(file.read_text().replace("estimate = 0.6", "", 1))
+    assert "estimates" not in validation_inputs(load_case(file))
 
 
 def test_points_are_compared_on_both_periods(case: Case) -> None:
