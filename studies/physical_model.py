@@ -12,7 +12,6 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
 from simulation.workers.parallel import ParallelModel
-from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.report.wording import count
 from studies.stages.pipeline import StageError, Study
@@ -42,11 +41,10 @@ def open_physical_model(
     """
     case = case or study.case
     console = study.console
-    folder = store_folder(study.paths, case)
     with (
-        _used(folder, console),
+        simulations_in_use(study, case),
         SimulationStore(
-            folder,
+            store_folder(study.paths, case),
             model_digest=case.model_digest,
             parameter_names=case.parameter_space.names,
             output_names=case.measurement.output_names,
@@ -64,11 +62,18 @@ def open_physical_model(
 
 
 @contextmanager
-def _used(folder: Path, console: Console) -> Iterator[None]:
-    """Keep others from removing simulations, after waiting for who does so now."""
-    lock = users(folder, shared=True)
+def simulations_in_use(study: Study, case: Case | None = None) -> Iterator[None]:
+    """Keep others from removing a case's simulations, after waiting for who does so now.
+
+    What is made of simulations holds it until it is stored: only then are they dispensable.
+
+    Args:
+        study: the study.
+        case: another case instead of the study's.
+    """
+    lock = users(store_folder(study.paths, case or study.case), shared=True)
     if not lock.try_acquire():
-        console.say("waiting: studies gc removes simulations of this case")
+        study.console.say("waiting: studies gc removes simulations of this case")
         lock.acquire()
     try:
         yield

@@ -1,6 +1,7 @@
 """How far a campaign is, how fast, and whether there is any point in going on."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable
 from typing import Final
@@ -13,6 +14,7 @@ from simulation.workers.execution import CampaignStopped
 # Below this many finished rows a share of failed ones says nothing.
 _MIN_ROWS: Final = 20
 _DEVIATIONS: Final = 2.0
+_NUMBER: Final = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 class Tally:
@@ -77,12 +79,21 @@ class Tally:
         # Bad luck among the first is no reason.
         if n < _MIN_ROWS or n_failed <= share * n + _DEVIATIONS * math.sqrt(share * (1.0 - share) * n):
             return
-        commonest, n_times = (self._reasons + self._reasons_in(arena)).most_common(1)[0]
+        commonest, n_times = _commonest(self._reasons + self._reasons_in(arena))
         raise CampaignStopped(
             f"{n_failed} of {n} simulations failed, more than simulation.max_failed_share = {share:g} "
-            f"allows; the commonest reason ({n_times} times): {commonest}; narrow the bounds, mend the "
-            "model or raise the share"
+            f"allows; the commonest reason ({n_times} of them): {commonest}; narrow the bounds, mend the "
+            "model, widen what the case accepts or raise the share"
         )
+
+
+def _commonest(reasons: Counter[str]) -> tuple[str, int]:
+    """Return an example of the commonest reason, and how often it came with whatever numbers."""
+    kinds: Counter[str] = Counter()
+    for reason, n_times in reasons.items():
+        kinds[_NUMBER.sub("#", reason)] += n_times
+    kind, n_times = kinds.most_common(1)[0]
+    return next(reason for reason in reasons if _NUMBER.sub("#", reason) == kind), n_times
 
 
 class Speed:

@@ -46,7 +46,9 @@ def convergence_figure(
     """
     final, calls, best = calibration.mse_polished, calibration.history_calls, calibration.history_mse
     n_start, last = int(calls[0]), int(calls[-1])
-    title = f"{count(last, 'model call')} reach an MSE of {quantity(final, mse_unit)} from no initial guess"
+    n_design = count(n_start - calibration.n_before)
+    start = "from no initial guess" if calibration.n_free is None else f"with {calibration.n_free} parameters"
+    title = f"{count(last, 'model call')} reach an MSE of {quantity(final, mse_unit)} {start}"
     with drawing(path, title=title, height_in=3.7, footnote=footnote) as figure:
         axes = figure.subplots()
         axes.set_xlim(0.0, 1.01 * last)
@@ -60,7 +62,7 @@ def convergence_figure(
         if math.isfinite(best[0]):
             axes.plot(n_start, best[0], marker="o", markersize=4.5, color=POLISHED, zorder=4)
             axes.annotate(
-                f"{significant(float(best[0]))}, the best of {count(n_start)} rows that fill the box",
+                f"{significant(float(best[0]))}, the best of {n_design} rows that fill the box",
                 (n_start, float(best[0])),
                 (8, 3),
                 textcoords="offset points",

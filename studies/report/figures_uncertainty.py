@@ -28,6 +28,7 @@ from studies.report.wording import (
     axis_label,
     count,
     difference_unit,
+    digits_between,
     percent,
     quantity,
     shown_unit,
@@ -155,7 +156,7 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
         right.set_yticks(
             range(p),
             [
-                f"{_short(a)} to {_short(b)} {unit}".strip()
+                f"{_short(a, b)} to {_short(b, a)} {unit}".strip()
                 for (a, b), unit in zip(record.interval.T, units, strict=True)
             ],
             fontsize=8,
@@ -255,6 +256,7 @@ def _seen(box: ParameterBox, record: UncertaintyRecord, k: int) -> tuple[float, 
     return max(float(low), lower), min(float(high), upper)
 
 
-def _short(value: float) -> str:
-    """Write three digits and no more, e.g. 150,000."""
-    return significant(float(f"{value:.3g}"))
+def _short(value: float, other: float) -> str:
+    """Write three digits, e.g. 150,000, and more only where the other end of an interval is near."""
+    digits = digits_between(value, other)
+    return significant(float(f"{value:.{digits}g}"), digits)

@@ -34,6 +34,14 @@ def setting(value: Any, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
+def digits_between(low: float, high: float, least: int = 3) -> int:
+    """Return how many digits tell the ends of an interval apart, two of its width among them."""
+    width, largest = abs(high - low), max(abs(low), abs(high))
+    if not 0.0 < width < math.inf:
+        return least
+    return min(max(least, math.ceil(math.log10(largest / width)) + 1), 12)
+
+
 def declared(value: float) -> str:
     """Write a number as somebody declared it, without rounding and without the noise of floating point."""
     return MISSING if math.isnan(value) else f"{value:,.10g}"

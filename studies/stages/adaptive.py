@@ -12,12 +12,13 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.recorder import Progress
 from studies.console import OnBar
-from studies.physical_model import failed_numbers, open_physical_model, say_reused
+from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, quantity, squared
 from studies.stages.calibrate import write_arrays
@@ -137,6 +138,7 @@ def adaptive_stage(
     files = adaptive_files(study, n_free)
     stage = STAGE + restricted(n_free)
 
+    @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         restriction = None if n_free is None else find_restriction(study, n_free)
@@ -196,11 +198,13 @@ def calibrate_adaptively(
         prior = Prior.of(model.parameter_space, case.measurement)
         n_kept = n_before + calls_for_check(case, settings, restriction)
         result = replace(settings, max_calls=settings.max_calls - n_kept).minimize(
-            CalibrationProblem(model, case.measurement, prior), seed=seed, on_progress=_teller(study, bars)
+            CalibrationProblem(model, case.measurement, prior),
+            seed=seed,
+            on_progress=_teller(study, physical, bars),
         )
     theta = model.complete(result.theta)
     if not np.isfinite(result.mse):
-        raise _hopeless(study, result.n_calls)
+        raise _hopeless(study, physical)
     say_reused(study, STAGE, physical)
     n_left = settings.max_calls - n_before - result.n_calls
     told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
@@ -258,7 +262,7 @@ def _outputs(case: Case, y: FloatArray) -> dict[str, dict[str, float | None]]:
     return found
 
 
-def _teller(study: Study, bars: OnBar) -> Callable[[Progress], None]:
+def _teller(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
     """Return what tells the user of every round, on a bar or now and then in a line."""
     unit = squared(difference_unit(study.case.outputs[0].unit))
     last_said = time.monotonic()
@@ -266,7 +270,7 @@ def _teller(study: Study, bars: OnBar) -> Callable[[Progress], None]:
     def tell(now: Progress) -> None:
         nonlocal last_said
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
-            raise _hopeless(study, now.n_done)
+            raise _hopeless(study, physical)
         best = f"best MSE {quantity(now.best_mse, unit)}"
         bars("adaptive", now.n_done, now.n_total or now.n_done, f", {count(now.n_done, 'call')}, {best}")
         if not study.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:
@@ -276,7 +280,8 @@ def _teller(study: Study, bars: OnBar) -> Callable[[Progress], None]:
     return tell
 
 
-def _hopeless(study: Study, n_calls: int) -> StageError:
+def _hopeless(study: Study, physical: StoredModel) -> StageError:
     return StageError(
-        f"none of {count(n_calls, 'simulation')} succeeded; type: studies check {study.command}"
+        f"none of {count(len(physical.failures), 'simulation')} succeeded, the first one: "
+        f"{physical.failures[0]}; type: studies check {study.command}"
     )

@@ -87,7 +87,7 @@ def told_kept(converged: bool, max_calls: int, n_kept: int) -> str:
     """Say where the rest of a spent budget went; "" where it is not spent or went nowhere else."""
     if converged or not n_kept:
         return ""
-    return f" ({n_kept} of {count(max_calls, 'call')} find and check what is relevant)"
+    return f" (of {count(max_calls, 'call')}, {n_kept} are for finding and checking what is relevant)"
 
 
 def restriction_inputs(study: Study, n_free: int | None) -> dict[str, Any]:

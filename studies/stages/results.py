@@ -213,6 +213,7 @@ def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
         n_adaptive=numbers["ledger"]["n_adaptive"],
         n_relevance=numbers["ledger"].get("n_relevance", 0),
         n_free=n_free_of(numbers),
+        n_before=numbers.get("restriction", {}).get("n_calls", 0),
         knowledge=known_before(numbers),
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
-from studies.physical_model import failed_numbers, open_physical_model, say_reused
+from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
 from studies.report.wording import count
 from studies.stages.calibrate import write_arrays
@@ -87,6 +87,7 @@ def uncertainty_stage(
     files = posterior_files(study, calibration.name)
     stage = f"uncertainty-{calibration.name}"
 
+    @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         known = _KnownRows(files.rows, digest_of(asked))

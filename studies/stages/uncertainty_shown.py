@@ -3,7 +3,7 @@
 from studies.console import Column
 from studies.physical_model import warn_failed
 from studies.report.uncertainty import HOW_KNOWN, sentences, uncertainty_record
-from studies.report.wording import percent
+from studies.report.wording import digits_between, percent
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.results import read_arrays
 from studies.stages.uncertainty_results import posterior_files
@@ -17,13 +17,14 @@ def show_uncertainty(study: Study, outcome: Outcome) -> None:
     rows = []
     for parameter in study.case.parameter_space.parameters:
         one = found["parameters"][parameter.name]
+        digits = digits_between(one["interval"][0], one["interval"][1], least=4)
         rows.append(
             [
                 parameter.name,
                 parameter.unit,
-                f"{one['calibrated']:.4g}",
-                f"{one['interval'][0]:.4g} to {one['interval'][1]:.4g}",
-                f"{one['linear'][0]:.4g} to {one['linear'][1]:.4g}",
+                f"{one['calibrated']:.{digits}g}",
+                f"{one['interval'][0]:.{digits}g} to {one['interval'][1]:.{digits}g}",
+                f"{one['linear'][0]:.{digits}g} to {one['linear'][1]:.{digits}g}",
                 f"{parameter.lower:.4g} to {parameter.upper:.4g}",
                 HOW_KNOWN[one["known"]],
             ]

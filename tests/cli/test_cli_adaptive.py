@@ -185,4 +185,5 @@ def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: 
     case.write_text(text.replace('TAirInit = { first_measured = "TAir" }', "TAirInit = 400.0"))
     answer = studies(*ADAPTIVE)
     assert answer.code == 1
-    assert answer.err.splitlines()[-1].startswith("studies: error: none of 20 simulations succeeded; ")
+    told = "studies: error: none of 20 simulations succeeded, the first one: output "
+    assert answer.err.splitlines()[-1].startswith(told)

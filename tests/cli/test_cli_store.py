@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import shutil
 import subprocess
@@ -77,6 +78,10 @@ def test_a_campaign_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     line = answer.err.splitlines()[-1]
     assert line.startswith("studies: error: ")
     assert "simulation.max_failed_share = 0.5" in line
+    # Reasons differ by the numbers in them alone.
+    told = re.search(r"the commonest reason \((\d+) of them\): output TAir", line)
+    assert told is not None
+    assert int(told[1]) > 5
     assert "the finished simulations are kept" in line
     assert "Traceback" not in answer.err
     assert answer.document["error"] in line

@@ -17,6 +17,7 @@ from simulation.store.store import SimulationStore
 from studies.keeping.mlflow_tables import read_mlflow
 from studies.keeping.views import tracker_of
 from studies.paths import ProjectPaths
+from studies.stages.pipeline import write_json
 from studies.tuning.claim import Claim, this_owner
 from studies.tuning.trial_store import list_studies, open_trials
 
@@ -185,6 +186,21 @@ def test_simulations_of_a_running_command_stay(
     assert {answer.code for answer in said} == {1}
     assert all("rows stays: a command works with them now" in answer.err for answer in said)
     assert "npz stays: a command works with its simulations now" in said[-1].err
+
+
+def test_simulations_of_a_calibration_stay_until_it_is_stored(
+    paths: ProjectPaths, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = []
+
+    def clean_first(file: Path, content: object) -> None:
+        said.append(studies("gc", "--simulations", "--yes"))
+        write_json(file, content)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("studies.stages.adaptive.write_json", clean_first)
+    assert studies("calibrate", "office", "--profile", "smoke", "--max-calls", "28", "--quiet").code == 0
+    (answer,) = said
+    assert "rows stays: a command works with them now" in answer.err
 
 
 def test_rows_of_a_set_that_came_since_stay(

@@ -32,6 +32,7 @@ from studies.report.wording import (
     count,
     declared,
     difference_unit,
+    digits_between,
     listed,
     percent,
     setting,
@@ -425,3 +426,11 @@ def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> Non
     first, second = calibrations_table(data).records()
     assert (first["method"], first["calls_paper"], first["mse_screened"]) == ("adaptive", 71, None)
     assert (second["method"], second["n_train"]) == ("paper", 64)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "digits"),
+    [(0.2, 5.0, 3), (285.6, 285.7, 5), (1.0, 1.0, 3), (-1e-9, 1.0, 3), (1e5, 1.2e5, 3)],
+)
+def test_ends_of_an_interval_are_told_apart(low: float, high: float, digits: int) -> None:
+    assert digits_between(low, high) == digits
