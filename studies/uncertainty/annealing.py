@@ -34,6 +34,9 @@ NEIGHBOURS_PER_PARAMETER = 3
 LEAST_WIDTH = 1e-6
 """Standard deviation that a covariance has at least. [1]"""
 
+MOST_DRAWS = 1000
+"""Whoever still fell out of the cube then begins anywhere."""
+
 MOST_POWERS = 300
 """After so many the rest is one step."""
 
@@ -81,13 +84,16 @@ class Reference:
         """Draw points inside the cube. Shape (n, p). [1]."""
         p = self.centres.shape[1]
         u = rng.random((n, p))
-        if len(self.centres):
-            near = np.arange(n // 2)
-            while near.size:
-                member = rng.integers(len(self.centres), size=near.size)
-                step = np.einsum("nij,nj->ni", self.roots[member], rng.standard_normal((near.size, p)))
-                u[near] = self.centres[member] + step
-                near = near[np.any((u[near] < 0.0) | (u[near] > 1.0), axis=1)]
+        near = np.arange(n // 2 if len(self.centres) else 0)
+        for _ in range(MOST_DRAWS):
+            if not near.size:
+                break
+            member = rng.integers(len(self.centres), size=near.size)
+            step = np.einsum("nij,nj->ni", self.roots[member], rng.standard_normal((near.size, p)))
+            there = self.centres[member] + step
+            inside = np.all((there >= 0.0) & (there <= 1.0), axis=1)
+            u[near[inside]] = there[inside]
+            near = near[~inside]
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:

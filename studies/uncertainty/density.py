@@ -62,20 +62,21 @@ class Posterior:
         """
         return self._with_prior(u, predicted.log_likelihood(np.clip(u, 0.0, 1.0), self.noise.raised))
 
-    def metric(self, predicted: "Predicted", u: FloatArray) -> FloatArray:
-        """Return the precision of steps that suit the density around points: narrow where it is.
+    def precision(self, predicted: "Predicted", u: FloatArray, *, wider: float) -> FloatArray:
+        """Return the precision of what may lie around points: narrow where the density is.
 
         Args:
             predicted: What a process predicts.
             u: Points. Shape (n, p). [1]
+            wider: How much wider than the density; but never wider than the box. [1]
 
         Returns:
             Shape (n, p, p). [1]
         """
         found = predicted.metric(np.clip(u, 0.0, 1.0), self.noise.raised)
         widths = np.full(u.shape[1], np.inf) if self.prior is None else self.prior.width
-        precision: FloatArray = found + np.diag(BOX_PRECISION + widths**-2.0)
-        return precision
+        precision: FloatArray = (found + np.diag(widths**-2.0)) / wider**2
+        return precision + BOX_PRECISION * np.eye(u.shape[1])
 
     def _with_prior(self, u: FloatArray, value: FloatArray) -> FloatArray:
         if self.prior is not None:

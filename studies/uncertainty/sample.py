@@ -168,7 +168,7 @@ class PosteriorSampler:
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
         anywhere = sampled(Reference.even(self._u.shape[1])).u[:MOST_CENTRES]
         centres = np.concatenate([good, anywhere])
-        precision = self._posterior.metric(predicted, centres) / WIDER**2
+        precision = self._posterior.precision(predicted, centres, wider=WIDER)
         return predicted, sampled(Reference(centres, np.linalg.cholesky(np.linalg.inv(precision))))
 
     @property

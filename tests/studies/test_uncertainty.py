@@ -302,6 +302,15 @@ def test_a_sample_is_the_seeds_and_stays_inside():
     assert first.u.mean(axis=0) == pytest.approx(1.0 / 3.0 - 1.0 / np.expm1(3.0), abs=0.03)
 
 
+def test_places_whose_surroundings_lie_outside_delay_no_start():
+    """In thirty parameters hardly one draw of so wide a density falls into the cube."""
+    reference = Reference(np.full((1, 30), 0.5), 2.0 * np.eye(30)[None])
+    u = reference.draw(200, np.random.default_rng(0))
+    assert u.shape == (200, 30)
+    assert np.all((u >= 0.0) & (u <= 1.0))
+    assert len(np.unique(u[:, 0])) == 200
+
+
 def test_weights_and_bands():
     weights = normalized(np.array([0.0, np.log(3.0), -np.inf]))
     assert weights == pytest.approx([0.25, 0.75, 0.0])
