@@ -89,7 +89,7 @@ def drawing(path: Path, *, title: str, height_in: float, footnote: str = "") -> 
     with style.context(_STYLE, after_reset=True):
         height = height_in + 0.2 * (len(lines) - 1) + 0.14 * len(notes)
         figure = Figure(figsize=(WIDTH_IN, height), dpi=DPI, layout="constrained")
-        FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(figure)
         engine = figure.get_layout_engine()
         if isinstance(engine, ConstrainedLayoutEngine):
             engine.set(w_pad=0.1, h_pad=0.07)
@@ -97,16 +97,17 @@ def drawing(path: Path, *, title: str, height_in: float, footnote: str = "") -> 
         if notes:
             figure.supxlabel("\n".join(notes), x=0.012, ha="left", fontsize=7.5, color=MUTED)
         yield figure
-        _save(figure, path)
+        _save(canvas, path)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def _save(canvas: FigureCanvasAgg, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn with boxes; that is no reason to fail.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
+        # Figure.savefig would draw it twice for the same picture.
+        canvas.print_png(partial, metadata={"Software": None})
     partial.replace(path)
 
 

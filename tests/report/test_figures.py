@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib import image
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from records_for_tests import (
     calibration,
@@ -150,13 +151,13 @@ def test_the_screened_point_stands_where_the_polish_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figures: list[Figure] = []
-    save = Figure.savefig
+    save = FigureCanvasAgg.print_png
 
-    def watched(figure: Figure, *arguments: Any, **more: Any) -> None:
-        figures.append(figure)
-        save(figure, *arguments, **more)
+    def watched(canvas: FigureCanvasAgg, *arguments: Any, **more: Any) -> None:
+        figures.append(canvas.figure)
+        save(canvas, *arguments, **more)
 
-    monkeypatch.setattr(Figure, "savefig", watched)
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", watched)
     few = restricted(64)
     polish_figure(few, (), tmp_path / "p.png", mse_unit="K²")
     lines = figures[0].axes[0].get_lines()
