@@ -171,9 +171,10 @@ def run_stage(
 
 
 def has_failed(summary: Summary) -> bool:
-    """Say whether a stage counted simulations that failed, in all or by kind."""
+    """Say whether a stage counted simulations that failed, in all or by kind, or blocks that they cost it."""
     n_failed = summary.get("n_failed", 0)
-    return bool(sum(n_failed.values()) if isinstance(n_failed, dict) else n_failed)
+    n_failed = sum(n_failed.values()) if isinstance(n_failed, dict) else n_failed
+    return bool(n_failed or summary.get("n_dropped_blocks", 0))
 
 
 def read_manifest(paths: ProjectPaths, file: Path, digest: str) -> dict[str, Any] | None:

@@ -18,7 +18,8 @@ from studies.console import Column, OnProgress
 from studies.physical_model import open_physical_model, say_reused, store_folder
 from studies.profile import Profile
 from studies.recipe import recipe_of
-from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage
+from studies.report.wording import count
+from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage
 from studies.tracking.origin import environment
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def simulate_stage(study: Study) -> Outcome:
         what=f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"{summary['n_simulations']} simulations reused",
+        reuse_note=lambda summary: f"{count(summary['n_simulations'], 'simulation')} reused",
     )
 
 
@@ -161,9 +162,6 @@ def sensitivity_stage(study: Study) -> Outcome:
         log_sensitivity(study, summary, digest_of(inputs), file=file, recipe=recipe, made_with=made, **when)
         return summary, [file]
 
-    manifest = read_json(study.results / "sensitivity.json")
-    if study.retry_failed and manifest is not None and manifest["summary"]["n_dropped_blocks"]:
-        (study.results / "sensitivity.json").unlink()
     return run_stage(
         study,
         "sensitivity",
@@ -266,7 +264,7 @@ def _say_failed(study: Study, summary: Summary) -> None:
     n_failed = sum(summary["n_failed"].values())
     if n_failed:
         study.console.warn(
-            f"{n_failed} simulations failed and are left out: {'; '.join(summary['first_failures'])} "
+            f"{count(n_failed, 'simulation')} failed, left out: {'; '.join(summary['first_failures'])} "
             "(--retry-failed asks them again)"
         )
 

@@ -113,11 +113,20 @@ def test_a_result_not_worth_keeping_is_not_kept(study: Study) -> None:
     assert worker.n_done == 2
 
 
-@pytest.mark.parametrize(("n_failed", "n_done"), [(1, 2), ({"train": 0, "test": 1}, 2), ({"train": 0}, 1)])
+@pytest.mark.parametrize(
+    ("failed", "n_done"),
+    [
+        ({"n_failed": 1}, 2),
+        ({"n_failed": {"train": 0, "test": 1}}, 2),
+        ({"n_failed": {"train": 0}}, 1),
+        ({"n_dropped_blocks": 1}, 2),
+        ({"n_dropped_blocks": 0}, 1),
+    ],
+)
 def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
-    study: Study, n_failed: int | dict[str, int], n_done: int
+    study: Study, failed: dict[str, Any], n_done: int
 ) -> None:
-    Worker(study, {"n": 7, "n_failed": n_failed}).run({"a": 1})
+    Worker(study, {"n": 7, **failed}).run({"a": 1})
     patient = Worker(replace(study, retry_failed=True), {"n": 7})
     first, second = patient.run({"a": 1}), patient.run({"a": 1})
     assert 1 + patient.n_done == n_done
