@@ -224,8 +224,10 @@ def load_case(
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
     window = window_d if window_d is not None else file.time.window
-    case = _compared_over(path, file, fmu, data, plain_period(path, declared, window))
-    period = validation_period(path, declared, window, is_overridden=window_d is not None)
+    is_overridden = window_d is not None
+    plain = plain_period(path, declared, window, is_overridden=is_overridden)
+    case = _compared_over(path, file, fmu, data, plain)
+    period = validation_period(path, declared, window, is_overridden=is_overridden)
     if period is None:
         return case
     return replace(case, validation=_compared_over(path, file, fmu, data, period))

@@ -53,10 +53,11 @@ class CaseData:
         inside &= ~(np.abs(recording.time - seen_s) <= slack)
         n_samples = int(np.count_nonzero(inside))
         if n_samples < 2:
+            held = f"{n_samples} value{'' if n_samples == 1 else 's'}"
             begin_d, end_d = ((time - self.day_zero_s) / DAYS.seconds for time in (begin_s, end_s))
             raise InputError(
-                f"{self.path}: outputs[{table.name}]: {recording.path} has {n_samples} values of "
-                f"{table.column} over {self.unit.period((begin_d, end_d))}, 2 are needed; choose another "
+                f"{self.path}: outputs[{table.name}]: {recording.path} has {held} of {table.column} "
+                f"over {self.unit.period((begin_d, end_d))}, 2 are needed; choose another "
                 "window, or correct the file"
             )
         # A sample that a rounding puts outside belongs to the first or last output time.
@@ -103,7 +104,7 @@ class CaseData:
             held = f"covers {time[0]:.12g} to {time[-1]:.12g} s" if len(time) else "is empty"
             raise InputError(
                 f"{where}: {recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; "
-                f"choose another window_{self.unit.symbol}, or record longer"
+                "choose another window, or record longer"
             )
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         steps = np.diff(time)

@@ -22,27 +22,28 @@ class Period:
     """Which days are simulated, reported and compared.
 
     Attributes:
-        key: Key of the case file that asks for it, without its unit, for messages.
+        said: How messages name it: the case file with its key, or with the days where the caller named them.
         start_d: Start of the simulation. [d]
         reported_d: Part whose outputs are reported; before it lies the warm-up. [d]
         compared_d: Part that is compared with the measurement, at the end of the reported one. [d]
         seen_d: Its begin or end where that belongs to another period, whose sample is left out. [d]
     """
 
-    key: str
+    said: str
     start_d: float
     reported_d: tuple[float, float]
     compared_d: tuple[float, float]
     seen_d: float | None = None
 
 
-def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> Period:
+def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float], *, is_overridden: bool) -> Period:
     """Return the period that is calibrated.
 
     Args:
         path: The case file.
         file: Its content.
         window_d: The window. [d]
+        is_overridden: Whether the window is the caller's.
 
     Raises:
         InputError: If window and start contradict each other, or there are too many steps.
@@ -61,7 +62,9 @@ def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float]) -> P
             f"{unit.moment(begin_d)}; set an earlier start_{unit.symbol}, or drop shared_warmup"
         )
     _check_n_steps(path, file, start_d, end_d)
-    return Period("window", start_d, (begin_d, end_d), (begin_d, end_d))
+    window = (begin_d, end_d)
+    said = unit.period(window) if is_overridden else _told("window", window, unit)
+    return Period(f"{path}: {said}", start_d, window, window)
 
 
 def validation_period(
@@ -104,7 +107,7 @@ def validation_period(
     _check_n_steps(path, file, start_d, end_d)
     reported = (min(window_d[0], begin_d), end_d)
     seen_d = next((day for day in (begin_d, end_d) if day in window_d), None)
-    return Period("time.validation", start_d, reported, (begin_d, end_d), seen_d)
+    return Period(where, start_d, reported, (begin_d, end_d), seen_d)
 
 
 def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArray, int, int]:
@@ -124,7 +127,6 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
     """
     (begin_d, end_d), start_d = period.reported_d, period.start_d
     unit = file.time.unit
-    where = f"{path}: {_told(period.key, period.compared_d, unit)}"
     step, output_step = file.time.communication_step_s, file.time.output_step_s
     if not step > 0:
         raise InputError(f"{path}: communication_step_s = {step:g} is not above 0; correct it")
@@ -134,7 +136,7 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
             f"{path}: time.output_step_s = {output_step:g} is no multiple of "
             f"communication_step_s = {step:g}; choose steps that fit"
         )
-    n_reported = _whole_steps(end_d - begin_d, output_step, where)
+    n_reported = _whole_steps(end_d - begin_d, output_step, period.said)
     n_warmup = _whole_steps(
         begin_d - start_d, output_step, f"{path}: time.start_{unit.symbol} = {unit.of_days(start_d):g}"
     )
@@ -146,8 +148,7 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
     slack_d = 0.0 if longest.is_even else longest.step_s / DAY_S
     if end_d > length_d + slack_d + 1e-9:
         raise InputError(
-            f"{where}: the recording {longest.path} ends after {unit.of_days(length_d):.6g} {unit.plural}; "
-            "shorten the window"
+            f"{period.said}: the recording {longest.path} ends at {unit.moment(length_d)}; shorten the window"
         )
     start = data.day_zero_s + start_d * DAY_S
     n_steps = (n_warmup + n_reported) * output_every

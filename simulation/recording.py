@@ -109,7 +109,8 @@ def read_recording(
     while len(rows) > 1 and not any(cell.strip() for cell in rows[-1]):
         rows.pop()
     if len(rows) < 3:
-        raise InputError(f"{path}: {len(rows) - 1} rows of data; a recording has at least two")
+        n_rows = "one row" if len(rows) == 2 else "no row"
+        raise InputError(f"{path}: {n_rows} of data; a recording has at least two")
     n_used = 1 + max(header.index(name) for name in [time_name, *column_names])
     _check_lengths(path, rows, n_used, delimiter)
     cells = {name: _cells(rows, header.index(name)) for name in [time_name, *column_names]}
@@ -183,7 +184,7 @@ def _check_lengths(path: Path, rows: list[list[str]], n_used: int, delimiter: st
             )
         if len(row) < n_used:
             raise InputError(
-                f"{path}: line {line} has {len(row)} cells, {n_used} are needed up to column "
+                f"{path}: line {line} has {len(row)} of the {n_used} cells up to column "
                 f"{rows[0][n_used - 1].strip()}; remove it, or complete it with an empty cell for each value "
                 "that is not known"
             )

@@ -19,11 +19,6 @@ class TimeUnit:
     symbol: str
     seconds: float
 
-    @property
-    def plural(self) -> str:
-        """As it stands behind a number in a sentence."""
-        return "days" if self is DAYS else self.symbol
-
     def of_days(self, days: float) -> float:
         """Convert days. [this unit]."""
         return days * (DAY_S / self.seconds)

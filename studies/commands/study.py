@@ -3,12 +3,16 @@
 import argparse
 import shlex
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.errors import InputError
 from studies.console import Console
 from studies.paths import find_case, find_project
 
 if TYPE_CHECKING:
+    from simulation.case import Case
+    from studies.commands.values import Window
     from studies.stages.pipeline import Outcome, Study
 
 OK, FAILED = 0, 1
@@ -25,10 +29,8 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     paths = find_project(chosen.storage)
     profile = own_profile = load_profile(chosen.profile)
     label_end = ""
-    if chosen.window is not None:
-        label_end += f"-{chosen.window.label}"
     if chosen.seed is not None and chosen.seed != profile.seed:
-        label_end += f"-seed{chosen.seed}"
+        label_end = f"-seed{chosen.seed}"
         profile = replace(profile, seed=chosen.seed)
     given = vars(chosen)
     if given.get("n_train") and chosen.command not in ("calibrate", "uncertainty"):
@@ -43,13 +45,14 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
     # Heavy imports wait until the words of the command line are known to be good.
-    from simulation.case import load_case
     from simulation.workers.parallel import available_cores
     from studies.keeping.rebuild import rebuild_mlflow
     from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
 
-    case = load_case(file, window_d=None if chosen.window is None else chosen.window.days)
+    case, window = _load_case(file, chosen.window)
+    if window is not None:
+        label_end = f"-{window.label}{label_end}"
     study = Study(
         case=case,
         profile=profile,
@@ -57,7 +60,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         console=console,
         n_jobs=chosen.jobs or available_cores(),
         label=f"{case.name}-{profile.name}{label_end}",
-        command=_command(chosen),
+        command=_command(chosen, window),
         retry_failed=given.get("retry_failed", False),
         dask=given.get("dask"),
         max_hours=given.get("max_hours"),
@@ -70,13 +73,31 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     return study
 
 
-def _command(chosen: argparse.Namespace) -> str:
+def _load_case(file: Path, window: "Window | None") -> "tuple[Case, Window | None]":
+    """Read a case, and leave out a window that is the case's own.
+
+    Raises:
+        InputError: anything is wrong; what only the window brings about is told of the window.
+    """
+    from simulation.case import load_case
+    from simulation.case_file import read_case_file
+
+    if window is None or window.days == read_case_file(file).time.window:
+        return load_case(file), None
+    try:
+        return load_case(file, window_d=window.days), window
+    except InputError as error:
+        load_case(file)
+        raise InputError(f"--window {window}: {error}") from None
+
+
+def _command(chosen: argparse.Namespace, window: "Window | None") -> str:
     """Return the words that name this study on a command line."""
     words = [chosen.case]
     if chosen.profile != "quick":
         words += ["--profile", chosen.profile]
-    if chosen.window is not None:
-        words += ["--window", str(chosen.window)]
+    if window is not None:
+        words += ["--window", str(window)]
     if chosen.seed is not None:
         words += ["--seed", str(chosen.seed)]
     return shlex.join(words)

@@ -134,6 +134,8 @@ def test_window_and_seed_are_part_of_the_label(project: Path, studies: Run) -> N
     arguments = ("simulate", "--profile", "smoke", "--json", "-q")
     plain = studies(*arguments).document
     assert plain["label"] == "office-smoke"
+    own = studies(*arguments, "--window", "0-240h").document
+    assert (own["label"], own["stages"][0]["finished_before"]) == ("office-smoke", True)
     other = studies(*arguments, "--window", "8-16", "--seed", "3").document
     assert other["label"] == "office-smoke-d8-16-seed3"
     assert set(other["stages"][0]["files"].values()).isdisjoint(plain["stages"][0]["files"].values())

@@ -80,7 +80,9 @@ def edit_line(file: Path, number: int, new: str | None) -> None:
         pytest.param('"recording_1800s.csv"', '"recording.csv"', ["recording.csv"], id="csv-missing"),
         pytest.param('interpolation = "held"', 'interpolation = "cubic"', ["cubic"], id="interpolation"),
         pytest.param("window_d = [0, 10]", "window_d = [10, 0]", ["window_d"], id="window-reversed"),
-        pytest.param("window_d = [0, 10]", "window_d = [0, 100]", ["100", "days"], id="window-too-long"),
+        pytest.param(
+            "window_d = [0, 10]", "window_d = [0, 100]", ["[0, 100]", "ends at day"], id="window-too-long"
+        ),
         pytest.param("communication_step_s = 600", "communication_step_s = 700", ["700"], id="steps"),
         pytest.param('first_measured = "TAir"', 'first_measured = "TRoom"', ["TRoom"], id="first-measured"),
     ],
@@ -167,7 +169,14 @@ def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> No
         pytest.param(["check", "data"], ["data", "case.toml"], id="case-folder"),
         pytest.param(["simulate", "--window", "10-0"], ["--window", "10-0"], id="window-reversed"),
         pytest.param(["simulate", "--window", "ten"], ["--window", "ten"], id="window-no-numbers"),
-        pytest.param(["simulate", "--window", "0-99"], ["99"], id="window-beyond-the-data"),
+        pytest.param(
+            ["simulate", "--window", "0-99"],
+            ["error: --window 0-99: ", "case.toml: days 0 to 99: the recording ", "shorten the window"],
+            id="window-beyond-the-data",
+        ),
+        pytest.param(
+            ["simulate", "--window", "1-7000min"], ["--window 1-7000min: ", "days 0.000"], id="window-odd"
+        ),
         pytest.param(["run", "--profile", "quickly"], ["quickly", "quick"], id="profile"),
         pytest.param(["run", "--seed", "-1"], ["--seed", "-1"], id="seed"),
         pytest.param(["run", "--seed", "4294967296"], ["--seed", "4294967295 at most"], id="seed-too-large"),

@@ -247,7 +247,7 @@ def test_a_window_of_the_caller_may_leave_no_validation(decay_case: Path):
             "validation_d = [1.0, 0.75]",
             r"time\.validation_d = \[1, 0\.75\]: the end must lie after the start",
         ),
-        ("validation_d = [0.75, 2.0]", r"validation_d = \[0\.75, 2\]: the recording .* ends after 1 days"),
+        ("validation_d = [0.75, 2.0]", r"validation_d = \[0\.75, 2\]: the recording .* ends at day 1;"),
         (
             "validation_d = [0.75, 0.76]",
             r"validation_d = \[0\.75, 0\.76\]: not a whole number of output steps",
@@ -341,7 +341,7 @@ def test_seconds_mean_the_same_as_days(decay_case: Path):
         ([("start_s = 0", "start_s = 30000")], r"start_s = 30000 does not lie between 0 s and .* 21600;"),
         (
             [("window_s = [21600, 64800]", "window_s = [21600, 90000]")],
-            r"window_s = .* ends after 86400 s; sh",
+            r"window_s = .* ends at 86400 s; sh",
         ),
         (
             [("window_s = [21600, 64800]", "window_s = [21600, 64801]")],

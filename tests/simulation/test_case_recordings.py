@@ -116,7 +116,7 @@ def test_cells_may_be_missing_behind_the_last_column_in_use_only(tmp_path: Path)
     file = tmp_path / "room.csv"
     file.write_text("time_s,T,Q,note\n0,20,1,dry\n600,21,2\n1200,22\n1800,23,4,wet\n\n")
     np.testing.assert_array_equal(read_recording(file, ["T"]).columns["T"], [20, 21, 22, 23])
-    with pytest.raises(InputError, match=r"room\.csv: line 4 has 2 cells, 3 are needed up to column Q; "):
+    with pytest.raises(InputError, match=r"room\.csv: line 4 has 2 of the 3 cells up to column Q; "):
         read_recording(file, ["Q", "T"])
 
 
@@ -255,7 +255,7 @@ def test_a_wrong_timestamp_is_one_line(decay_case: Path, row: int, stamp: str, m
             r"time\.zero = .* the recordings have no offset from UTC; drop it",
         ),
         (('zero = "2018-01-01"', 'timezone = "Mars/Olympus"'), r'timezone = "Mars/Olympus" is not known'),
-        (('zero = "2018-03-01"', ""), r"(window_d|has 0 values|ends after|covers)"),
+        (('zero = "2018-03-01"', ""), r"(window_d|has 0 values|ends at|covers)"),
     ],
 )
 def test_a_wrong_zero_or_time_zone_is_one_line(decay_case: Path, pair: tuple[str, str], message: str):
@@ -294,7 +294,7 @@ def test_files_with_different_clocks_are_refused(decay_case: Path):
         (
             ["0,1", "22000,2", "86400,3"],
             "time_s,T_degC",
-            r"outputs\[y\]: .* has 1 values of T_degC over days 0.25 to 0.75",
+            r"outputs\[y\]: .* has 1 value of T_degC over days 0.25 to 0.75",
         ),
         (
             ["50000,1", "50600,1", "60000,2", "86400,3"],

@@ -169,7 +169,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "window beyond the data": (
         toml("[0.25, 0.75]", "[0.25, 3.0]"),
-        r"window_d = \[0\.25, 3\]: the recording .*recording\.csv ends after 1 days; shorten the window",
+        r"window_d = \[0\.25, 3\]: the recording .*recording\.csv ends at day 1; shorten the window",
     ),
     "start after the window's start": (
         toml("[time]", "[time]\nstart_d = 0.5"),
@@ -204,7 +204,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "header alone": (
         lambda folder: (folder / "data" / "recording.csv").write_text("time_s,T_degC,heating\n"),  # type: ignore[dict-item]
-        r"recording\.csv: 0 rows of data",
+        r"recording\.csv: no row of data",
     ),
     "decimal commas between commas": (
         csv(r"^3600,.*$", "3600,20,5,1"),
@@ -234,7 +234,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "short line": (
         csv(r"^36000,.*$", "36000,20.1"),
-        r"line 22 has 2 cells, 3 are needed up to column heating; remove it, or complete it with an",
+        r"line 22 has 2 of the 3 cells up to column heating; remove it, or complete it with an",
     ),
     "gap of an input longer than declared": (
         lambda folder: (
@@ -249,7 +249,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "infinite cell": (csv(r"^3600,[^,]*,", "3600,inf,"), r"line 4, column T_degC: inf is not finite"),
     "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
-    "blank line inside": (csv(r"^3600,.*$", ""), r"line 4 has 0 cells, 3 are needed up to column heating"),
+    "blank line inside": (csv(r"^3600,.*$", ""), r"line 4 has 0 of the 3 cells up to column heating"),
     "text cell": (
         csv(r"^3600,[^,]*,", "3600,warm,"),
         r"line 4, column T_degC: 'warm' is not a number; correct it, or",
@@ -266,7 +266,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "too short": (
         csv(r"^50400,(.*\n)*", ""),
-        r"window_d = \[0\.25, 0\.75\]: the recording .* ends after 0\.5625 days",
+        r"window_d = \[0\.25, 0\.75\]: the recording .* ends at day 0\.5625;",
     ),
     "no FMU": (lambda folder: (folder / "decay.fmu").unlink(), r"decay\.fmu: no such file; correct `fmu`"),
     "no zip": (
@@ -308,5 +308,5 @@ def test_a_mistake_is_one_line(decay_case: Path, mistake: str):
 
 
 def test_a_window_of_the_caller_is_checked_like_the_file_s(decay_case: Path):
-    with pytest.raises(InputError, match=r"window_d = \[0, 9\]"):
+    with pytest.raises(InputError, match=r"case\.toml: days 0 to 9: the recording .* ends at day 1;"):
         load_case(decay_case, window_d=(0, 9))
