@@ -40,8 +40,10 @@ def look_at_data(case: Case) -> Iterator[Finding]:
         "data",
         "ok" if enough else "warn",
         f"{told_period(case.window_d)} are covered: {count(n_samples, 'measured value')}, "
-        f"inputs every {case.communication_step_s:g} s",
-        "" if enough else f"{p} parameters cannot be told from {n_samples} values; lengthen the window",
+        f"communication step {case.communication_step_s:g} s",
+        ""
+        if enough
+        else f"{count(p, 'parameter')} cannot be told from {count(n_samples, 'value')}; lengthen the window",
     )
     series = {name: scenario.inputs[:, i] for i, name in enumerate(scenario.input_names)}
     still = [name for name, values in series.items() if np.ptp(values) == 0.0]
