@@ -54,8 +54,13 @@ class CountingModel(WrappedModel):
         """
         n = len(np.asarray(theta))
         if self._budget is not None and self._n_calls + n > self._budget:
-            raise BudgetExceeded(
-                f"{n} more calls would exceed the budget of {self._budget} ({self._n_calls} used)"
-            )
+            raise BudgetExceeded(self._why_no_more(n))
         self._n_calls += n
         return self._model.simulate(theta)
+
+    def _why_no_more(self, n: int) -> str:
+        """Say how so many rows do not fit into the budget, as the reason why a search ends."""
+        left = (self._budget or 0) - self._n_calls
+        if left:
+            return f"the next step takes {n} calls and the budget of {self._budget} has only {left} left"
+        return f"the budget of {self._budget} call{'' if self._budget == 1 else 's'} is spent"

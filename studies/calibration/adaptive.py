@@ -135,8 +135,8 @@ class Adaptive:
             with threadpool_limits(limits=1, user_api="blas"):
                 reason = search.run()
             converged = True
-        except BudgetExceeded:
-            reason = f"the budget of {self.max_calls} calls is spent"
+        except BudgetExceeded as end:
+            reason = str(end)
         best = recorder.best
         assert best is not None, "a budget of at least one row lets the first design be asked"
         return AdaptiveResult(

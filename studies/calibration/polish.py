@@ -145,8 +145,8 @@ class LeastSquaresTRF:
                     x_scale="jac" if self.x_scale == "jac" else 1.0,
                 )
                 reason, converged = STOP_REASONS[found.status], found.status > 0
-        except BudgetExceeded:
-            reason = f"the budget of {self.max_calls} calls is spent"
+        except BudgetExceeded as end:
+            reason = str(end)
         except _StepsFailError as stuck:
             reason = f"even the smallest step cannot be simulated: {stuck}"
         best = recorder.best

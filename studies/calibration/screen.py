@@ -132,8 +132,8 @@ class DifferentialEvolution:
             converged = bool(found.success)
             search.keep_population(found)
             reason = "the population has converged" if converged else "the limit of generations is reached"
-        except BudgetExceeded:
-            reason = f"the budget of {self.max_calls} calls is spent"
+        except BudgetExceeded as end:
+            reason = str(end)
         best = recorder.best
         assert best is not None, "the budget holds the first population"
         order = np.argsort(search.population_objective, kind="stable")

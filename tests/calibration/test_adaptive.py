@@ -89,7 +89,8 @@ def test_never_asks_beyond_its_budget_and_says_so(max_calls: int) -> None:
     assert found.n_calls == max_calls
     assert np.isfinite(found.mse)
     assert not found.converged
-    assert found.stop_reason == f"the budget of {max_calls} calls is spent"
+    noun = "call" if max_calls == 1 else "calls"
+    assert found.stop_reason == f"the budget of {max_calls} {noun} is spent"
 
 
 def test_stops_at_its_target() -> None:

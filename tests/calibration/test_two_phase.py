@@ -87,7 +87,7 @@ def test_a_budget_of_one_call_keeps_the_screened_point() -> None:
     result = calibrate(WRONG, ToyRC(), polishing=LeastSquaresTRF(max_calls=1))
     assert result.mse_polished == result.mse_screened
     assert result.ledger.n_polish == 0
-    assert result.polish_stop_reason == "the budget of 1 calls is spent"
+    assert result.polish_stop_reason == "the next step takes 2 calls and the budget of 1 has only 1 left"
 
 
 def test_a_screened_point_that_fails_gives_way_to_another() -> None:

@@ -30,11 +30,15 @@ def test_a_batch_beyond_the_budget_is_refused_whole_and_not_counted():
     inner = CountingModel(ToyRC())
     model = CountingModel(inner, budget=4)
     model.simulate(ROWS)
-    with pytest.raises(BudgetExceeded, match=r"3 more calls would exceed the budget of 4 \(3 used\)"):
+    with pytest.raises(
+        BudgetExceeded, match="the next step takes 3 calls and the budget of 4 has only 1 left"
+    ):
         model.simulate(ROWS)
     assert (model.n_calls, inner.n_calls) == (3, 3)
     model.simulate(ROWS[:1])
     assert model.n_calls == model.budget == 4
+    with pytest.raises(BudgetExceeded, match="the budget of 4 calls is spent"):
+        model.simulate(ROWS[:1])
 
 
 def test_a_negative_budget_is_refused():
