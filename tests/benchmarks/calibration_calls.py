@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from multistart_for_tests import MultistartResult, best_known, multistart  # noqa: E402
 
 from simulation.case import load_case  # noqa: E402
-from studies.calibration.direct import MultistartResult, best_known, multistart  # noqa: E402
 from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 

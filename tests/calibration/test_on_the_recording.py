@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from multistart_for_tests import best_known, multistart
 
 from simulation.case import load_case
-from studies.calibration.direct import best_known, multistart
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from multistart_for_tests import best_known, multistart
 from problems_for_tests import problem_on, rc_problem
 
 from simulation.arrays import FloatArray
@@ -13,7 +14,6 @@ from simulation.measurement import Measurement
 from simulation.parameters import Belief, Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.direct import best_known, multistart
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.prior import Prior, independent_samples
 from studies.calibration.problem import CalibrationProblem

@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from multistart_for_tests import multistart
 
 from fewest_calls.instances import Instance, of_case
 from fewest_calls.instances_office import WINDOWS_D, office_instance
 from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
-from studies.calibration.direct import multistart
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution

@@ -1,16 +1,12 @@
-"""Optimizers straight on a model, without a surrogate: multistart and the best error by brute force."""
+"""LS-TRF straight on a model from many starts: what tests and benchmarks compare calibrations with."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
-
-OnStart = Callable[[int, int, PolishResult], None]
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,6 @@ def multistart(
     seed: int,
     *,
     polishing: LeastSquaresTRF | None = None,
-    on_start: OnStart | None = None,
 ) -> MultistartResult:
     """Polish from starting points drawn uniformly in the unit cube.
 
@@ -62,33 +57,22 @@ def multistart(
         n_starts: Number of starting points.
         seed: Seed of the starting points.
         polishing: Settings of each run; the defaults when not given.
-        on_start: Called after each run with the runs done, their number in all and the last run.
 
     Returns:
         All runs.
     """
-    if n_starts < 1:
-        raise InputError(f"n_starts is {n_starts}; give at least 1")
     polishing = polishing or LeastSquaresTRF()
     starts = np.random.default_rng(seed).random((n_starts, problem.space.n_parameters))
-    runs: list[PolishResult] = []
-    for u0 in starts:
-        runs.append(polishing.minimize(problem, u0))
-        if on_start is not None:
-            on_start(len(runs), n_starts, runs[-1])
-    return MultistartResult(starts, tuple(runs))
+    return MultistartResult(starts, tuple(polishing.minimize(problem, u0) for u0 in starts))
 
 
-def best_known(
-    problem: CalibrationProblem, n_starts: int = 24, seed: int = 0, *, on_start: OnStart | None = None
-) -> MultistartResult:
+def best_known(problem: CalibrationProblem, n_starts: int = 24, seed: int = 0) -> MultistartResult:
     """Find the best error that brute force can reach: multistart with patience and tight tolerances.
 
     Args:
         problem: The problem, posed to the physical model.
         n_starts: Number of starting points; when nearly all end at the same error, it is the best.
         seed: Seed of the starting points.
-        on_start: Called after each run.
     """
     patient = LeastSquaresTRF(ftol=1e-9, xtol=1e-10, max_calls=20_000)
-    return multistart(problem, n_starts, seed, polishing=patient, on_start=on_start)
+    return multistart(problem, n_starts, seed, polishing=patient)
