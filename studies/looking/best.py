@@ -265,7 +265,7 @@ def _how_to_load(model: BestModel) -> list[Block]:
 
 def _calibration(project: Project, stage: StageLook) -> list[Block]:
     unit = squared(project.unit_of(stage.label))
-    how = f"{count(stage.n_calls, 'model call')} in the paper's count"
+    how = count(stage.n_calls, "model call") + (" in the paper's count" if stage.has_paper_count else "")
     rows = [[name, f"{value:.6g}"] for name, value in stage.summary["theta"].items()]
     return [
         Said(

@@ -64,16 +64,17 @@ def digest_blocks(thing: DigestThing) -> list[Block]:
 
 def _calibration(project: Project, stage: StageLook) -> list[Block]:
     found, unit = stage.summary, squared(project.unit_of(stage.label))
-    ledger = found["ledger"]
+    calls = count(found["ledger"]["total_honest"])
+    if stage.has_paper_count:
+        calls = f"{count(stage.n_calls)} in the paper's count, {calls} in all"
     surrogate = found.get("surrogate") or {}
     origin = f"{surrogate['study']}/t{surrogate['trial']:03d}" if surrogate else "none: the adaptive method"
     gap = found.get("screening_gap")
-    n_paper, n_all = ledger["total_paper"], ledger["total_honest"]
     target = [str(found.get(name))[:8] for name in ("case_sha256", "measurement_sha256")]
     facts: list[tuple[str, object]] = [
         ("final MSE", Said(_mse(stage.mse, unit), "strong")),
         ("screened", "" if "mse_screened" not in found else _screened(found, gap, unit)),
-        ("calls", f"{count(n_paper)} in the paper's count, {count(n_all)} in all"),
+        ("calls", calls),
         ("ended because", found.get("polish_stop_reason", found.get("stop_reason", ""))),
         ("surrogate", origin),
         ("digests", f"case {target[0]}, measurement {target[1]}"),

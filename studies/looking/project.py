@@ -156,6 +156,11 @@ class StageLook:
         """Model calls of a calibration in the paper's count."""
         return int(self.summary["ledger"]["total_paper"])
 
+    @property
+    def has_paper_count(self) -> bool:
+        """Whether the paper counts otherwise: it leaves validation and test sets out."""
+        return self.n_calls != int(self.summary["ledger"]["total_honest"])
+
 
 @dataclass(frozen=True)
 class Project:

@@ -89,7 +89,7 @@ def contents_of(data: ReportData) -> Contents:
         overview = (
             Picture(
                 "overview",
-                "All training-set sizes",
+                "Errors and calls of all calibrations",
                 captions.overview_caption(data.by_size, mse_unit),
                 lambda path: overview_figure(
                     data.by_size, data.references, path, mse_unit=mse_unit, footnote=foot

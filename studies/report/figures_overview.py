@@ -36,7 +36,7 @@ def overview_figure(
     mse_unit: str,
     footnote: str = "",
 ) -> Path:
-    """Draw, for every calibration, the MSE by the surrogate, by the model as screened, and as polished.
+    """Draw, for every calibration, the MSE by the surrogate, by the model as screened, and at its end.
 
     Args:
         calibrations: At least one; of a size there may be several, of all parameters and of few.
@@ -56,7 +56,8 @@ def overview_figure(
         if len(finals) == 1
         else f"{significant(min(finals))} to {quantity(max(finals), mse_unit)}"
     )
-    ends = "All end" if ordered[0].is_adaptive else "Polishing ends"
+    final = "calibrated" if any(c.is_adaptive for c in ordered) else "polished"
+    ends = "Polishing ends" if final == "polished" else "All end"
     title = f"{ends} at {span}; the cheapest way takes {count(cheapest.calls_paper)} model calls"
     rows = np.array([[c.mse_surrogate, c.mse_screened, c.mse_polished] for c in ordered])
     known = np.append(rows.ravel(), [r.mse for r in references])
@@ -76,7 +77,7 @@ def overview_figure(
         labels = [
             EndLabel(last_finite(rows[:, 0]), "by the surrogate", SURROGATE),
             EndLabel(last_finite(rows[:, 1]), "by the model,\nas screened", SCREENED),
-            EndLabel(last_finite(rows[:, 2]), ordered[-1].final, POLISHED),
+            EndLabel(last_finite(rows[:, 2]), final, POLISHED),
         ]
         labels += [EndLabel(r.mse, r.label, MUTED) for r in references]
         end_labels(axes, labels)
@@ -84,7 +85,7 @@ def overview_figure(
 
 
 def _tick(c: CalibrationRecord) -> str:
-    few = "" if c.n_free is None else f"\n{c.n_free} parameters"
+    few = "" if c.n_free is None else f"\n{count(c.n_free, 'parameter')}"
     return ("adaptive" if c.is_adaptive else str(c.n_train)) + few
 
 

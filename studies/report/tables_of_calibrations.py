@@ -87,7 +87,7 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
         Column("lower", "lower bound", "", declared),
         Column("upper", "upper bound", "", declared),
         *(Column("screened", "screened", "", _four) for _ in screened),
-        Column("polished", calibration.final, "", _four),
+        Column(calibration.final, calibration.final, "", _four),
         Column("at_bound", "at a bound"),
         *(Column("knowledge", "known before") for _ in known),
     )

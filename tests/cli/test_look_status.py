@@ -182,7 +182,9 @@ def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studie
         write_manifest(project, "office-quick", f"calibrate-n{n_train:04d}", summary)
     (found,) = studies("best", "--json").document["calibrations"]
     assert (found["name"], found["theta"]) == ("office-quick/calibrate-n0128", {"UWin": 0.52})
-    assert "0.52" in studies("best", "office-quick").out
+    shown = studies("best", "office-quick").out
+    assert "0.52" in shown
+    assert "MSE 0.02000, 100 model calls in the paper's count\n" in shown
     assert "0.02000" in studies("status").out
 
 
@@ -217,8 +219,9 @@ def test_calibrations_without_a_surrogate_have_a_unit_and_each_case_its_best(
     # The one of the latest window: errors on other windows are not comparable.
     assert found == {case: (f"{case}-quick-0-9/calibrate-adaptive", unit) for case, unit in units.items()}
     shown = studies("best").out
-    assert "vanderpol: best calibration: MSE 0.04000 V²" in shown
-    assert "wall: best calibration: MSE 0.05000 K²" in shown
+    # There is nothing that the paper would count otherwise.
+    assert "vanderpol: best calibration: MSE 0.04000 V², 20 model calls\n" in shown
+    assert "wall: best calibration: MSE 0.05000 K², 20 model calls\n" in shown
     assert "wall" not in studies("best", "vanderpol").out
     card = studies("show", "vanderpol-quick-0-9/calibrate-adaptive")
     assert "0.04000 V²" in card.out, card.err

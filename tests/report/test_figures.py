@@ -16,6 +16,7 @@ from matplotlib import image
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from records_for_tests import (
+    adaptive,
     calibration,
     coverage,
     learning_curves,
@@ -164,6 +165,19 @@ def test_the_screened_point_stands_where_the_polish_begins(
     (diamond,) = [line for line in lines if line.get_marker() == "D"]
     (steps,) = [line for line in lines if line.get_drawstyle() == "steps-post"]
     assert np.asarray(diamond.get_xdata())[0] == np.asarray(steps.get_xdata())[0] == few.history_calls[0]
+
+
+@pytest.mark.parametrize(("others", "word"), [([], "polished"), ([adaptive()], "calibrated")])
+def test_the_overview_calls_polished_what_was_polished_alone(
+    others: list[CalibrationRecord], word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(
+        "studies.report.figures_overview.end_labels",
+        lambda _, labels: told.extend(one.text for one in labels),
+    )
+    overview_figure([calibration(64), *others], (), tmp_path / "o.png", mse_unit="K²")
+    assert told[-1] == word
 
 
 def test_several_outputs_get_panels_of_their_own(tmp_path: Path) -> None:
