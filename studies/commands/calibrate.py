@@ -22,8 +22,9 @@ polished from there by LS-TRF. Needs the champion folder alone. Lands in calibra
 
 --most-relevant 6 calibrates the six parameters that matter most and fixes the others at their priors,
 estimates or middles. Which matter is read from `studies sensitivity` where its result lies, else asked of the
-FMU by Morris' method: four simulations per parameter and four more, counted (and in --max-calls). The result
-says what was fixed at what and what that cost, and lies beside that of all parameters: ...-relevant6.
+FMU by Morris' method: four simulations per parameter and four more, 60 for 14 parameters. What the fixing
+cost is asked at the end where calls are left: one per parameter and one more. All of them are counted (and
+in --max-calls). The result says what was fixed at what and lies beside that of all parameters: ...-relevant6.
 
 A parameter's prior (case.toml: prior = { about = 0.7, within_factor = 1.5 }) is heeded by both methods.
 
@@ -31,7 +32,7 @@ examples:
   studies calibrate                        the office, 100 FMU calls at most
   studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
   studies calibrate my-case --target 0.0121 --json
-  studies calibrate my-case --most-relevant 6
+  studies calibrate my-case --most-relevant 6   of 14: 60 of the 100 calls say which six, 15 what that cost
   studies calibrate --n-train 64           from the surrogate that 64 simulations taught
   studies calibrate --n-train 64 --again   once more: the same numbers
 """
@@ -57,7 +58,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--most-relevant",
         type=values.whole(1),
         metavar="K",
-        help="calibrate the K most relevant parameters, fix the others at prior, estimate or middle",
+        help="calibrate the K most relevant parameters, fix the others at prior, estimate or middle; without "
+        "Sobol indices, to find them takes 4 calls per parameter and 4 more",
     )
     options.add_sizes(command, "paper: sizes to calibrate with; default: all that have a surrogate")
     options.add_calibration(
