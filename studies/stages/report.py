@@ -12,8 +12,9 @@ from simulation.time_unit import told_period
 from studies.profile import Profile, changed_words
 from studies.report import Provenance, Reference, ReportData, build
 from studies.report.uncertainty import uncertainty_record
+from studies.report.wording import count
 from studies.stages.adaptive import adaptive_command
-from studies.stages.pipeline import Outcome, Study, Summary, run_stage
+from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage
 from studies.stages.results import (
     ADAPTIVE,
     calibration_record,
@@ -53,12 +54,24 @@ def report_stage(study: Study) -> Outcome:
     }
 
     def work() -> tuple[Summary, list[Path]]:
+        started_s = time.time()
         with study.console.progress("tables and figures", 1) as advance:
             index = build(_report_data(study), folder, on_progress=advance)
+        study.console.say("report: into MLflow")
+        log_report(
+            study.paths,
+            study.label,
+            digest_of(inputs),
+            case={"case": study.case.name, "case_sha256": study.case.digest},
+            note=study.case.note,
+            index=index,
+            started_s=started_s,
+            wall_s=time.time() - started_s,
+        )
         summary = {"index": study.paths.show(index), "n_files": sum(1 for _ in folder.iterdir())}
         return summary, [index]
 
-    outcome = run_stage(
+    return run_stage(
         study,
         "report",
         what=f"tables and figures of {study.label}",
@@ -66,19 +79,6 @@ def report_stage(study: Study) -> Outcome:
         work=work,
         reuse_note=lambda summary: f"{summary['index']} is up to date",
     )
-    if not outcome.reused:
-        index = study.paths.root / outcome.summary["index"]
-        log_report(
-            study.paths,
-            study.label,
-            outcome.digest,
-            case={"case": study.case.name, "case_sha256": study.case.digest},
-            note=study.case.note,
-            index=index,
-            started_s=time.time() - outcome.wall_s,
-            wall_s=outcome.wall_s,
-        )
-    return outcome
 
 
 def show_report(study: Study, outcome: Outcome) -> None:
@@ -141,9 +141,9 @@ def _surrogate_settings(profile: Profile) -> tuple[tuple[str, str], ...]:
     return (
         ("training-set sizes", ", ".join(map(str, data.n_train))),
         ("validation and test", f"{data.n_validation} and {data.n_test} simulations"),
-        ("tuning", f"{budget.n_trials} trials per size, variant {budget.variant}"),
+        ("tuning", f"{count(budget.n_trials, 'trial')} per size, variant {budget.variant}"),
         ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
-        ("polish", f"at most {profile.polish.max_calls} calls, ftol {profile.polish.ftol:g}"),
+        ("polish", f"at most {count(profile.polish.max_calls, 'call')}, ftol {profile.polish.ftol:g}"),
     )
 
 
@@ -160,7 +160,7 @@ def command_of(study: Study, found: Mapping[str, Any]) -> str:
 
 def _told(settings: dict[str, Any]) -> str:
     n_parallel, ftol = settings["n_parallel"], settings["ftol"]
-    return f"at most {settings['max_calls']} calls, {n_parallel} at a time, ftol {ftol:g}"
+    return f"at most {count(settings['max_calls'], 'call')}, {n_parallel} at a time, ftol {ftol:g}"
 
 
 def _source_files(study: Study) -> list[Path]:
