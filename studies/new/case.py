@@ -50,7 +50,7 @@ class MadeCase:
     Attributes:
         case: Its content.
         file: The case file.
-        files: All files, the case file first.
+        files: All files, the case file first; not the FMU where it was there.
         to_edit: Lines of the case file that are marked EDIT, with their numbers.
     """
 
@@ -97,27 +97,28 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     texts |= {data / file: content for file, content in example_files(case).items()}
     copied = folder / fmu_file.name
     try:
-        _write(texts, fmu_file, copied, paths)
+        is_there = copied.exists() and copied.samefile(fmu_file)
+        copies = () if is_there else (copied,)
+        _write(texts, fmu_file, copies, paths)
     except OSError as error:
         place = paths.show(Path(error.filename or folder))
         raise InputError(
             f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
             "--to FOLDER"
         ) from None
-    return MadeCase(case, folder / "case.toml", (*texts, copied), tuple(lines_to_edit(text)))
+    return MadeCase(case, folder / "case.toml", (*texts, *copies), tuple(lines_to_edit(text)))
 
 
-def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> None:
+def _write(texts: Mapping[Path, str], fmu_file: Path, copies: Sequence[Path], paths: ProjectPaths) -> None:
     """Write the texts and copy the FMU, or nothing where one of the files is there already."""
-    is_there = copied.exists() and copied.samefile(fmu_file)
-    for file in [*texts, *([] if is_there else [copied])]:
+    for file in (*texts, *copies):
         if file.exists():
             raise InputError(
                 f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
             )
-    for folder in dict.fromkeys(file.parent for file in (copied, *texts)):
+    for folder in dict.fromkeys(file.parent for file in (*copies, *texts)):
         folder.mkdir(parents=True, exist_ok=True)
-    if not is_there:
+    for copied in copies:
         shutil.copyfile(fmu_file, copied)
     for file, content in texts.items():
         with whole_file(file) as stream:

@@ -219,7 +219,10 @@ def test_an_fmu_below_fmus_stays_where_it_is(project: Path, studies: Run, room: 
     folder = project / "fmus" / "attic"
     folder.mkdir()
     moved = room.rename(folder / "Attic.fmu")
-    assert studies("new", str(moved)).code == 0
+    answer = studies("new", str(moved))
+    assert answer.code == 0
+    assert "wrote fmus/attic/case.toml" in answer.out
+    assert "Attic.fmu" not in answer.out  # it was there
     assert case_of(project, "attic")["data"] == "../../data/attic"
     assert sorted(file.name for file in folder.iterdir()) == ["Attic.fmu", "case.toml"]
 
