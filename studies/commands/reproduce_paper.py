@@ -38,7 +38,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     from studies.paper.catalog import ITEMS
 
-    names = " ".join(word for item in ITEMS for word in (item.name, *item.aliases))
+    names = ", ".join(item.words for item in ITEMS)
     command.add_argument(
         "case",
         nargs="?",
@@ -88,7 +88,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     console.table(
         f"{study.label}: {plan.budget.name} budget",
         [Column("item"), Column("what"), Column("about", True)],
-        [[i.name, i.what, format_seconds(costs[i.name]) if costs[i.name] else "finished"] for i in items],
+        [[i.words, i.what, format_seconds(costs[i.name]) if costs[i.name] else "finished"] for i in items],
     )
     console.say(
         f"reproduce-paper: about {format_seconds(sum(costs.values()))} in all, less where stages are finished"

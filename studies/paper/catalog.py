@@ -33,6 +33,11 @@ class Item:
     cases: tuple[str, ...] = ()
     trains_own_window: bool = False
 
+    @property
+    def words(self) -> str:
+        """The words for `--only`: the name, and those that mean it as well."""
+        return f"{self.name} (or {', '.join(self.aliases)})" if self.aliases else self.name
+
     def is_about(self, case_name: str) -> bool:
         """Say whether the item makes sense for a case."""
         return not self.cases or case_name in self.cases
@@ -106,7 +111,8 @@ def chosen_items(words: list[str] | None) -> tuple[Item, ...]:
     meaning = {word: item for item in ITEMS for word in (item.name, *item.aliases)}
     unknown = [word for word in words if word not in meaning]
     if unknown:
-        raise InputError(f"--only {unknown[0]}: there is no such item; there are {', '.join(meaning)}")
+        known = ", ".join(item.words for item in ITEMS)
+        raise InputError(f"--only {unknown[0]}: there is no such item; there are {known}")
     wanted = {meaning[word].name for word in words}
     return tuple(item for item in ITEMS if item.name in wanted)
 

@@ -117,8 +117,11 @@ def test_items_are_named_ordered_and_bring_what_they_need() -> None:
     assert [item.name for item in chosen_items(["fig9", "fig4"])] == ["fig4", "table4"]
     assert [item.name for item in with_needs(chosen_items(["fig7"]))] == ["fig5", "fig7"]
     assert chosen_items(None) == ITEMS
-    with pytest.raises(InputError, match=r"--only fig1: there is no such item; there are fig4, fig5"):
+    with pytest.raises(InputError, match=r"--only fig1: there is no such item; there are fig4, ") as refused:
         chosen_items(["fig1"])
+    named = str(refused.value).partition("there are ")[2].split(", ")
+    assert named == [item.words for item in ITEMS]
+    assert "table4 (or fig9)" in named
     for item in ITEMS:
         module = item_module(item)
         assert all(callable(getattr(module, word)) for word in ("inputs", "estimate_s", "run"))
