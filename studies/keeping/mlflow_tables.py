@@ -127,6 +127,13 @@ def read_mlflow(paths: ProjectPaths) -> MlflowContent:
 
 def moved_places(paths: ProjectPaths, content: MlflowContent) -> dict[str, str]:
     """Return folders that MLflow remembers and that lie elsewhere now: old place to new place.
+def experiment_names(paths: ProjectPaths) -> list[str]:
+    """Return the labels that MLflow knows."""
+    with opened(paths) as connection:
+        found = _rows(connection, "SELECT name FROM experiments WHERE lifecycle_stage = 'active'")
+    return sorted(name for (name,) in found if name != "Default")
+
+
 
     A place counts as moved where this project has the experiment's folder. On a server that machines share
     it may be another machine's, and must not be there at all.

@@ -6,7 +6,6 @@ import urllib.request
 from collections.abc import Mapping
 from typing import Any
 
-from simulation.errors import InputError
 from studies.tracking.mlflow_view import LEADERBOARD, SHARED_VIEW, view_address
 
 ALL = "#/experiments?workflowType=machine_learning"
@@ -20,17 +19,14 @@ def leaderboard_page(server: str, *, label: str | None, password: str = "") -> s
         label: whose; None for the one that was worked on last.
         password: the administrator's, where the server asks for one.
 
-    Raises:
-        InputError: nobody has worked on that label.
+    Returns:
+        The leaderboard's, or that of all experiments where there is no such one.
     """
     try:
         found = _experiments(server, password)
         chosen = _newest(server, found, password) if label is None else found.get(label)
     except (OSError, ValueError, KeyError):  # a page that cannot be found is no reason not to open the others
         return ALL
-    if label is not None and chosen is None:
-        names = ", ".join(name for name in found if name != "Default") or "none"
-        raise InputError(f"MLflow has no experiment {label!r}; there are: {names}")
     if chosen is None:
         return ALL
     if any(tag["key"] == f"{SHARED_VIEW}{LEADERBOARD}" for tag in chosen.get("tags", [])):

@@ -88,6 +88,8 @@ def open_ui(
         InputError: there is no store yet, the port is taken, the label is unknown, or a password is missing.
     """
     plan = plan_ui(paths, host, port, ask=not dry_run)
+    if label is not None:
+        _require_known(paths, label)
     if dry_run:
         document = {"command": "ui", **plan.to_dict(), "dry_run": True}
         variables = " ".join(f"{name}={value}" for name, value in document["environment"].items())
@@ -95,8 +97,7 @@ def open_ui(
         console.result(f"address: {plan.address}")
         console.document(document)
         return 0
-    if paths.storage is None and not paths.tracking_database.is_file():
-        raise InputError(f"there is no {paths.show(paths.tracking_database)} yet; type: studies run")
+    _require_store(paths)
     console.say("ui: starting MLflow")
     signal.signal(signal.SIGTERM, interrupt)
     paths.mlruns.mkdir(parents=True, exist_ok=True)
@@ -125,6 +126,20 @@ def open_ui(
             return 0
         finally:
             _stop(server)
+
+
+def _require_store(paths: ProjectPaths) -> None:
+    if paths.storage is None and not paths.tracking_database.is_file():
+        raise InputError(f"there is no {paths.show(paths.tracking_database)} yet; type: studies run")
+
+
+def _require_known(paths: ProjectPaths, label: str) -> None:
+    from studies.keeping.mlflow_tables import experiment_names
+
+    _require_store(paths)
+    names = experiment_names(paths)
+    if label not in names:
+        raise InputError(f"MLflow has no experiment {label!r}; there are: {', '.join(names) or 'none'}")
 
 
 def plan_ui(paths: ProjectPaths, host: str, port: int | None, *, ask: bool = True) -> UiPlan:

@@ -167,6 +167,12 @@ def test_ui_says_what_it_would_start(new_project: Path, studies: Run) -> None:
     assert not (new_project / "mlruns").exists()
 
 
+def test_ui_refuses_a_label_that_nobody_worked_on(project: Path, studies: Run) -> None:
+    answer = studies("ui", "office-quik", "--dry-run")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "MLflow has no experiment 'office-quik'; there are: none" in answer.err
+
+
 def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(
     project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -195,6 +195,7 @@ def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> No
         pytest.param(["calibrate", "--n-train", "64"], ["64", "--n-train 64"], id="size-not-tuned"),
         pytest.param(["report"], ["no calibration", "studies calibrate office"], id="nothing-to-report"),
         pytest.param(["ui"], ["mlflow.db", "studies run"], id="no-store"),
+        pytest.param(["ui", "office-quick", "--dry-run"], ["mlflow.db", "studies run"], id="no-store-label"),
         pytest.param(["ui", "--port", "99999"], ["99999"], id="port"),
         pytest.param(["frobnicate"], ["frobnicate"], id="command"),
         pytest.param([], ["COMMAND"], id="no-command"),
