@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from simulation.errors import InputError
+from simulation.errors import MachineError
 
 # What systems say of a lock that somebody else holds.
 _HELD: Final = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
@@ -34,7 +34,7 @@ class FileLock:
         """Take the lock if no other process is in the way; return whether it is held now.
 
         Raises:
-            InputError: If there are no locks where the file lies.
+            MachineError: If there are no locks where the file lies.
         """
         self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
@@ -44,7 +44,7 @@ class FileLock:
             os.close(descriptor)
             if error.errno in _HELD:
                 return False
-            raise InputError(
+            raise MachineError(
                 f"{self._file}: this file system has no locks ({error.strerror}); work on a local disk"
             ) from error
         self._descriptor = descriptor

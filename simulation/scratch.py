@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from simulation.errors import InputError
+from simulation.errors import MachineError
 
 _LOCK: Final = ".in-use"
 
@@ -27,7 +27,7 @@ class ScratchFolder:
             prefix: How the names of these folders begin.
 
         Raises:
-            InputError: If there is no room for it.
+            MachineError: If there is no room for it.
         """
         self._lock: int | None = None
         unseen = None
@@ -43,7 +43,7 @@ class ScratchFolder:
                 shutil.rmtree(unseen, ignore_errors=True)
             if self._lock is not None:
                 os.close(self._lock)
-            raise InputError(
+            raise MachineError(
                 f"no temporary folder can be made ({error}); make room or set TMPDIR to another place"
             ) from None
 

@@ -15,7 +15,7 @@ from itertools import groupby
 from types import ModuleType
 from typing import Any, NoReturn
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.commands import options
 from studies.console import Console
 from studies.storage_url import hide_passwords
@@ -82,8 +82,8 @@ where results land (label = <case>-<profile>):
 
 Finished work is never done twice: interrupt any command, type it again, and it goes on.
 
-Exit codes: 0 good, 1 a check or a stage failed, 2 the input is wrong, 130 interrupted,
-141 nobody read on.
+Exit codes: 0 good, 1 a check or a stage failed or the machine is in the way (disk, memory), 2 the input is
+wrong, 130 interrupted, 141 nobody read on.
 """
 
 
@@ -110,6 +110,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         answer: int = command_module(chosen.command).run(chosen, console)
         return answer
+    except MachineError as error:
+        return _failed(console, error)
     except InputError as error:
         return _bad_input(console, " ".join(str(error).split()))
     except KeyboardInterrupt:
@@ -220,7 +222,7 @@ def _failed(console: Console, error: Exception) -> int:
     from studies.stages.pipeline import StageError
 
     explained = explain(error)
-    if explained is None and not isinstance(error, StageError):
+    if explained is None and not isinstance(error, StageError | MachineError):
         sys.stderr.write(hide_passwords("".join(traceback.format_exception(error))))
     line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
     console.warn(f"error: {line}")

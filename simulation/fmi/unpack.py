@@ -6,7 +6,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from simulation.fmi.declared import PLATFORM_FOLDERS
 from simulation.scratch import ScratchFolder
 
@@ -28,8 +28,8 @@ def unpacked(path: Path) -> ScratchFolder:
         The folder, to be removed by the caller.
 
     Raises:
-        InputError: If a member of the archive is damaged, a link, or would land outside the folder, or the
-            disk is full.
+        InputError: If a member of the archive is damaged, a link, or would land outside the folder.
+        MachineError: If the disk is full.
     """
     scratch = ScratchFolder(SCRATCH_PREFIX)
     try:
@@ -39,7 +39,7 @@ def unpacked(path: Path) -> ScratchFolder:
         if isinstance(error, _DAMAGED):
             raise InputError(f"{path}: cannot be unpacked ({error}); export it again") from None
         if isinstance(error, OSError):
-            raise InputError(
+            raise MachineError(
                 f"{path}: cannot be unpacked to {scratch.folder.parent} ({error.strerror}); free some space "
                 "or name another folder in the environment variable TMPDIR"
             ) from None

@@ -111,11 +111,11 @@ class Refused:
 
     Attributes:
         line: Why.
-        is_input_error: Whether the line is meant for the user.
+        kind: The exception that says so: an InputError where the line is meant for the user.
     """
 
     line: str
-    is_input_error: bool
+    kind: type[Exception]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import send_handle
 from typing import Any, Final
 
-from simulation.errors import InputError
 from simulation.workers.held_interrupts import interrupts_held
 from simulation.workers.messages import (
     Ended,
@@ -232,4 +231,4 @@ def error_of(refused: Refused) -> Exception:
     Args:
         refused: What its process said.
     """
-    return InputError(refused.line) if refused.is_input_error else RuntimeError(refused.line)
+    return refused.kind(refused.line)

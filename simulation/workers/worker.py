@@ -21,7 +21,7 @@ from multiprocessing.reduction import recv_handle
 from pathlib import Path
 from typing import Any, Final
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from simulation.scratch import ScratchFolder
 from simulation.workers.messages import (
     Ended,
@@ -160,7 +160,7 @@ class _Nursery:
             )
             shutil.rmtree(folder, ignore_errors=True)
             with Connection(descriptor) as connection:
-                connection.send(Refused(why, is_input_error=True))
+                connection.send(Refused(why, MachineError))
             self._control.send(Ended(worker, None))
             return
         if pid == 0:
@@ -261,8 +261,8 @@ def _settle(folder: Path) -> None:
 
 def _refusal(error: Exception) -> Refused:
     if isinstance(error, InputError):
-        return Refused(str(error), is_input_error=True)
-    return Refused("".join(traceback.format_exception(error)), is_input_error=False)
+        return Refused(str(error), MachineError if isinstance(error, MachineError) else InputError)
+    return Refused("".join(traceback.format_exception(error)), RuntimeError)
 
 
 def _kill(pid: int) -> None:

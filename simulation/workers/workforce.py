@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from simulation.errors import InputError
 from simulation.workers.execution import ExecutionPolicy
 from simulation.workers.messages import Ended, Limits, Opened, Ran, Refused
 from simulation.workers.nursery import Event, Nursery, NurseryEnded, Worker, error_of
@@ -206,7 +207,7 @@ class Workforce:
                 )
 
     def _refused_for_users(self, what: str) -> None:
-        self._refused(Refused(f"{subject(self._make_model)}: {what}", is_input_error=True))
+        self._refused(Refused(f"{subject(self._make_model)}: {what}", InputError))
 
     def close(self, *, at_once: bool = False) -> None:
         """End all workers; the next work hires new ones.

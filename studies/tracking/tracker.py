@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
 from studies.tuning.study_spec import StudySpec, StudySummary
@@ -232,6 +232,7 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
 
     Raises:
         InputError: the store cannot be opened.
+        MachineError: it is locked, or its disk cannot be used.
     """
     from studies.keeping.versions import require_mlflow_version
     from studies.tracking.mlflow_tracker import MlflowTracker
@@ -246,7 +247,7 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
         if paths.storage is not None:
             where = hide_passwords(paths.storage)
             raise InputError(f"MLflow cannot open {where} ({line}); check the URL and the server") from error
-        remedy = _cure(line) or _REWRITE
-        raise InputError(f"MLflow cannot open {paths.tracking_database} ({line}); {remedy}") from error
+        cure, said = _cure(line), f"MLflow cannot open {paths.tracking_database} ({line})"
+        raise (MachineError(f"{said}; {cure}") if cure else InputError(f"{said}; {_REWRITE}")) from error
     tracker.end_ghosts()
     return tracker

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from multiprocessing.synchronize import Event
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from simulation.workers.parallel import exit_with_parent
 from studies.environment import explain
 from studies.paths import ProjectPaths
@@ -37,7 +37,7 @@ class _Failure:
     """What a worker says when it cannot go on."""
 
     line: str
-    is_input_error: bool
+    kind: type[Exception]
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Crew:
                     self._replace(worker)
                     continue
                 if isinstance(message, _Failure):
-                    raise InputError(message.line) if message.is_input_error else TuningError(message.line)
+                    raise message.kind(message.line)
                 if isinstance(message, _Done):
                     self._workers.remove(worker)
                     self._leaving.append(worker.process)
@@ -221,10 +221,10 @@ def _work(
     except StudyInterruptedError:
         return
     except InputError as error:
-        connection.send(_Failure(str(error), is_input_error=True))
+        connection.send(_Failure(str(error), MachineError if isinstance(error, MachineError) else InputError))
     except Exception as error:
         where = explain(error) or "".join(traceback.format_exception(error))
-        connection.send(_Failure(hide_passwords(where), is_input_error=False))
+        connection.send(_Failure(hide_passwords(where), TuningError))
 
 
 def _received(connection: Connection) -> list[StudySpec] | None:

@@ -1,6 +1,7 @@
 """A machine that is in the way: one line with the remedy, exit code 1, no traceback."""
 
 import errno
+import os
 import shutil
 from pathlib import Path
 
@@ -18,6 +19,18 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(project: Path, studies: Run
     assert len(answer.err.splitlines()) == 1
     assert "mlruns" in answer.document["error"]
     assert "move away the file" in answer.document["error"]
+
+
+def test_a_disk_without_locks_is_no_wrong_input(
+    project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    answer = studies("simulate", "--profile", "smoke", "--json", "--quiet")
+    assert (answer.code, len(answer.err.splitlines())) == (1, 1)
+    assert "this file system has no locks" in answer.document["error"]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from simulation.fmi.unpack import SCRATCH_PREFIX, unpacked
 from simulation.scratch import sweep
 
@@ -102,10 +102,10 @@ def test_a_damaged_member_is_named_in_one_line(fmu: Path, folder: Path):
 
 def test_a_full_disk_is_named_in_one_line(fmu: Path, folder: Path):
     script = (
-        "import resource, sys\nfrom pathlib import Path\nfrom simulation.errors import InputError\n"
+        "import resource, sys\nfrom pathlib import Path\nfrom simulation.errors import MachineError\n"
         "from simulation.fmi.unpack import unpacked\nimport signal\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nresource.setrlimit(resource.RLIMIT_FSIZE, (4, 4))\n"
-        "try:\n    unpacked(Path(sys.argv[1]))\nexcept InputError as error:\n    print(error)"
+        "try:\n    unpacked(Path(sys.argv[1]))\nexcept MachineError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", script, fmu], capture_output=True, text=True, check=True)
     assert done.stdout.strip().endswith(
@@ -119,13 +119,13 @@ def test_no_room_for_a_folder_is_named_in_one_line(fmu: Path, folder: Path, monk
         with monkeypatch.context() as patch:
             patch.setattr(name, full)
             with pytest.raises(
-                InputError, match=r"no temporary folder .*No space left on device\); .*TMPDIR"
+                MachineError, match=r"no temporary folder .*No space left on device\); .*TMPDIR"
             ):
                 unpacked(fmu)
         assert not list(folder.iterdir())
     monkeypatch.setattr(tempfile, "tempdir", str(folder / "gone"))
     with pytest.raises(
-        InputError, match=r"no temporary folder can be made .*gone.*; make room or set TMPDIR"
+        MachineError, match=r"no temporary folder can be made .*gone.*; make room or set TMPDIR"
     ):
         unpacked(fmu)
 

@@ -17,7 +17,7 @@ import psutil
 import pytest
 
 from simulation.case import load_case
-from simulation.errors import InputError
+from simulation.errors import MachineError
 from simulation.toy import ToyRC
 from simulation.workers import nursery_process
 from simulation.workers.nursery_process import NurseryProcess, end_resting
@@ -197,7 +197,7 @@ def test_no_room_for_temporary_files_is_one_line(tmp_path: Path, monkeypatch: py
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     with (
-        pytest.raises(InputError, match=r"no temporary folder .*No space left on device.*TMPDIR"),
+        pytest.raises(MachineError, match=r"no temporary folder .*No space left on device.*TMPDIR"),
         ParallelModel(ToyRC, 1) as model,
     ):
         model.simulate(ROWS)
@@ -237,7 +237,7 @@ def test_where_none_can_be_started_it_is_one_line(tmp_path: Path, monkeypatch: p
     (tmp_path / "sitecustomize.py").write_text(f"{NO_ROOM.format(n=0)}os.fork = limited(os.fork)\n")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     with (
-        pytest.raises(InputError, match=r"cannot be started \(Resource temporarily unavailable\)"),
+        pytest.raises(MachineError, match=r"cannot be started \(Resource temporarily unavailable\)"),
         ParallelModel(ToyRC, 1) as model,
     ):
         model.simulate(ROWS)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from simulation.counting import BudgetExceeded, CountingModel
-from simulation.errors import InputError
+from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
@@ -77,7 +77,7 @@ def test_where_there_are_no_locks_nobody_waits_for_one(tmp_path: Path, monkeypat
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", refuse)
-    with pytest.raises(InputError, match=r"journal\.lock: this file system has no locks"):
+    with pytest.raises(MachineError, match=r"journal\.lock: this file system has no locks"):
         FileLock(tmp_path / "journal.lock").acquire()
 
 
