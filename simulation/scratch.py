@@ -5,12 +5,15 @@ import fcntl
 import os
 import shutil
 import tempfile
+import time
 from pathlib import Path
 from typing import Final
 
 from simulation.errors import MachineError
 
 _LOCK: Final = ".in-use"
+UNSEEN_S: Final = 3600.0
+"""A folder that is unseen for longer was left by an owner killed while making it, which takes no time. [s]"""
 
 
 class ScratchFolder:
@@ -61,8 +64,12 @@ def sweep(prefix: str) -> None:
     Args:
         prefix: How the names of these folders begin.
     """
-    for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+    place = Path(tempfile.gettempdir())
+    for folder in (*place.glob(f"{prefix}*"), *place.glob(f".{prefix}*")):
         with contextlib.suppress(OSError):
+            # Between its making and its lock an unseen one may belong to somebody.
+            if folder.name.startswith(".") and time.time() - folder.stat().st_mtime < UNSEEN_S:
+                continue
             lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

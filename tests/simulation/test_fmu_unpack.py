@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import time
 import zipfile
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from simulation.errors import InputError, MachineError
 from simulation.fmi.unpack import SCRATCH_PREFIX, unpacked
-from simulation.scratch import sweep
+from simulation.scratch import UNSEEN_S, sweep
 
 OWNER = """
 import sys, time
@@ -144,6 +145,15 @@ def test_the_folder_of_a_killed_process_goes_and_a_living_ones_stays(fmu: Path, 
     assert alive.folder.exists()
     alive.remove()
     assert not list(folder.iterdir())
+
+
+def test_a_folder_whose_owner_was_killed_while_making_it_goes_later(folder: Path):
+    made, left = folder / f".{SCRATCH_PREFIX}new", folder / f".{SCRATCH_PREFIX}old"
+    for one in (made, left):
+        one.mkdir()
+    os.utime(left, (0.0, time.time() - 2.0 * UNSEEN_S))
+    sweep(SCRATCH_PREFIX)
+    assert list(folder.iterdir()) == [made]
 
 
 def test_many_at_once_neither_lose_a_folder_nor_leave_one(fmu: Path, folder: Path):
