@@ -26,7 +26,7 @@ from studies.keeping.mlflow_tables import (
     moved_places,
     read_mlflow,
 )
-from studies.keeping.stage_views import stage_manifests, stage_name
+from studies.keeping.stage_views import stage_manifests, stage_metrics, stage_name
 from studies.keeping.stores import KeptStudy, Stores
 from studies.report.wording import count
 from studies.tuning.champion import CHAMPION_FILE, read_champion
@@ -179,15 +179,26 @@ class _Comparison:
             yield StoreFinding(STORE, "note", listed(studies), found, remedy)
 
     def _stages(self) -> Iterator[StoreFinding]:
-        told = {run.tags.get("stage_key") for run in self.content.active}
+        told: dict[str, list[RunRow]] = {}
+        for run in self.content.active:
+            told.setdefault(run.tags.get("stage_key", ""), []).append(run)
         paths = self.stores.paths
         for label in sorted(folder.name for folder in (paths.mlruns / "results").glob("*")):
             manifests = stage_manifests(paths, label)
-            missing = [file for file, manifest in manifests if manifest["digest"] not in told]
+            missing = [
+                file
+                for file, manifest in manifests
+                # Done again while MLflow was away, a stage may have come to other numbers.
+                if not any(
+                    stage_metrics(manifest).items() <= run.numbers.items()
+                    for run in told.get(manifest["digest"], [])
+                )
+            ]
             if not missing:
                 continue
             stages = [stage_name(paths, file).partition("/")[2] for file in missing]
-            what = f"{listed(stages)} {'has no run' if len(stages) == 1 else 'have no runs'}"
+            lack = "has no run of its" if len(stages) == 1 else "have no runs of their"
+            what = f"{listed(stages)} {lack} numbers"
             repair = partial(write_missing_stages, self.stores, label)
             yield StoreFinding(STORE, "bad", label, what, _REMEDY, repair)
 

@@ -40,6 +40,7 @@ class RunRow:
         started_ms: its start. [ms since 1970]
         deleted_ms: when it was deleted. [ms since 1970]
         value: its metric `val/mae`.
+        numbers: all metrics of a calibration, its uncertainty or Sobol indices.
         tags: those of its tags by which this project knows it.
     """
 
@@ -52,6 +53,7 @@ class RunRow:
     started_ms: int
     deleted_ms: int
     value: float | None
+    numbers: dict[str, float]
     tags: dict[str, str]
 
     @property
@@ -125,8 +127,6 @@ def read_mlflow(paths: ProjectPaths) -> MlflowContent:
         )
 
 
-def moved_places(paths: ProjectPaths, content: MlflowContent) -> dict[str, str]:
-    """Return folders that MLflow remembers and that lie elsewhere now: old place to new place.
 def experiment_names(paths: ProjectPaths) -> list[str]:
     """Return the labels that MLflow knows."""
     with opened(paths) as connection:
@@ -134,6 +134,8 @@ def experiment_names(paths: ProjectPaths) -> list[str]:
     return sorted(name for (name,) in found if name != "Default")
 
 
+def moved_places(paths: ProjectPaths, content: MlflowContent) -> dict[str, str]:
+    """Return folders that MLflow remembers and that lie elsewhere now: old place to new place.
 
     A place counts as moved where this project has the experiment's folder. On a server that machines share
     it may be another machine's, and must not be there at all.
@@ -210,6 +212,13 @@ def _runs(connection: Connection) -> tuple[RunRow, ...]:
         connection, f"SELECT run_uuid, key, value FROM tags WHERE key IN ({names})"
     ):
         tags.setdefault(run_id, {})[key] = value
+    numbers: dict[str, dict[str, float]] = {}
+    for run_id, key, value in _rows(
+        connection,
+        "SELECT m.run_uuid, m.key, m.value FROM latest_metrics m JOIN tags t ON t.run_uuid = m.run_uuid "
+        "WHERE t.key = 'role' AND t.value IN ('calibration', 'sensitivity', 'uncertainty')",
+    ):
+        numbers.setdefault(run_id, {})[key] = float(value)
     found = _rows(
         connection,
         "SELECT r.run_uuid, r.name, r.status, r.lifecycle_stage, r.artifact_uri, e.name, r.start_time, "
@@ -227,6 +236,7 @@ def _runs(connection: Connection) -> tuple[RunRow, ...]:
             started_ms=int(started or 0),
             deleted_ms=int(deleted or 0),
             value=None if value is None else float(value),
+            numbers=numbers.get(run_id, {}),
             tags=tags.get(run_id, {}),
         )
         for run_id, name, status, stage, uri, label, started, deleted, value in found

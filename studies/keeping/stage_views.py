@@ -1,5 +1,6 @@
 """Write MLflow's view of the stages that are not tuning again, from what they left on disk."""
 
+import math
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -20,6 +21,20 @@ def stage_manifests(paths: ProjectPaths, label: str) -> list[tuple[Path, dict[st
     """Return the manifests of a label's stages that MLflow is told of."""
     files = [file for pattern in TOLD_STAGES for file in sorted(paths.results(label).glob(pattern))]
     return [(file, found) for file in files if (found := read_json(file)) is not None and "digest" in found]
+
+
+def stage_metrics(manifest: Mapping[str, Any]) -> dict[str, float]:
+    """Return some metrics that MLflow has of a stage's result, none of a page or an item of the paper."""
+    summary, kind = manifest.get("summary", {}), str(manifest.get("stage", "")).partition("-")[0]
+    metrics: dict[str, float | None] = {}
+    if kind == "calibrate":
+        metrics = {"mse/polished": summary.get("mse_polished"), "mse/calibrated": summary.get("mse")}
+    elif kind == "sensitivity":
+        indices = summary.get("mean_first_order", {})
+        metrics = {f"first_order/{name}": index for name, index in indices.items()}
+    elif kind == "uncertainty":
+        metrics = {"sample/n_effective": summary.get("sample", {}).get("n_effective")}
+    return {name: value for name, value in metrics.items() if value is not None and math.isfinite(value)}
 
 
 def stage_name(paths: ProjectPaths, file: Path) -> str:

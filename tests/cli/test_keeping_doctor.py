@@ -123,6 +123,14 @@ def test_views_that_are_gone_are_written_again(paths: ProjectPaths, studies: Run
     assert bad_findings(studies, "--repair") == []
 
 
+def test_a_stage_that_was_done_again_while_mlflow_was_away_is_told_of(
+    paths: ProjectPaths, studies: Run
+) -> None:
+    sql(paths, "update latest_metrics set value = 2 * value where key = 'mse/polished'")
+    assert bad_findings(studies) == [("MLflow", "calibrate-n0016 has no run of its numbers")]
+    assert bad_findings(studies, "--repair") == []
+
+
 def test_a_moved_project_finds_its_files_again(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
 ) -> None:
