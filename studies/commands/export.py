@@ -10,9 +10,9 @@ HELP = "pack studies with all that belongs to them into one archive"
 MORE = """\
 what happens: gathers the studies with all their trials, pruned and failed ones included (records, learning
 curves, weights of the best), what rebuilds them (recipe: case, profile, seeds), the sets of rows, the
-champions and the results of their labels (calibrations, Sobol indices), and packs them with checksums into
-one file. Simulations stay behind unless --with-simulations is given: they can be done again. Nothing here
-is changed. `studies import` takes it over elsewhere, also into or out of a PostgreSQL storage.
+champions and the results of their labels (calibrations, uncertainties, Sobol indices), and packs them with
+checksums into one file. Simulations stay behind unless --with-simulations is given: they can be done again.
+Nothing here is changed. `studies import` takes it over elsewhere, also into or out of a PostgreSQL storage.
 
 examples:
   studies export office-quick --to office-quick.tar.gz
@@ -35,17 +35,20 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from pathlib import Path
 
     from studies.keeping.export import export
-    from studies.keeping.wording import readable
-    from studies.report.wording import count
+    from studies.keeping.wording import readable, told_contents
 
     file = Path(chosen.to).expanduser()
     made = export(
         find_project(chosen.storage), chosen.which, file, console, with_simulations=chosen.with_simulations
     )
-    parts = [count(len(made.studies), "study", "studies"), count(made.n_trials, "trial")]
-    parts += [count(len(made.stages), "stage")] if made.stages else []
-    parts += [count(made.n_rows, "simulation")] if made.n_rows else []
-    console.result(f"{made.file}: {', '.join(parts)}, {readable(made.size)}")
+    contents = told_contents(
+        n_studies=len(made.studies),
+        n_trials=made.n_trials,
+        n_champions=len(made.champions),
+        stages=made.stages,
+        n_rows=made.n_rows,
+    )
+    console.result(f"{made.file}: {contents}; {readable(made.size)}")
     console.result(f"take it over elsewhere: studies import {made.file.name}")
     console.document({"command": "export", **made.to_dict()})
     return OK

@@ -6,7 +6,7 @@ from studies.commands.study import OK
 from studies.console import Column, Console
 from studies.paths import find_project
 
-HELP = "take over the studies of an archive that studies export has written"
+HELP = "take over the studies and results of an archive that studies export has written"
 MORE = """\
 what happens: checks every file of the archive, then writes what is not here yet: trials, champions,
 results, sets of rows, simulations; and shows it in Optuna and MLflow. A study that is here already is
@@ -30,18 +30,24 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from pathlib import Path
 
     from studies.keeping.importing import import_archive
-    from studies.report.wording import count
+    from studies.keeping.wording import told_contents
 
     done = import_archive(find_project(chosen.storage), Path(chosen.file).expanduser(), console)
     columns = [Column("study"), Column("new trials", True), Column("here before", True)]
-    console.table(
-        f"imported from {chosen.file}", columns, [[name, n, done.known[name]] for name, n in done.new.items()]
+    contents = told_contents(
+        n_studies=sum(n > 0 for n in done.new.values()),
+        n_trials=sum(done.new.values()),
+        n_champions=len(done.champions),
+        stages=done.stages,
+        n_rows=done.n_rows,
     )
+    console.result(f"{chosen.file}: new here: {contents}")
+    if done.new:
+        rows = [[name, n, done.known[name]] for name, n in done.new.items()]
+        console.table(f"studies of {chosen.file}", columns, rows)
     for what, names in (("champions", done.champions), ("results", done.stages)):
         if names:
             console.result(f"{what}: {', '.join(names)}")
-    if done.n_rows:
-        console.result(count(done.n_rows, "simulation"))
     for note in done.notes:
         console.say(f"note: {note}")
     console.document({"command": "import", **done.to_dict()})

@@ -35,6 +35,7 @@ class Exported:
         size: its size. [byte]
         studies: names of its studies.
         n_trials: trials in it, failed ones included.
+        champions: names of the champions in it.
         stages: names of the stages whose results are in it.
         n_rows: simulations in it.
     """
@@ -43,6 +44,7 @@ class Exported:
     size: int
     studies: tuple[str, ...]
     n_trials: int
+    champions: tuple[str, ...]
     stages: tuple[str, ...]
     n_rows: int
 
@@ -80,8 +82,7 @@ def export(
                     n_trials += 1
                     advance(n_trials, n_all)
         names = {study.name for study in studies}
-        for study in studies:
-            _copy_champion(paths, target, study, names)
+        champions = [name for study in studies for name in _copy_champion(paths, target, study, names)]
         stages = [stage for label in labels for stage in _copy_results(paths, target, label)]
         sets = _copy_sets(paths, target, studies, labels)
         n_rows = 0
@@ -97,7 +98,7 @@ def export(
         }
         with console.progress("packing", 1) as advance:
             size = pack(target.root, file, said, advance)
-    return Exported(file, size, tuple(sorted(names)), n_trials, tuple(stages), n_rows)
+    return Exported(file, size, tuple(sorted(names)), n_trials, tuple(champions), tuple(stages), n_rows)
 
 
 def _chosen(paths: ProjectPaths, which: Sequence[str]) -> tuple[list[KeptStudy], list[str]]:
@@ -144,13 +145,16 @@ def _copy_trials(study: KeptStudy, target: ProjectPaths) -> Iterator[int]:
     trials.describe(replace(study.entry, n_planned=max(study.entry.n_planned, len(study.records))))
 
 
-def _copy_champion(paths: ProjectPaths, target: ProjectPaths, study: KeptStudy, names: set[str]) -> None:
+def _copy_champion(
+    paths: ProjectPaths, target: ProjectPaths, study: KeptStudy, names: set[str]
+) -> Iterator[str]:
     entry = study.entry
     source = paths.champion(entry.label, entry.n_train)
     told = read_json(source / CHAMPION_FILE)
     place = target.champion(entry.label, entry.n_train)
     if told is not None and told.get("study") in names and not place.exists():
         shutil.copytree(source, place)
+        yield f"{entry.label}/{place.name}"
 
 
 def _copy_results(paths: ProjectPaths, target: ProjectPaths, label: str) -> Iterator[str]:
@@ -158,7 +162,8 @@ def _copy_results(paths: ProjectPaths, target: ProjectPaths, label: str) -> Iter
         if file.is_file() and not file.name.startswith(".") and file.name not in NOT_PACKED:
             target.results(label).mkdir(parents=True, exist_ok=True)
             shutil.copy2(file, target.results(label) / file.name)
-            if file.suffix == ".json" and not file.stem.startswith("calibration-"):
+            # Beside the stages' manifests lie the numbers of calibrations and uncertainties.
+            if file.suffix == ".json" and (read_json(file) or {}).get("stage") == file.stem:
                 yield f"{label}/{file.stem}"
 
 
