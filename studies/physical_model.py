@@ -53,7 +53,7 @@ def open_physical_model(
         ) as store,
     ):
         if store.n_recovered:
-            console.say(f"{store.n_recovered} simulations of an interrupted run are kept")
+            console.say(f"kept of an interrupted run: {count(store.n_recovered, 'simulation')}")
         with _supervised(study, case, policy or case.policy, store.spool) as model:
             try:
                 yield StoredModel(model, store, retry_failed=study.retry_failed)

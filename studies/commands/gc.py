@@ -57,7 +57,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     answers = list(remove(console, found))
     kept = [(one, why_not) for one, why_not in answers if why_not]
     for one, why_not in kept:
-        console.warn(f"{one.name} stays: {why_not}")
+        console.warn(f"kept: {one.name}: {why_not}")
     freed = sum(one.size for one, why_not in answers if not why_not)
     console.result(f"{len(answers) - len(kept)} removed, {readable(freed)} freed")
     console.document(

@@ -5,6 +5,7 @@ from studies.console import format_seconds
 from studies.doctor.finding import Finding
 from studies.doctor.patience import SLOWER
 from studies.profile import Profile
+from studies.report.wording import count
 
 LEAST_TIMEOUT_S = 30.0
 """A time-out below this would stop simulations on a machine that is merely busy. [s]"""
@@ -38,7 +39,7 @@ def tell_cost(case: Case, profile: Profile, simulation_s: float, n_workers: int)
         f"cost of profile {profile.name}",
         "ok",
         f"{_duration(simulation_s)} per simulation; at most {total} simulations, "
-        f"{format_seconds(seconds)} with {workers}; {trainings} trainings",
+        f"{format_seconds(seconds)} with {workers}; {count(trainings, 'training')}",
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from studies.keeping.stores import DAMAGE
 from studies.paths import ProjectPaths
+from studies.report.wording import count
 from studies.stages.pipeline import read_json
 from studies.tuning.champion import CHAMPION_FILE
 from studies.tuning.trial_record import TrialRecord, finished_indices, read_record
@@ -51,7 +52,7 @@ def describe(paths: ProjectPaths, folder: Path) -> str:
         created_s=min(record.started_s for record in records),
     )
     open_trials(paths, name).describe(entry)
-    return f"{name}: described from its {len(records)} trials"
+    return f"{name}: described from {count(len(records), 'trial')}"
 
 
 def _readable(folder: Path) -> list[TrialRecord]:

@@ -11,6 +11,7 @@ from simulation.case import Case
 from simulation.errors import InputError
 from studies.looking.project import Project, StudyLook
 from studies.profile import Profile
+from studies.report.wording import count
 from studies.stages.pipeline import Study
 
 N_TIMED = 5
@@ -64,7 +65,7 @@ def trial_costs(project: Project, study: Study, *, say: Callable[[str], None]) -
                 raise InputError(f"profile {profile.name}: {error}") from None
             basis = "epochs timed now"
     found = {
-        n: TrialCost(statistics.mean(walls), f"mean of {len(walls)} trials")
+        n: TrialCost(statistics.mean(walls), f"mean of {count(len(walls), 'trial')}")
         for n, walls in own.items()
         if walls
     }

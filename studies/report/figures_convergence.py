@@ -47,7 +47,8 @@ def convergence_figure(
     final, calls, best = calibration.mse_polished, calibration.history_calls, calibration.history_mse
     n_start, last = int(calls[0]), int(calls[-1])
     n_design = count(n_start - calibration.n_before)
-    start = "from no initial guess" if calibration.n_free is None else f"with {calibration.n_free} parameters"
+    n_free = calibration.n_free
+    start = "from no initial guess" if n_free is None else f"with {count(n_free, 'parameter')}"
     title = f"{count(last, 'model call')} reach an MSE of {quantity(final, mse_unit)} {start}"
     with drawing(path, title=title, height_in=3.7, footnote=footnote) as figure:
         axes = figure.subplots()

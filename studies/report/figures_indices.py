@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from studies.report.drawing import FAINT, MUTED, SERIES, EndLabel, drawing, end_labels, time_axis
 from studies.report.findings import mean_over_time, ranking
 from studies.report.records import Floats, Integers, SensitivityRecord
-from studies.report.wording import listed, percent
+from studies.report.wording import count, listed, percent
 
 N_COLORED = 6
 
@@ -59,7 +59,7 @@ def _draw(
             labels.append(EndLabel(float(last[-1]), sensitivity.names[i], color))
     n_others = len(order) - N_COLORED
     if n_others > 0:
-        labels.append(EndLabel(0.0, f"{n_others} others", MUTED))
+        labels.append(EndLabel(0.0, count(n_others, "other"), MUTED))
     top = float(np.nanmax(values + half_width)) if np.isfinite(values).any() else 1.0
     axes.set_ylim(min(0.0, -0.02 * top), 1.04 * top)
     axes.set_ylabel("share of the variance [1]")

@@ -10,6 +10,7 @@ from studies.doctor import Diagnosis, Finding, examine
 from studies.doctor.examination import Surgery
 from studies.doctor.keeping import KeepingModel
 from studies.physical_model import open_physical_model
+from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Study, Summary, run_stage
 
@@ -53,7 +54,7 @@ def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:
         what=f"examining {study.label}",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"{len(summary['findings'])} findings",
+        reuse_note=lambda summary: count(len(summary["findings"]), "finding"),
         keep=lambda summary: bool(summary["sound"]),
     )
     return outcome, _diagnosis(outcome.summary)

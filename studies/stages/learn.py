@@ -10,7 +10,7 @@ from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.console import Column
 from studies.recipe import Recipe, recipe_of
-from studies.report.wording import difference_unit
+from studies.report.wording import count, difference_unit
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
 from studies.stages.simulate import datasets_of, set_files
 from studies.stages.tracking import tracker_of
@@ -50,7 +50,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         tracker = tracker_of(study.paths)
         if n_trials < budget.n_trials:
             study.console.say(
-                f"tune: the search space holds {n_trials} configurations and none is trained twice; "
+                f"tune: the search space holds {count(n_trials, 'configuration')} and none is trained twice; "
                 "widen [tuning.search] for more trials"
             )
         with study.console.bars() as bars, _stage_error(TuningError):
@@ -84,10 +84,10 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     return run_stage(
         study,
         "tune",
-        what=f"{n_trials} trials for each n_train of {', '.join(map(str, sizes))}",
+        what=f"{count(n_trials, 'trial')} for each n_train of {', '.join(map(str, sizes))}",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"{sum(s['n_trials'] for s in summary['studies'])} trials reused",
+        reuse_note=lambda summary: f"{count(sum(s['n_trials'] for s in summary['studies']), 'trial')} reused",
         keep=lambda summary: all(
             s["n_trials"] >= n_trials and _has_its_trials(study, s) for s in summary["studies"]
         ),

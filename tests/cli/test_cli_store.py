@@ -86,7 +86,7 @@ def test_a_campaign_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     assert "Traceback" not in answer.err
     assert answer.document["error"] in line
     again = studies(*SIMULATE, "--jobs", "2")
-    assert "simulations of an interrupted run are kept" in again.err
+    assert "kept of an interrupted run: " in again.err
     assert len(pandas.read_parquet(store_of(project))) >= 20
 
 

@@ -184,8 +184,8 @@ def test_simulations_of_a_running_command_stay(
     monkeypatch.setattr(RowSet, "save", clean_first)
     assert studies("simulate", "--profile", "smoke", "--quiet").code == 0
     assert {answer.code for answer in said} == {1}
-    assert all("rows stays: a command works with them now" in answer.err for answer in said)
-    assert "npz stays: a command works with its simulations now" in said[-1].err
+    assert all("rows: a command works with them now" in answer.err for answer in said)
+    assert "npz: a command works with its simulations now" in said[-1].err
 
 
 def test_simulations_of_a_calibration_stay_until_it_is_stored(
@@ -200,7 +200,7 @@ def test_simulations_of_a_calibration_stay_until_it_is_stored(
     monkeypatch.setattr("studies.stages.adaptive.write_json", clean_first)
     assert studies("calibrate", "office", "--profile", "smoke", "--max-calls", "28", "--quiet").code == 0
     (answer,) = said
-    assert "rows stays: a command works with them now" in answer.err
+    assert "rows: a command works with them now" in answer.err
 
 
 def test_rows_of_a_set_that_came_since_stay(
