@@ -223,8 +223,7 @@ def load_case(
     fmu = with_units(read_description((path.parent / file.fmu).resolve()), said_units(file), path)
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
-    window = window_d if window_d is not None else file.time.window
-    is_overridden = window_d is not None
+    is_overridden, window = window_d is not None, window_d or file.time.window
     plain = plain_period(path, declared, window, is_overridden=is_overridden)
     case = _compared_over(path, file, fmu, data, plain)
     period = validation_period(path, declared, window, is_overridden=is_overridden)
