@@ -1,6 +1,7 @@
 """Physical parameters: bounds, units, scales, and the map between the box and the unit cube."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -134,6 +135,10 @@ class ParameterSpace:
         mask = np.array([parameter.scale == "log" for parameter in self.parameters])
         mask.setflags(write=False)
         return mask
+
+    def without(self, names: Collection[str]) -> "ParameterSpace":
+        """Return the box of the parameters that are not named."""
+        return ParameterSpace(tuple(one for one in self.parameters if one.name not in names))
 
     def to_unit(self, theta: FloatArray) -> FloatArray:
         """Map parameters to the unit cube, even in each parameter's own coordinates.

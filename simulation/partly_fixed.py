@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
@@ -29,7 +29,7 @@ class PartlyFixedModel(WrappedModel):
         unknown = [name for name in fixed if name not in space.names]
         if unknown:
             raise ValueError(f"the model has no parameter {unknown[0]}; it has {', '.join(space.names)}")
-        self._space = ParameterSpace(tuple(one for one in space.parameters if one.name not in fixed))
+        self._space = space.without(fixed)
         self._is_free = np.array([name not in fixed for name in space.names])
         self._values = np.array([fixed.get(name, np.nan) for name in space.names], dtype=np.float64)
 
@@ -52,6 +52,30 @@ class PartlyFixedModel(WrappedModel):
         full[..., self._is_free] = theta
         return full
 
+    def reduced(self, theta: FloatArray) -> FloatArray:
+        """Return the free parameters of rows of all parameters.
+
+        Args:
+            theta: All parameters. Shape (n, p) or (p,). [per parameter]
+
+        Returns:
+            Shape (n, k) or (k,). [per parameter]
+        """
+        free: FloatArray = np.asarray(theta, dtype=np.float64)[..., self._is_free]
+        return free
+
+    def holds(self, theta: FloatArray) -> BoolArray:
+        """Say which rows of all parameters have the fixed ones at exactly their values.
+
+        Args:
+            theta: All parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            Shape (n,).
+        """
+        same: BoolArray = np.all((theta == self._values) | self._is_free, axis=1)
+        return same
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Simulate every row with the other parameters at their fixed values.
 
@@ -62,4 +86,4 @@ class PartlyFixedModel(WrappedModel):
             The wrapped model's answer, its parameters the free ones.
         """
         answer = self._model.simulate(self.complete(theta))
-        return replace(answer, theta=answer.theta[:, self._is_free], parameter_names=self._space.names)
+        return replace(answer, theta=self.reduced(answer.theta), parameter_names=self._space.names)

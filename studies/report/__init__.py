@@ -10,13 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from studies.report.data import Provenance, Reference, ReportData
-from studies.report.records import (
-    CalibrationRecord,
-    CoverageSet,
-    MeasuredSeries,
-    ParameterBox,
-    SensitivityRecord,
-)
+from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
+from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 
 __all__ = [

@@ -16,6 +16,7 @@ from studies.report.data import ReportData
 from studies.report.findings import residual_of
 from studies.report.page import Card, PlacedPicture, Section, page
 from studies.report.records import CalibrationRecord
+from studies.report.restriction_told import restriction_sentences, unrestricted
 from studies.report.tables import Table
 from studies.report.uncertainty import sentences
 from studies.report.wording import count, difference_unit, percent, quantity, significant
@@ -67,20 +68,30 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
     def tables(*names: str) -> tuple[Table, ...]:
         return tuple(contents.tables[name] for name in names if name in contents.tables)
 
-    headline = data.headline
-    of_headline = tables(*_names(headline)) if headline else ()
+    headline, mse_unit = data.headline, captions.mse_unit(data.measurement)
+
+    def fixed(c: CalibrationRecord) -> tuple[str, ...]:
+        return restriction_sentences(c, unrestricted(c, data.calibrations), mse_unit)
+
     folded = tuple(
         Section(
             c.name,
-            f"{c.shown_name}: final MSE {quantity(c.mse_polished, captions.mse_unit(data.measurement))} "
+            f"{c.shown_name}: final MSE {quantity(c.mse_polished, mse_unit)} "
             f"in {count(c.calls_paper, 'call')}",
             place(pictures),
             tables(*_names(c)),
+            paragraphs=fixed(c),
         )
         for c, pictures in contents.others
     )
     return [
-        Section("calibration", "Calibration", place(contents.calibration), of_headline),
+        Section(
+            "calibration",
+            "Calibration",
+            place(contents.calibration),
+            tables(*_names(headline)) if headline else (),
+            paragraphs=fixed(headline) if headline else (),
+        ),
         *(
             Section(
                 f"uncertainty-{record.calibration}",

@@ -20,13 +20,8 @@ from studies.report.findings import (
     strongest_correlation,
 )
 from studies.report.guideline14 import guideline_sentence, judge
-from studies.report.records import (
-    CalibrationRecord,
-    CoverageSet,
-    MeasuredSeries,
-    ParameterBox,
-    SensitivityRecord,
-)
+from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
+from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 from studies.report.wording import (
     count,

@@ -149,7 +149,7 @@ def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Pic
 
 
 def _uncertainty_pictures(data: ReportData, record: UncertaintyRecord, foot: str) -> tuple[Picture, ...]:
-    name, box = record.calibration, data.parameters
+    name, box = record.calibration, data.parameters.of(record.names)
     pictures = [
         Picture(
             f"bands-{name}",

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from studies.report.records import (
-    CalibrationRecord,
-    CoverageSet,
-    MeasuredSeries,
-    ParameterBox,
-    SensitivityRecord,
-    require_shape,
-)
+from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox, require_shape
+from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord

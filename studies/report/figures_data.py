@@ -24,7 +24,8 @@ from studies.report.drawing import (
     time_axis,
 )
 from studies.report.findings import enclosed_fraction, good_rows
-from studies.report.records import CoverageSet, Floats, MeasuredSeries, ParameterBox
+from studies.report.records import Floats, MeasuredSeries, ParameterBox
+from studies.report.records_model import CoverageSet
 from studies.report.wording import axis_label, count, percent, shown_unit
 
 

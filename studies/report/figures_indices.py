@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 
 from studies.report.drawing import FAINT, MUTED, SERIES, EndLabel, drawing, end_labels, time_axis
 from studies.report.findings import mean_over_time, ranking
-from studies.report.records import Floats, Integers, SensitivityRecord
+from studies.report.records import Floats, Integers
+from studies.report.records_model import SensitivityRecord
 from studies.report.wording import count, listed, percent
 
 N_COLORED = 6

@@ -19,7 +19,8 @@ from studies.report.drawing import (
     time_axis,
 )
 from studies.report.findings import mean_over_time, ranking
-from studies.report.records import Integers, SensitivityRecord
+from studies.report.records import Integers
+from studies.report.records_model import SensitivityRecord
 from studies.report.wording import count, listed, percent
 
 N_LABELED = 6

@@ -64,7 +64,7 @@ def band_figure(
     name, held = measured.output_names[0], percent(record.share_predictive[0])
     title = (
         f"What the data leave open moves {name} by {quantity(width, unit, 2)} on average; "
-        f"with noise the {percent(record.level)} band holds {held} of the measurement"
+        f"with noise the {percent(record.level)} band holds {held} of the measurement{_if_fixed(record)}"
     )
     with drawing(path, title=title, height_in=0.7 + 3.9 * n_outputs, footnote=footnote) as figure:
         panels = figure.subplots(
@@ -130,6 +130,7 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
     p = len(record.names)
     n_determined = len(record.called("determined"))
     title = f"Of {count(p, 'parameter')} the data determine {count(n_determined) if n_determined else 'none'}"
+    title += _if_fixed(record)
     u, point = box.to_unit(record.particles), box.to_unit(record.calibrated)
     low, high = box.to_unit(record.interval)
     linear_low, linear_high = box.to_unit(record.linear)
@@ -177,6 +178,11 @@ def _name_lines(axes: Axes, record: UncertaintyRecord) -> None:
             text, (place, 1.0), (0, 3), xycoords="axes fraction", textcoords="offset points", fontsize=8.5,
             color=color,
         )  # fmt: skip
+
+
+def _if_fixed(record: UncertaintyRecord) -> str:
+    """Say on a picture, which travels without its page, that not all parameters were judged."""
+    return f" ({count(record.n_fixed, 'parameter')} fixed and taken as right)" if record.n_fixed else ""
 
 
 def pairs_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, footnote: str = "") -> Path:

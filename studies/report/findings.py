@@ -9,15 +9,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from studies.report.records import (
-    CalibrationRecord,
-    CoverageSet,
-    Floats,
-    Integers,
-    MeasuredSeries,
-    ParameterBox,
-    SensitivityRecord,
-)
+from studies.report.records import CalibrationRecord, Floats, Integers, MeasuredSeries, ParameterBox
+from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_tuning import TrialsRecord
 from studies.report.wording import bound_at
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.measurement import Measurement, Samples
+from studies.report.records_restriction import RestrictionRecord
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -110,6 +111,18 @@ class ParameterBox:
         for what in ("estimate", "lower", "upper", "is_log"):
             require_shape(f"the parameters' {what}", getattr(self, what), shape)
 
+    def of(self, names: tuple[str, ...]) -> ParameterBox:
+        """Return the box of the parameters that are named."""
+        at = [self.names.index(name) for name in names]
+        return ParameterBox(
+            names=names,
+            units=tuple(self.units[j] for j in at),
+            estimate=self.estimate[at],
+            lower=self.lower[at],
+            upper=self.upper[at],
+            is_log=self.is_log[at],
+        )
+
     def to_unit(self, theta: Floats) -> Floats:
         """Map parameter sets into the unit cube, in the logarithm where the case says so.
 
@@ -155,9 +168,7 @@ class CalibrationRecord:
         surrogate: Which surrogate it was (trial, alias, folder), in words.
         method: How it was calibrated.
         n_adaptive: Calls of an adaptive calibration.
-        n_relevance: Calls that found, and checked, which parameters matter.
-        n_before: Those of them that were made first of all.
-        n_free: Parameters that were calibrated, the others fixed; None for all.
+        restriction: What was fixed; None where all parameters were calibrated.
         knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
     """
 
@@ -182,9 +193,7 @@ class CalibrationRecord:
     surrogate: str = ""
     method: Method = "paper"
     n_adaptive: int = 0
-    n_relevance: int = 0
-    n_before: int = 0
-    n_free: int | None = None
+    restriction: RestrictionRecord | None = None
     knowledge: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -194,6 +203,21 @@ class CalibrationRecord:
     def is_adaptive(self) -> bool:
         """Whether there is no surrogate and no screened point."""
         return self.method == "adaptive"
+
+    @property
+    def n_free(self) -> int | None:
+        """Parameters that were calibrated, the others fixed; None for all."""
+        return None if self.restriction is None else self.restriction.n_free
+
+    @property
+    def n_before(self) -> int:
+        """Calls that found, first of all, which parameters matter."""
+        return 0 if self.restriction is None else self.restriction.n_calls
+
+    @property
+    def n_relevance(self) -> int:
+        """Calls that found, and checked, which parameters matter."""
+        return 0 if self.restriction is None else self.restriction.n_calls + self.restriction.n_check
 
     @property
     def name(self) -> str:
@@ -241,50 +265,3 @@ class CalibrationRecord:
         """Return the model calls (as the paper counts) until the best MSE was at most `target`, or None."""
         reached = np.flatnonzero(self.history_mse <= target)
         return int(self.history_calls[reached[0]]) if reached.size else None
-
-
-@dataclass(frozen=True)
-class CoverageSet:
-    """A simulated set of trajectories, to see whether it covers parameters and measurement.
-
-    Attributes:
-        name: What the set is, e.g. "training".
-        theta: Shape (n, p). [parameter units]
-        y: Failed rows are NaN throughout. Shape (n, t, k). [output units]
-    """
-
-    name: str
-    theta: Floats
-    y: Floats
-
-
-@dataclass(frozen=True)
-class SensitivityRecord:
-    """Sobol indices for every time step; NaN where an output does not vary.
-
-    Attributes:
-        time: Shape (t,). [s]
-        names: One name per parameter.
-        output_names: One name per output.
-        first_order: Shape (t, k, p). [1]
-        total_order: Shape (t, k, p). [1]
-        first_order_ci: Half width of the confidence interval. Shape (t, k, p). [1]
-        total_order_ci: Half width of the confidence interval. Shape (t, k, p). [1]
-        n_calls: Simulations it took, all on the model named in `model`.
-        model: Which model answered: the physical model or a surrogate, in words.
-    """
-
-    time: Floats
-    names: tuple[str, ...]
-    output_names: tuple[str, ...]
-    first_order: Floats
-    total_order: Floats
-    first_order_ci: Floats
-    total_order_ci: Floats
-    n_calls: int = 0
-    model: str = ""
-
-    def __post_init__(self) -> None:
-        shape = (len(self.time), len(self.output_names), len(self.names))
-        for what in ("first_order", "total_order", "first_order_ci", "total_order_ci"):
-            require_shape(f"the sensitivity's {what}", getattr(self, what), shape)

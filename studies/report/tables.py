@@ -42,11 +42,18 @@ class Column:
         """The title with its unit."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
-    def text(self, cell: Cell) -> str:
-        """Write one cell for a reader."""
+    def text(self, cell: Cell, digits: int = 3) -> str:
+        """Write one cell for a reader.
+
+        Args:
+            cell: What stands there.
+            digits: Digits of a number that the column does not write in a way of its own.
+        """
         if cell is None or isinstance(cell, str):
             return MISSING if cell is None else cell
-        return count(cell) if isinstance(cell, int) and self.write is significant else self.write(cell)
+        if self.write is not significant:
+            return self.write(cell)
+        return count(cell) if isinstance(cell, int) else significant(cell, digits)
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,7 @@ class Table:
         columns: What stands where.
         rows: One cell per column each.
         emphasized: Position of the row to point out, if any.
+        digits: Significant digits of each row's numbers, where rows differ in that.
     """
 
     name: str
@@ -66,6 +74,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     emphasized: int | None = None
+    digits: tuple[int, ...] = ()
 
     def records(self) -> list[dict[str, Cell]]:
         """Return the rows as dictionaries of plain values; what is not finite becomes None."""
@@ -85,7 +94,7 @@ class Table:
         """Write the table for a README."""
         rule = ["---:" if self._is_numeric(i) else "---" for i in range(len(self.columns))]
         lines = [[c.header for c in self.columns], rule]
-        lines += [[c.text(cell) for c, cell in zip(self.columns, row, strict=True)] for row in self.rows]
+        lines += self._texts()
         return "\n".join("| " + " | ".join(map(_markdown_cell, line)) + " |" for line in lines) + "\n"
 
     def to_html(self) -> str:
@@ -97,11 +106,8 @@ class Table:
             for i, c in enumerate(self.columns)
         )
         body = []
-        for number, row in enumerate(self.rows):
-            cells = "".join(
-                f"<td{self._align(i)}>{html.escape(column.text(cell))}</td>"
-                for i, (column, cell) in enumerate(zip(self.columns, row, strict=True))
-            )
+        for number, texts in enumerate(self._texts()):
+            cells = "".join(f"<td{self._align(i)}>{html.escape(text)}</td>" for i, text in enumerate(texts))
             body.append(
                 f'<tr class="emphasized">{cells}</tr>' if number == self.emphasized else f"<tr>{cells}</tr>"
             )
@@ -110,6 +116,14 @@ class Table:
             f'<div class="scroll"><table>{caption}<thead><tr>{head}</tr></thead>'
             f"<tbody>{''.join(body)}</tbody></table></div>"
         )
+
+    def _texts(self) -> list[list[str]]:
+        """Write all cells for a reader."""
+        digits = self.digits or (3,) * len(self.rows)
+        return [
+            [column.text(cell, n) for column, cell in zip(self.columns, row, strict=True)]
+            for row, n in zip(self.rows, digits, strict=True)
+        ]
 
     def _is_numeric(self, column: int) -> bool:
         return not any(isinstance(row[column], str) for row in self.rows)

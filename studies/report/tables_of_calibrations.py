@@ -6,7 +6,15 @@ from studies.report.data import Reference, ReportData
 from studies.report.findings import at_bound
 from studies.report.records import CalibrationRecord, ParameterBox
 from studies.report.tables import Column, Table
-from studies.report.wording import count, declared, difference_unit, shown_unit, significant, squared
+from studies.report.wording import (
+    count,
+    declared,
+    difference_unit,
+    percent,
+    shown_unit,
+    significant,
+    squared,
+)
 
 _CALIBRATIONS_TITLE = (
     "Calibrations. MSE surrogate and MSE screened are both at the screened point: "
@@ -80,6 +88,13 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
     """Tabulate the parameters of one calibration with their bounds."""
     screened = [] if calibration.is_adaptive else [calibration.theta_screened.tolist()]
     known = [calibration.knowledge] if calibration.knowledge else []
+    shares: list[tuple[Column, list[float | None]]] = []
+    if (r := calibration.restriction) is not None:
+        told = (("share", "relevance", r.shares), ("gain_if_free", "gain if free", r.gain_alone))
+        shares = [
+            (Column(key, title, "", percent), [of.get(name) for name in parameters.names])
+            for key, title, of in told
+        ]
     columns = (
         Column("name", "parameter"),
         Column("unit", "unit"),
@@ -90,11 +105,13 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
         Column(calibration.final, calibration.final, "", _four),
         Column("at_bound", "at a bound"),
         *(Column("knowledge", "known before") for _ in known),
+        *(column for column, _ in shares),
     )
     values = zip(
         parameters.names, map(shown_unit, parameters.units), parameters.estimate.tolist(),
         parameters.lower.tolist(), parameters.upper.tolist(), *screened,
-        calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known, strict=True,
+        calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known,
+        *(cells for _, cells in shares), strict=True,
     )  # fmt: skip
     how = f"from {count(calibration.n_train, 'training simulation')}"
     title = f"Parameters, calibrated {'adaptively' if calibration.is_adaptive else how}"

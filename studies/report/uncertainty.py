@@ -12,6 +12,7 @@ from studies.report.records import Floats
 from studies.report.wording import (
     count,
     difference_unit,
+    digits_between,
     listed,
     significant,
     squared,
@@ -61,6 +62,8 @@ class UncertaintyRecord:
         mse: Error of the calibration. [first output's unit squared]
         best_mse: Lowest error of all rows that are known. [first output's unit squared]
         ledger: Calls by what they were for.
+        n_fixed: Parameters that were not calibrated and are not judged.
+        condition: On what fixed values everything rests, in words; "" where nothing was fixed.
     """
 
     calibration: str
@@ -87,6 +90,16 @@ class UncertaintyRecord:
     mse: float
     best_mse: float
     ledger: Mapping[str, int]
+    n_fixed: int = 0
+    condition: str = ""
+
+    @property
+    def digits(self) -> tuple[int, ...]:
+        """How many digits each parameter's values are told with: no two ends of an interval look equal."""
+        return tuple(
+            max(digits_between(low, high, least=4) for low, high in (interval, linear))
+            for interval, linear in zip(self.interval.T, self.linear.T, strict=True)
+        )
 
     def called(self, how: str) -> tuple[str, ...]:
         """Return the parameters of a kind."""
@@ -101,6 +114,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         arrays: Its arrays.
     """
     parameters, local = numbers["parameters"], numbers["identifiability"]
+    restriction = numbers.get("restriction", {"fixed": {}, "in_words": ""})
     n_null = local["n_null_directions"]
     directions = local["directions"]
     return UncertaintyRecord(
@@ -128,6 +142,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         mse=numbers["mse"],
         best_mse=numbers["sample"]["best_mse"],
         ledger=numbers["ledger"],
+        n_fixed=len(restriction["fixed"]),
+        condition=restriction["in_words"],
     )
 
 
@@ -187,7 +203,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
         )
     # What nothing below may be trusted without comes first.
     said.insert(len(said) if r.is_trusted else 0, sample_sentence(r))
-    return tuple(said)
+    return tuple([r.condition, *said] if r.condition else said)
 
 
 def sample_sentence(record: UncertaintyRecord) -> str:

@@ -5,21 +5,21 @@ from __future__ import annotations
 from studies.report.records import MeasuredSeries, ParameterBox
 from studies.report.tables import Column, Table
 from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
-from studies.report.wording import count, declared, listed, percent, shown_unit, significant
+from studies.report.wording import count, declared, listed, percent, shown_unit
 
 
 def intervals_table(box: ParameterBox, record: UncertaintyRecord) -> Table:
-    """Tabulate the intervals, one row per parameter."""
-    r = record
+    """Tabulate the intervals, one row per parameter that was judged."""
+    r, box = record, box.of(record.names)
     share = percent(r.level)
     columns = (
         Column("name", "parameter"),
         Column("unit", "unit"),
-        Column("calibrated", "calibrated", "", _four),
-        Column("low", f"{share} from", "", _four),
-        Column("high", "to", "", _four),
-        Column("linear_low", "linearised from", "", _four),
-        Column("linear_high", "to", "", _four),
+        Column("calibrated", "calibrated"),
+        Column("low", f"{share} from"),
+        Column("high", "to"),
+        Column("linear_low", "linearised from"),
+        Column("linear_high", "to"),
         Column("lower", "lower bound", "", declared),
         Column("upper", "upper bound", "", declared),
         Column("known", "by the data"),
@@ -36,6 +36,7 @@ def intervals_table(box: ParameterBox, record: UncertaintyRecord) -> Table:
         f"{share} intervals of the parameters ({r.calibration})",
         columns,
         rows,
+        digits=r.digits,
     )
 
 
@@ -48,7 +49,7 @@ def band_caption(measured: MeasuredSeries, record: UncertaintyRecord) -> str:
     return (
         f"Dark: where {percent(record.level)} of the equally good parameter sets bring the simulation. "
         f"Light: where {percent(record.level)} of the measured values should lie, noise included; "
-        f"{listed(parts)} do."
+        f"{listed(parts)} do{_fixed(record)}."
     )
 
 
@@ -58,7 +59,7 @@ def interval_caption(record: UncertaintyRecord) -> str:
     return (
         f"Each from its lower to its upper bound: density and {percent(record.level)} interval of the "
         f"posterior, the linearised interval as a thin line, the calibrated value as a mark. Of "
-        f"{count(len(record.names), 'parameter')}, {listed(parts)}."
+        f"{count(len(record.names), 'parameter')}, {listed(parts)}{_fixed(record)}."
     )
 
 
@@ -68,5 +69,8 @@ def pairs_caption(record: UncertaintyRecord) -> str:
     return f"Equally good parameter sets, in the case's scales. {said or 'No two compensate each other'}."
 
 
-def _four(value: float) -> str:
-    return significant(value, 4)
+def _fixed(record: UncertaintyRecord) -> str:
+    if not record.n_fixed:
+        return ""
+    are = "is" if record.n_fixed == 1 else "are"
+    return f"; {count(record.n_fixed, 'fixed parameter')} {are} taken as right"

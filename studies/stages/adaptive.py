@@ -29,6 +29,7 @@ from studies.stages.restriction import (
     calls_for_check,
     find_restriction,
     parts_of,
+    recipe_part,
     restriction_inputs,
     restriction_numbers,
     told_kept,
@@ -37,6 +38,7 @@ from studies.stages.results import (
     ADAPTIVE,
     StoredCalibration,
     adaptive_files,
+    most_relevant,
     n_free_of,
     restricted,
 )
@@ -101,13 +103,13 @@ def adaptive_settings(
 
 def adaptive_command(study: Study, numbers: Mapping[str, Any]) -> str:
     """Return the command line that makes an adaptive calibration of this study, from its numbers."""
-    settings, n_free = numbers["settings"], n_free_of(numbers)
+    settings = numbers["settings"]
     words = f"studies calibrate {study.command} --max-calls {settings['max_calls']}"
     if settings["n_parallel"] > 1:
         words += f" --parallel {settings['n_parallel']}"
     if settings["target_mse"] is not None:
         words += f" --target {settings['target_mse']}"
-    return words if n_free is None else f"{words} --most-relevant {n_free}"
+    return words + most_relevant(n_free_of(numbers))
 
 
 def adaptive_stage(
@@ -143,13 +145,12 @@ def adaptive_stage(
         started_s = time.time()
         restriction = None if n_free is None else find_restriction(study, n_free)
         numbers, arrays, n_simulated = calibrate_adaptively(study, settings, restriction)
-        more = {} if restriction is None else {"restriction": restriction.to_dict()}
         recipe = recipe_of(
             study,
             "adaptive",
             command=adaptive_command(study, numbers),
             settings=asdict(settings),
-            **more,
+            **recipe_part(restriction),
         )
         summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
         numbers |= {"recipe": recipe, "environment": environment()}

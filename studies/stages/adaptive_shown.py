@@ -10,8 +10,14 @@ from studies.stages.calibrated_values import show_parameters
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study, Summary
-from studies.stages.restriction import show_restriction
-from studies.stages.results import ADAPTIVE, adaptive_files, n_free_of, read_arrays, restricted
+from studies.stages.restriction_shown import show_restriction
+from studies.stages.results import (
+    ADAPTIVE,
+    adaptive_files,
+    n_free_of,
+    read_arrays,
+    restricted,
+)
 from studies.stages.validation import show_validation
 from studies.tuning.champion import CHAMPION_FILE
 

@@ -19,10 +19,11 @@ from studies.stages.restriction import (
     Restriction,
     find_restriction,
     parts_of,
+    recipe_part,
     restriction_inputs,
     restriction_numbers,
 )
-from studies.stages.results import StoredCalibration, calibration_files, restricted
+from studies.stages.results import StoredCalibration, calibration_files, most_relevant, restricted
 from studies.stages.simulate import datasets_of
 from studies.stages.tracking import log_calibration, tracker_of
 from studies.stages.validation import validate_calibration, validation_inputs
@@ -216,13 +217,12 @@ def _head(study: Study, champion: ChampionInfo) -> dict[str, Any]:
 
 def _recipe(study: Study, champion: ChampionInfo, restriction: Restriction | None) -> Recipe:
     """Return what rebuilds a calibration, its surrogate included."""
-    more = {} if restriction is None else {"restriction": restriction.to_dict()}
-    few = "" if restriction is None else f" --most-relevant {restriction.n_free}"
+    few = most_relevant(None if restriction is None else restriction.n_free)
     return recipe_of(
         study,
         "calibration",
         command=f"studies calibrate {study.words('polish')} --method paper --n-train {champion.n_train}{few}",
-        **more,
+        **recipe_part(restriction),
         n_train=champion.n_train,
         datasets=datasets_of(study.profile, champion.n_train, champion.digests),
         surrogate={

@@ -12,7 +12,7 @@ from studies.report.wording import bound_at, difference_unit, squared
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
-from studies.stages.restriction import show_restriction
+from studies.stages.restriction_shown import show_restriction
 from studies.stages.results import calibration_files, n_free_of, read_arrays
 from studies.stages.validation import show_validation
 

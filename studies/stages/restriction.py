@@ -1,4 +1,4 @@
-"""Calibrating the most relevant parameters alone: what the others are held at, and what that costs."""
+"""Calibrating the most relevant parameters alone: which they are, and what the others are held at."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,13 +12,12 @@ from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.partly_fixed import PartlyFixedModel
-from studies.console import Column
 from studies.physical_model import open_physical_model
 from studies.recipe import file_digest
-from studies.report.wording import MISSING, count, difference_unit, percent, quantity, squared
+from studies.report.restriction_told import condition_sentence
+from studies.report.wording import count
 from studies.stages.knowledge import prior_of
 from studies.stages.pipeline import Study, digest_of, read_json
-from studies.stages.results import StoredCalibration, stored_calibrations
 
 if TYPE_CHECKING:
     from studies.calibration.adaptive import Adaptive
@@ -52,6 +51,29 @@ class Restriction:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; `Restriction(**values)` is the same again."""
         return asdict(self)
+
+
+def restriction_of(told: Mapping[str, Any]) -> Restriction | None:
+    """Return the restriction that a calibration's numbers or a recipe tell of, None for none."""
+    if "restriction" not in told:
+        return None
+    return Restriction(**{name: value for name, value in told["restriction"].items() if name != "check"})
+
+
+def recipe_part(restriction: Restriction | None) -> dict[str, Any]:
+    """Return what a recipe says of a restriction; empty without one."""
+    return {} if restriction is None else {"restriction": restriction.to_dict()}
+
+
+def held_numbers(case: Case, restriction: Restriction | None) -> dict[str, Any]:
+    """Return on what fixed values the numbers of free parameters rest; empty without a restriction."""
+    if restriction is None:
+        return {}
+    units = {one.name: one.unit for one in case.parameter_space.parameters}
+    told = {"n_free": restriction.n_free, "fixed": dict(restriction.fixed), "why": dict(restriction.why)}
+    return {
+        "restriction": {**told, "in_words": condition_sentence(restriction.fixed, restriction.why, units)}
+    }
 
 
 def checked_size(case: Case, n_free: int) -> int:
@@ -124,11 +146,14 @@ def find_restriction(study: Study, n_free: int) -> Restriction:
     from studies.relevance import morris_relevance, sobol_relevance
     from studies.sensitivity import SobolIndices
 
-    case = study.case
+    case, say = study.case, study.console.say
     if _sobol_digest(study):
         indices = SobolIndices.load(study.results / "sensitivity.npz")
+        say(f"relevance: by the stored Sobol indices, {count(indices.n_calls, 'call')} before, not counted")
         found, n_calls, n_before = sobol_relevance(indices, case.measurement), 0, indices.n_calls
     else:
+        n_asked = count(calls_for_relevance(study), "call")
+        say(f"relevance: by Morris' elementary effects, {n_asked}, counted")
         with open_physical_model(study) as physical:
             problem = CalibrationProblem(physical, case.measurement)
             found = morris_relevance(problem, n_trajectories=N_TRAJECTORIES, seed=study.profile.seed)
@@ -182,71 +207,14 @@ def restriction_numbers(
     return {"restriction": content}, 0 if check is None else check["n_calls"]
 
 
+def free_space(case: Case, restriction: Restriction | None) -> ParameterSpace:
+    """Return the free parameters: all of them without a restriction."""
+    return case.parameter_space.without(() if restriction is None else restriction.fixed)
+
+
 def parts_of(model: ForwardModel, restriction: Restriction | None) -> PartlyFixedModel:
     """Return a model that is asked the free parameters alone: all of them without a restriction."""
     return PartlyFixedModel(model, restriction.fixed if restriction is not None else {})
-
-
-def unrestricted(study: Study, found: Mapping[str, Any]) -> StoredCalibration | None:
-    """Return the stored calibration of all parameters by the same method, None where there is none."""
-    wanted = found.get("method"), found["n_train"]
-    for stored in stored_calibrations(study):
-        numbers = stored.numbers
-        if "restriction" not in numbers and (numbers.get("method"), numbers["n_train"]) == wanted:
-            return stored
-    return None
-
-
-def show_restriction(study: Study, found: Mapping[str, Any], how: str) -> None:
-    """Print what was fixed and what that cost; nothing for a calibration of all parameters.
-
-    Args:
-        study: the study.
-        found: the calibration's numbers.
-        how: how it was found, in a word.
-    """
-    if "restriction" not in found:
-        return
-    told, console = found["restriction"], study.console
-    check = told["check"]
-    rows = []
-    for one in study.case.parameter_space.parameters:
-        if one.name not in told["fixed"]:
-            continue
-        share = told["shares"][one.name]
-        alone = MISSING if check is None else percent(check["gain_alone"][one.name])
-        shown = MISSING if share is None else percent(share)
-        rows.append(
-            [one.name, one.unit, f"{told['fixed'][one.name]:.6g}", told["why"][one.name], shown, alone]
-        )
-    columns = [Column("parameter"), Column("unit"), Column("fixed at", True), Column("which is")]
-    columns += [Column("share", True), Column("gain if free", True)]
-    console.table(f"{study.label}: parameters fixed as least relevant ({how})", columns, rows)
-    told_cost = (
-        f"counted: {count(told['n_calls'], 'call')} for Morris' elementary effects"
-        if told["source"] == "Morris"
-        else f"not counted: the stored Sobol indices had cost {count(told['n_calls_before'], 'call')}"
-    )
-    console.result(f"Relevance by {told['source']}, {told_cost}")
-    console.result(_cost(study, found, check))
-
-
-def _cost(study: Study, found: Mapping[str, Any], check: Mapping[str, Any] | None) -> str:
-    unit = squared(difference_unit(study.case.outputs[0].unit))
-    whole = unrestricted(study, found)
-    parts = []
-    if whole is not None:
-        mse = found["mse"] if "mse" in found else found["mse_polished"]
-        parts.append(
-            f"the MSE is {mse / whole.mse:.3g} times the {quantity(whole.mse, unit)} of the stored "
-            f"calibration of all parameters ({count(whole.numbers['ledger']['total_paper'], 'call')})"
-        )
-    if check is not None:
-        parts.append(
-            f"freed, they would gain {percent(check['gain'])} of the error within a tenth of their ranges, "
-            f"by differences at the optimum ({count(check['n_calls'], 'call')}, counted)"
-        )
-    return f"What the fixing cost: {'; '.join(parts) or 'not known, the budget held no check of it'}"
 
 
 def _sobol_digest(study: Study) -> str:

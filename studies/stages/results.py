@@ -14,13 +14,9 @@ from simulation.case import Case
 from simulation.errors import InputError
 from simulation.store.row_set import RowSet
 from studies.paths import size_name
-from studies.report.records import (
-    CalibrationRecord,
-    CoverageSet,
-    MeasuredSeries,
-    ParameterBox,
-    SensitivityRecord,
-)
+from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
+from studies.report.records_model import CoverageSet, SensitivityRecord
+from studies.report.records_restriction import restriction_record
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
 from studies.stages.knowledge import known_before
 from studies.stages.pipeline import Study, read_json
@@ -100,6 +96,11 @@ def restricted(n_free: int | None) -> str:
     return "" if n_free is None else f"-relevant{n_free}"
 
 
+def most_relevant(n_free: int | None) -> str:
+    """Return the words by which a command means a restricted calibration, "" for one of all parameters."""
+    return "" if n_free is None else f" --most-relevant {n_free}"
+
+
 def n_free_of(numbers: Mapping[str, Any]) -> int | None:
     """Return how many parameters a calibration was restricted to, None for all."""
     return numbers["restriction"]["n_free"] if "restriction" in numbers else None
@@ -112,7 +113,7 @@ def _files(study: Study, name: str) -> CalibrationFiles:
 
 def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
     """Read all calibrations of this case and measurement, the adaptive first, then by training set."""
-    for file in sorted(study.results.glob("calibration-*.json")):
+    for file in sorted(study.results.glob("calibration-*.json"), key=lambda one: one.stem):
         numbers = read_json(file)
         name = file.stem.removeprefix("calibration-")
         manifest = read_json(study.results / f"calibrate-{name}.json")
@@ -158,9 +159,13 @@ def parameter_box(case: Case) -> ParameterBox:
 
 def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
     """Return a calibration as a record."""
+    record = _adaptive_record(stored) if stored.is_adaptive else _polished_record(stored)
+    numbers = stored.numbers
+    return replace(record, restriction=restriction_record(numbers), knowledge=known_before(numbers))
+
+
+def _polished_record(stored: StoredCalibration) -> CalibrationRecord:
     numbers, arrays = stored.numbers, stored.arrays
-    if stored.is_adaptive:
-        return _adaptive_record(stored)
     ledger, errors = numbers["ledger"], numbers["surrogate_errors"]
     return CalibrationRecord(
         n_train=numbers["n_train"],
@@ -182,10 +187,6 @@ def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
         test_p90=errors["test/p90"],
         stop_reason=numbers["polish_stop_reason"],
         surrogate=f"trial {numbers['surrogate']['trial']} of {numbers['surrogate']['study']}",
-        n_relevance=ledger.get("n_relevance", 0),
-        n_before=numbers.get("restriction", {}).get("n_calls", 0),
-        n_free=n_free_of(numbers),
-        knowledge=known_before(numbers),
     )
 
 
@@ -211,10 +212,6 @@ def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
         stop_reason=numbers["stop_reason"],
         method="adaptive",
         n_adaptive=numbers["ledger"]["n_adaptive"],
-        n_relevance=numbers["ledger"].get("n_relevance", 0),
-        n_free=n_free_of(numbers),
-        n_before=numbers.get("restriction", {}).get("n_calls", 0),
-        knowledge=known_before(numbers),
     )
 
 

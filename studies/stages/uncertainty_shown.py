@@ -3,7 +3,7 @@
 from studies.console import Column
 from studies.physical_model import warn_failed
 from studies.report.uncertainty import HOW_KNOWN, sentences, uncertainty_record
-from studies.report.wording import digits_between, percent
+from studies.report.wording import count, percent
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.results import read_arrays
 from studies.stages.uncertainty_results import posterior_files
@@ -14,10 +14,11 @@ def show_uncertainty(study: Study, outcome: Outcome) -> None:
     found = outcome.summary
     record = uncertainty_record(found, read_arrays(posterior_files(study, found["calibration"]).arrays))
     share = percent(found["level"])
+    others = f" ({count(record.n_fixed, 'parameter')} fixed)" if record.n_fixed else ""
     rows = []
-    for parameter in study.case.parameter_space.parameters:
-        one = found["parameters"][parameter.name]
-        digits = digits_between(one["interval"][0], one["interval"][1], least=4)
+    parameters = {one.name: one for one in study.case.parameter_space.parameters}
+    for (name, one), digits in zip(found["parameters"].items(), record.digits, strict=True):
+        parameter = parameters[name]
         rows.append(
             [
                 parameter.name,
@@ -30,7 +31,7 @@ def show_uncertainty(study: Study, outcome: Outcome) -> None:
             ]
         )
     study.console.table(
-        f"{study.label}: {share} intervals of the {found['calibration']} calibration",
+        f"{study.label}: {share} intervals of the {found['calibration']} calibration{others}",
         [
             Column("parameter"),
             Column("unit", spare=2),

@@ -68,6 +68,14 @@ def test_a_partly_fixed_model_keeps_the_promises_of_a_model() -> None:
         PartlyFixedModel(Weighted(), {"other": 1.0})
 
 
+def test_only_rows_with_exactly_the_fixed_values_answer_for_the_free_ones() -> None:
+    model = PartlyFixedModel(Weighted(), {"none": 0.1})
+    rows = np.array([[0.2, 0.1, 0.3], [0.2, np.nextafter(0.1, 1.0), 0.3], [0.2, np.nan, 0.3]])
+    assert model.holds(rows).tolist() == [True, False, False]
+    np.testing.assert_array_equal(model.reduced(rows[0]), [0.2, 0.3])
+    assert PartlyFixedModel(Weighted(), {}).holds(rows).all()
+
+
 def test_nothing_fixed_is_the_model_itself() -> None:
     theta = np.random.default_rng(0).random((3, 3))
     model = PartlyFixedModel(Weighted(), {})

@@ -17,6 +17,8 @@ from studies.report import (
     SensitivityRecord,
     TrialsRecord,
 )
+from studies.report.records_restriction import RestrictionRecord
+from studies.report.uncertainty import UncertaintyRecord
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip
@@ -83,7 +85,11 @@ def calibration(
 def restricted(n_train: int = 64, *, n_free: int = 6) -> CalibrationRecord:
     """Return a calibration of the most relevant parameters: 60 calls found them, 15 checked the others."""
     whole = calibration(n_train)
-    return replace(whole, n_free=n_free, n_relevance=75, n_before=60, history_calls=whole.history_calls + 60)
+    restriction = RestrictionRecord(
+        n_free, NAMES[n_free:], {name: 0.25 / 1.3**j for j, name in enumerate(NAMES)}, "Morris", 60,
+        gain=0.3, gain_alone=dict.fromkeys(NAMES[n_free:], 0.04), n_check=15,
+    )  # fmt: skip
+    return replace(whole, restriction=restriction, history_calls=whole.history_calls + 60)
 
 
 def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
@@ -95,6 +101,28 @@ def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
         mse_screened=np.nan, y_screened=np.full_like(other.y_screened, np.nan), history_calls=calls,
         history_mse=np.geomspace(0.08, other.mse_polished, len(calls)), n_validation=0, n_test=0,
         n_screen_checks=0, n_polish=0, n_adaptive=71, test_mae=np.nan, test_p90=np.nan,
+    )  # fmt: skip
+
+
+def uncertainty(names: tuple[str, ...] = NAMES[:3], *, calibration: str = "adaptive") -> UncertaintyRecord:
+    """Return how sure a calibration of some parameters is, the others of the box fixed."""
+    box, rng = parameter_box().of(names), np.random.default_rng(5)
+    p, t = len(names), len(time_axis())
+    low, high = box.lower + 0.3 * (box.upper - box.lower), box.lower + 0.6 * (box.upper - box.lower)
+    ends = np.stack([low, high])
+    particles = rng.uniform(low, high, (200, p))
+    band = 21.5 + np.stack([-0.2 * np.ones((t, 1)), 0.2 * np.ones((t, 1))])
+    n_fixed = len(NAMES) - p
+    noise = {"kind": "white", "deviation": 0.1, "n_samples": t, "n_independent": t}
+    ledger = {"total": 30, "n_differences": 2 * p, "n_taught": 10 - 2 * p, "n_sample": 20, "n_known": 14}
+    return UncertaintyRecord(
+        calibration=calibration, level=0.9, noise=noise, names=names, linear=ends,
+        calibrated=ends.mean(axis=0), interval=ends, known=("narrowed",) * p, pairs=(), null_directions=(),
+        singular_values=np.ones(p),
+        n_determined_directions=p, particles=particles, sample=particles[:20], weights=np.full(20, 0.05),
+        correlation=np.eye(p), simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
+        share_predictive=(0.9,), n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
+        n_fixed=n_fixed, condition="All this holds only if what was fixed is right." if n_fixed else "",
     )  # fmt: skip
 
 

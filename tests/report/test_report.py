@@ -5,6 +5,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -22,12 +23,15 @@ from records_for_tests import (
     restricted,
     sensitivity,
     trials,
+    uncertainty,
 )
 
 from studies.report import CoverageSet, MeasuredSeries, Provenance, Reference, ReportData, build, captions
 from studies.report.findings import at_bound, calls_to_most, enclosed_fraction, largest_by_chance, residual_of
+from studies.report.restriction_told import restriction_sentences
 from studies.report.tables import sensitivity_table, tuning_table
 from studies.report.tables_of_calibrations import calibrations_table, parameters_table
+from studies.report.uncertainty_told import intervals_table
 from studies.report.wording import (
     count,
     declared,
@@ -292,7 +296,8 @@ def test_a_restricted_calibration_is_told_from_the_one_of_all_parameters() -> No
         "264 model calls (75 to find and check what matters, 64 for training, 1 to check the screened point, "
         "124 to polish) calibrated the 6 most relevant of 14 parameters" in sentence
     )
-    found = replace(adaptive(), n_free=6, n_relevance=20, n_before=10)
+    few_calls = replace(few.restriction, n_calls=10, n_check=10) if few.restriction else None
+    found = replace(adaptive(), restriction=few_calls)
     sentence = captions.headline_sentence(report_data(calibrations=(found,)))
     assert "91 model calls (20 to find and check what matters, the others each where" in sentence
     better = replace(few, mse_polished=0.9 * whole.mse_polished)
@@ -310,6 +315,56 @@ def test_the_search_for_what_matters_is_no_polish() -> None:
     few, whole = restricted(64), calibration(64)
     assert calls_to_most(few) == calls_to_most(whole)
     assert captions.polish_caption(few, "K²") == captions.polish_caption(whole, "K²")
+
+
+def test_what_fixing_parameters_cost_stands_where_the_calibration_is_shown(tmp_path: Path) -> None:
+    few, whole = restricted(64), calibration(64)
+    page = build(report_data(calibrations=(few, whole)), tmp_path).read_text(encoding="utf-8")
+    relevance, cost = restriction_sentences(few, whole, "K²")
+    for sentence in (relevance, cost):
+        assert page.count(escape(sentence)) == 1
+    assert relevance == (
+        "Relevance by Morris, counted: 60 calls for Morris' elementary effects. "
+        "Least relevant calibrated: rExt1, 6.7 %; most relevant fixed: rExt2, 5.2 %."
+    )
+    assert "the MSE is 1 times the" in cost
+    assert "all parameters (189 calls); freed, they would gain 30 % of the error" in cost
+    rows = {row["name"]: row for row in parameters_table(parameter_box(), few).records()}
+    assert (rows["UWin"]["share"], rows["UWin"]["gain_if_free"]) == (0.25, None)
+    assert rows["qIntOcc"]["gain_if_free"] == 0.04
+    assert "share" not in parameters_table(parameter_box(), whole).records()[0]
+
+
+def test_a_close_call_keeps_the_digits_that_tell_it() -> None:
+    few = restricted(64)
+    assert few.restriction is not None
+    shares = few.restriction.shares | {"rExt1": 0.07912, "rExt2": 0.07908}
+    close = replace(few, restriction=replace(few.restriction, shares=shares))
+    sentence = restriction_sentences(close, None, "K²")[0]
+    assert "Least relevant calibrated: rExt1, 7.9120 %; most relevant fixed: rExt2, 7.9080 %." in sentence
+    unknown = replace(few.restriction, shares=dict.fromkeys(shares), source="Sobol", gain=None)
+    said = restriction_sentences(replace(few, restriction=unknown), None, "K²")
+    assert said == (
+        "Relevance by Sobol, not counted: the stored Sobol indices had cost 0 calls.",
+        "What the fixing cost: not known, the budget held no check of it.",
+    )
+
+
+def test_intervals_of_free_parameters_keep_their_ends_apart_and_say_what_they_rest_on(
+    tmp_path: Path,
+) -> None:
+    narrow = uncertainty(("rInt", "TTABSInit"), calibration="n0064-relevant2")
+    ends = np.array([[0.1, 301.15031], [0.9, 301.15037]])
+    record = replace(narrow, interval=ends, linear=ends, calibrated=ends.mean(axis=0))
+    text = intervals_table(parameter_box(), record).to_markdown()
+    assert "| rInt | m2.K/W | 0.5000 | 0.1000 | 0.9000 |" in text
+    assert "| 301.15031 | 301.15037 |" in text
+    data = report_data(calibrations=(restricted(64, n_free=2),), uncertainties=(record,))
+    page = build(data, tmp_path).read_text(encoding="utf-8")
+    assert "<p>All this holds only if what was fixed is right.</p>" in page
+    assert "; 12 fixed parameters are taken as right." in page
+    rows = {row["name"]: row for row in intervals_table(parameter_box(), record).records()}
+    assert (list(rows), rows["rInt"]["low"]) == (["rInt", "TTABSInit"], 0.1)
 
 
 def test_residual_is_what_numpy_says() -> None:
