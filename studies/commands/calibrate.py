@@ -54,11 +54,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="Q",
         help="adaptive: simulations side by side; default: 1",
     )
-    command.add_argument(
-        "--most-relevant",
-        type=values.whole(1),
-        metavar="K",
-        help="calibrate the K most relevant parameters, fix the others at prior, estimate or middle; without "
+    options.add_most_relevant(
+        command,
+        "calibrate the K most relevant parameters, fix the others at prior, estimate or middle; without "
         "Sobol indices, to find them takes 4 calls per parameter and 4 more",
     )
     options.add_sizes(command, "paper: sizes to calibrate with; default: all that have a surrogate")

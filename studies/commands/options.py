@@ -55,6 +55,11 @@ def add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
     command.add_argument("--n-train", nargs="+", type=values.whole(4), metavar="N", help=help_line)
 
 
+def add_most_relevant(command: argparse.ArgumentParser, help_line: str) -> None:
+    """Calibrations of the most relevant parameters."""
+    command.add_argument("--most-relevant", type=values.whole(1), metavar="K", help=help_line)
+
+
 def add_tuning(command: argparse.ArgumentParser) -> None:
     """How much is tuned."""
     add_sizes(command, "training-set sizes; default: the profile's")

@@ -18,9 +18,14 @@ mlruns/results/<label>/posterior-<calibration>.json and .npz, in MLflow and, wit
 --noise says what residuals are: correlated (default: as large as they are, and following each other, so that
 many samples are worth few), white (as large as they are, all independent), sensor (the declared uncertainty).
 
+--most-relevant 6 judges the calibration that calibrated six parameters and fixed the others: intervals,
+sample and bands of the six. They hold only if the fixed ones are right, for what is not known about these is
+not in them; the result names these and their values. Lands in ...-relevant6, beside that of all parameters.
+
 examples:
   studies uncertainty                         of the adaptive calibration, else of the best other one
   studies uncertainty --method paper --n-train 64
+  studies uncertainty my-case --most-relevant 6
   studies uncertainty --noise sensor --max-calls 200
 """
 
@@ -33,6 +38,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--method", choices=("paper", "adaptive"), help="whose calibration; default: adaptive if there is one"
     )
     options.add_sizes(command, "the calibration with this training-set size; default: the best")
+    options.add_most_relevant(
+        command, "the calibration of the K most relevant parameters, the fixed ones taken as right"
+    )
     command.add_argument(
         "--noise",
         choices=("correlated", "white", "sensor"),
@@ -43,20 +51,22 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--max-calls",
         type=values.whole(1),
         metavar="N",
-        help="most FMU calls; default: 20 per parameter, at least 100",
+        help="most FMU calls; default: 20 per calibrated parameter, at least 100",
     )
     command.add_argument("--again", action="store_true", help="do it once more though it is finished")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    from studies.stages.restriction import checked_size
     from studies.stages.uncertainty import UncertaintySettings, uncertainty_stage, usual_calls
     from studies.stages.uncertainty_results import calibration_to_judge
     from studies.stages.uncertainty_shown import show_uncertainty
 
     study = open_study(chosen, console)
-    calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
-    max_calls = chosen.max_calls or usual_calls(study.case.parameter_space.n_parameters)
+    n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
+    calibration = calibration_to_judge(study, chosen.method, chosen.n_train, n_free)
+    max_calls = chosen.max_calls or usual_calls(n_free or study.case.parameter_space.n_parameters)
     settings = UncertaintySettings(noise=chosen.noise, max_calls=max_calls)
     outcome = uncertainty_stage(study, calibration, settings, again=chosen.again)
     show_uncertainty(study, outcome)

@@ -92,7 +92,7 @@ def _file_stem(stage: str) -> str | None:
 
 def _as_named(run: str) -> str:
     """Return the name of what people call `office-quick/n0064 calibration` or `office-quick adaptive`."""
-    run = re.sub(r"[/ ](adaptive|n\d{4,}) uncertainty$", r"/uncertainty-\1", run.strip())
+    run = re.sub(r"[/ ]((adaptive|n\d{4,})(-relevant\d+)?) uncertainty$", r"/uncertainty-\1", run.strip())
     run = re.sub(r"[/ ]adaptive(-relevant\d+)?( calibration)?$", r"/calibrate-adaptive\1", run)
     return re.sub(
         r"[/ ]n(\d+)(-relevant\d+)? calibration$",

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,9 +21,6 @@ from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_attempt import failure_reason
 from studies.tuning.trial_record import TrialRecord
 from studies.tuning.trial_training import TrialOutcome, train_trial
-
-if TYPE_CHECKING:
-    from studies.stages.restriction import Restriction
 
 Made = tuple[dict[str, Any], Arrays]
 TIME_LIMIT = "reached its limit of"
@@ -140,10 +137,12 @@ def _judge(rebuilt: Rebuilt, spec: StudySpec, trial: TrialRecord) -> Callable[[i
 
 def _calibration(rebuilt: Rebuilt) -> Made:
     from studies.stages.calibrate import calibrate
+    from studies.stages.restriction import restriction_of
 
-    n_train = rebuilt.recorded.recipe["n_train"]
+    recipe = rebuilt.recorded.recipe
     surrogate = rebuilt.surrogate(lambda folder: _train_surrogate(rebuilt, folder))
-    numbers, arrays, _ = calibrate(rebuilt.study, surrogate, n_train, _restriction(rebuilt))
+    # Which parameters are relevant is not found out again, here and below.
+    numbers, arrays, _ = calibrate(rebuilt.study, surrogate, recipe["n_train"], restriction_of(recipe))
     folder = rebuilt.study.paths.root / "surrogate"
     return _case_digests(rebuilt) | {"weights": weights_digest(folder)} | numbers, arrays
 
@@ -169,13 +168,16 @@ def _train_surrogate(rebuilt: Rebuilt, folder: Path) -> None:
 def _adaptive(rebuilt: Rebuilt) -> Made:
     from studies.calibration.adaptive import Adaptive
     from studies.stages.adaptive import calibrate_adaptively
+    from studies.stages.restriction import restriction_of
 
-    settings = Adaptive(**rebuilt.recorded.recipe["settings"])
-    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, _restriction(rebuilt))
+    recipe = rebuilt.recorded.recipe
+    settings = Adaptive(**recipe["settings"])
+    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, restriction_of(recipe))
     return numbers, arrays
 
 
 def _uncertainty(rebuilt: Rebuilt) -> Made:
+    from studies.stages.restriction import restriction_of
     from studies.stages.uncertainty import UncertaintySettings, judge_calibration_point
 
     recipe, arrays = rebuilt.recorded.recipe, rebuilt.recorded.arrays
@@ -185,17 +187,14 @@ def _uncertainty(rebuilt: Rebuilt) -> Made:
     if known is None:
         raise InputError(f"{rebuilt.recorded.name} does not tell which simulations were known when it began")
     numbers, made, _ = judge_calibration_point(
-        rebuilt.study, point["name"], theta, UncertaintySettings(**recipe["settings"]), lambda *_: known
+        rebuilt.study,
+        point["name"],
+        theta,
+        UncertaintySettings(**recipe["settings"]),
+        lambda *_: known,
+        restriction_of(recipe),
     )
     return numbers, made
-
-
-def _restriction(rebuilt: Rebuilt) -> "Restriction | None":
-    """Return the recorded restriction: which parameters are relevant is not found out again."""
-    from studies.stages.restriction import Restriction
-
-    told = rebuilt.recorded.recipe.get("restriction")
-    return None if told is None else Restriction(**told)
 
 
 def _sensitivity(rebuilt: Rebuilt) -> Made:

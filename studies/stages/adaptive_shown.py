@@ -14,6 +14,7 @@ from studies.stages.restriction_shown import show_restriction
 from studies.stages.results import (
     ADAPTIVE,
     adaptive_files,
+    most_relevant,
     n_free_of,
     read_arrays,
     restricted,
@@ -55,8 +56,7 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     if study.case.note:
         console.result(f"Note: {study.case.note}")
     console.result(f"Pictures: studies report {study.command}")
-    if n_free is None:
-        console.result(f"How sure it is: studies uncertainty {study.command}")
+    console.result(f"How sure it is: studies uncertainty {study.command}{most_relevant(n_free)}")
     if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
+from simulation.parameters import ParameterSpace
 from studies.calibration.prior import Prior
 from studies.console import Column
 from studies.report.wording import difference_unit, quantity, squared
@@ -24,14 +25,18 @@ def prior_of(case: Case) -> Prior | None:
     return Prior.of(case.parameter_space, case.measurement)
 
 
-def prior_inputs(case: Case) -> dict[str, Any]:
-    """Return what a calibration depends on beyond the case where it declares priors; empty where not."""
-    prior = prior_of(case)
+def prior_inputs(case: Case, space: ParameterSpace | None = None) -> dict[str, Any]:
+    """Return what a stage depends on beyond the case where it declares priors; empty where not.
+
+    Args:
+        case: The case.
+        space: The parameters that the stage is about; None for all.
+    """
+    space = case.parameter_space if space is None else space
+    prior = Prior.of(space, case.measurement)
     if prior is None:
         return {}
-    beliefs = {
-        one.name: asdict(one.prior) for one in case.parameter_space.parameters if one.prior is not None
-    }
+    beliefs = {one.name: asdict(one.prior) for one in space.parameters if one.prior is not None}
     return {"prior": {"parameters": beliefs, "weight": prior.weight}}
 
 

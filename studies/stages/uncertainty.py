@@ -5,7 +5,6 @@ and the list of stored rows that was written when the stage first began: interru
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,24 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.store.stored_model import StoredModel
+from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
 from studies.report.wording import count
 from studies.stages.calibrate import write_arrays
-from studies.stages.knowledge import prior_inputs, prior_of, sensor_inputs
+from studies.stages.knowledge import prior_inputs, sensor_inputs
+from studies.stages.known_rows import ChooseRows, KnownRows
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
-from studies.stages.results import StoredCalibration, read_arrays
+from studies.stages.restriction import (
+    Restriction,
+    free_space,
+    held_numbers,
+    parts_of,
+    recipe_part,
+    restriction_of,
+)
+from studies.stages.results import StoredCalibration, most_relevant, n_free_of
 from studies.stages.uncertainty_results import StoredPosterior, log_posterior, posterior_files
 from studies.tracking.origin import environment
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
@@ -29,7 +37,6 @@ from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
 from studies.uncertainty.findings import LEVEL, compensations, correlation, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
-from studies.uncertainty.rows import telling_rows
 
 LEAST_BUDGET, BUDGET_PER_PARAMETER = 100, 20
 """Most calls unless others are asked for; a sample that is good earlier ends earlier."""
@@ -67,19 +74,21 @@ def uncertainty_stage(
         settings: What is asked for.
         again: Do it though it is finished.
     """
-    case = study.case
-    sampling = sampling_within(settings.max_calls, case.parameter_space.n_parameters)
+    case, restriction = study.case, restriction_of(calibration.numbers)
+    space = free_space(case, restriction)
+    sampling = sampling_within(settings.max_calls, space.n_parameters)
     asked = {
         "case": case.digest,
         "measurement": case.measurement.digest,
-        "is_log": case.parameter_space.is_log.tolist(),
+        "is_log": space.is_log.tolist(),
         "theta": calibration.numbers["theta"],
         "settings": asdict(settings),
         "sampling": asdict(sampling),
         "step": STEP,
         "seed": study.profile.seed,
-        **prior_inputs(case),
+        **prior_inputs(case, space),
         **(sensor_inputs(case) if settings.noise == "sensor" else {}),
+        **({} if restriction is None else {"held": dict(restriction.fixed)}),
     }
     # Bands of earlier versions took an output's weight and sampling for its noise.
     shares = case.measurement.scales * case.measurement.uncertainty / case.measurement.uncertainty[0]
@@ -90,20 +99,18 @@ def uncertainty_stage(
     @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        known = _KnownRows(files.rows, digest_of(asked))
+        known = KnownRows(files.rows, digest_of(asked))
         numbers, arrays, n_simulated = judge_calibration_point(
-            study, calibration.name, calibration.point[0], settings, known
+            study, calibration.name, calibration.point[0], settings, known, restriction
         )
         summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
-        n_train = calibration.numbers["n_train"]
-        of = "--method adaptive" if calibration.is_adaptive else f"--n-train {n_train}"
         recipe = recipe_of(
             study,
             "uncertainty",
-            command=f"studies uncertainty {study.command} {of} --noise {settings.noise} "
-            f"--max-calls {settings.max_calls}",
+            command=_command(study, calibration, settings),
             settings=asdict(settings),
             calibration={"name": calibration.name, "theta": calibration.numbers["theta"]},
+            **recipe_part(restriction),
         )
         numbers |= {"recipe": recipe, "environment": environment()}
         write_arrays(files.arrays, arrays)
@@ -129,12 +136,23 @@ def uncertainty_stage(
     )
 
 
-ChooseRows = Callable[[StoredModel, CalibrationProblem, Posterior], FloatArray]
-"""Which parameter sets the surrogate knows from the beginning. Shape (n, p). [per parameter]"""
+def _command(study: Study, calibration: StoredCalibration, settings: UncertaintySettings) -> str:
+    """Return the command line that judges this calibration so."""
+    n_train, n_free = calibration.numbers["n_train"], n_free_of(calibration.numbers)
+    of = "--method adaptive" if calibration.is_adaptive else f"--n-train {n_train}"
+    return (
+        f"studies uncertainty {study.command} {of}{most_relevant(n_free)} --noise {settings.noise} "
+        f"--max-calls {settings.max_calls}"
+    )
 
 
 def judge_calibration_point(
-    study: Study, name: str, theta: FloatArray, settings: UncertaintySettings, known_rows: ChooseRows
+    study: Study,
+    name: str,
+    theta: FloatArray,
+    settings: UncertaintySettings,
+    known_rows: ChooseRows,
+    restriction: Restriction | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Say how sure a calibrated point is, and keep nothing but the simulations.
 
@@ -144,17 +162,20 @@ def judge_calibration_point(
         theta: The point. Shape (p,). [per parameter]
         settings: What is asked for.
         known_rows: Rows that are known beforehand.
+        restriction: Which parameters are held at what and are not judged; None for none.
 
     Returns:
         The numbers, the arrays and how many rows were not stored before.
     """
     case = study.case
-    n_parameters = case.parameter_space.n_parameters
-    with open_physical_model(study) as model, study.console.bars() as bars:
-        problem = CalibrationProblem(model, case.measurement, prior_of(case))
+    with open_physical_model(study) as physical, study.console.bars() as bars:
+        model = parts_of(physical, restriction)
+        n_parameters, theta = model.parameter_space.n_parameters, model.reduced(theta)
+        prior = Prior.of(model.parameter_space, case.measurement)
+        problem = CalibrationProblem(model, case.measurement, prior)
         y = model.simulate(theta[None]).y[0]
         noise = noise_of(settings.noise, case.measurement, y, n_parameters)
-        known_theta = known_rows(model, problem, Posterior(noise, problem.prior))
+        known_theta = known_rows(physical.store, model, problem, Posterior(noise, prior))
         known = problem.judge(problem.space.to_unit(known_theta), model.simulate(known_theta))
         found = assess(
             problem,
@@ -170,41 +191,23 @@ def judge_calibration_point(
         raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
     # The point is asked first, to know the noise, and then among the known rows once more.
     n_repeated = int(np.all(known_theta == theta, axis=1).sum())
-    say_reused(study, f"uncertainty-{name}", model, n_repeated=n_repeated)
-    numbers, arrays = _told(study, name, settings, found)
+    say_reused(study, f"uncertainty-{name}", physical, n_repeated=n_repeated)
+    numbers, arrays = _told(study, name, settings, problem, found)
     numbers["ledger"] |= {"n_known": known.n}
-    numbers |= failed_numbers(model)
-    return numbers, arrays | {"known_theta": known_theta}, model.n_simulated
-
-
-@dataclass(frozen=True)
-class _KnownRows:
-    """The stored rows that tell most of the optimum, the same ones when the stage goes on.
-
-    Attributes:
-        file: Where they are noted.
-        digest: Of what the stage is given.
-    """
-
-    file: Path
-    digest: str
-
-    def __call__(self, model: StoredModel, problem: CalibrationProblem, posterior: Posterior) -> FloatArray:
-        if self.file.is_file():
-            kept = read_arrays(self.file)
-            if str(kept["digest"]) == self.digest and model.store.find(kept["theta"]).all():
-                return np.asarray(kept["theta"], dtype=np.float64)
-        theta = _nearest(model, problem, posterior)
-        write_arrays(self.file, {"digest": self.digest, "theta": theta})
-        return theta
+    numbers |= failed_numbers(physical) | held_numbers(case, restriction)
+    return numbers, arrays | {"known_theta": known_theta}, physical.n_simulated
 
 
 def _told(
-    study: Study, name: str, settings: UncertaintySettings, assessed: Assessment
+    study: Study,
+    name: str,
+    settings: UncertaintySettings,
+    problem: CalibrationProblem,
+    assessed: Assessment,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the results as numbers and arrays."""
+    """Return the results as numbers and arrays, of the free parameters alone."""
     case, found, local, noise = study.case, assessed.sample, assessed.local, assessed.noise
-    space, measurement, u = case.parameter_space, case.measurement, assessed.sample.particles.u
+    space, measurement, u = problem.space, case.measurement, assessed.sample.particles.u
     linear = space.from_unit(assessed.linear)
     ends, known = space.from_unit(assessed.interval), knowledge(space, u)
     good = np.isfinite(found.drawn.mse)
@@ -221,7 +224,7 @@ def _told(
         "seed": study.profile.seed,
         "level": LEVEL,
         "noise": noise.to_dict(),
-        "has_prior": prior_of(case) is not None,
+        "has_prior": problem.prior is not None,
         "parameters": {
             parameter: {
                 "calibrated": float(assessed.point.theta[0, j]),
@@ -276,22 +279,3 @@ def _told(
         "posterior_correlation": correlation(u),
     }
     return numbers, arrays
-
-
-def _nearest(model: StoredModel, problem: CalibrationProblem, posterior: Posterior) -> FloatArray:
-    """Return the stored rows that the surrogate shall know. Shape (n, p). [per parameter]."""
-    thetas, densities = [], []
-    for block in model.store.stream():
-        u = problem.space.to_unit(block.theta)
-        inside = problem.space.contains(block.theta)
-        density = posterior.at(u, problem.judge(u, block).mse)
-        thetas.append(block.theta[inside])
-        densities.append(density[inside])
-    if not thetas:
-        return np.empty((0, problem.space.n_parameters))
-    theta = np.concatenate(thetas)
-    # Rows of one density are told apart by their parameters, not by where they happen to lie in the store.
-    order = np.lexsort((*theta.T[::-1], -np.concatenate(densities)))
-    rows = telling_rows(problem.space.to_unit(theta[order]), np.concatenate(densities)[order])
-    chosen: FloatArray = theta[order][rows]
-    return chosen

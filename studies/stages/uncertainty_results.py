@@ -10,7 +10,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
-from studies.paths import size_name
 from studies.recipe import memory_tags
 from studies.report.wording import listed
 from studies.stages.pipeline import Study, read_json
@@ -18,6 +17,7 @@ from studies.stages.results import (
     ADAPTIVE,
     StoredCalibration,
     measured_series,
+    most_relevant,
     n_free_of,
     parameter_box,
     read_arrays,
@@ -79,40 +79,48 @@ def stored_posteriors(study: Study) -> Iterator[StoredPosterior]:
             yield StoredPosterior(files, numbers, read_arrays(files.arrays))
 
 
-def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] | None) -> StoredCalibration:
+def calibration_to_judge(
+    study: Study, method: str | None, sizes: Sequence[int] | None, n_free: int | None = None
+) -> StoredCalibration:
     """Return the calibration that was asked for: the adaptive one, else the best of the paper's.
 
     Args:
         study: The study.
         method: "paper" or "adaptive", None for either.
         sizes: Training-set sizes that were named, at most one; None for any.
+        n_free: How many parameters it calibrated, the others fixed; None for one of all parameters.
 
     Raises:
         InputError: There is none.
     """
     if sizes and (method == ADAPTIVE or len(sizes) > 1):
         raise InputError("--n-train names one calibration of --method paper; give one size, or leave it away")
-    # Of a restricted calibration the fixed parameters are not to be judged.
-    everything = list(stored_calibrations(study))
-    whole = [one for one in everything if n_free_of(one.numbers) is None]
-    stored = [one for one in whole if math.isfinite(one.mse)]
-    by_name = {one.name: one for one in stored}
-    if sizes:
-        wanted = by_name.get(size_name(sizes[0]))
-    elif method != "paper" and ADAPTIVE in by_name:
-        wanted = by_name[ADAPTIVE]
-    else:
-        papers = [one for one in stored if not one.is_adaptive] if method != ADAPTIVE else []
-        wanted = min(papers, key=lambda one: one.mse, default=None)
-    if wanted is None:
-        asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
-        how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
-        few = [one.name for one in everything if one not in whole]
-        but = f" but {listed(few)}, which fixed some parameters" if few else ""
+    stored = [one for one in stored_calibrations(study) if math.isfinite(one.mse)]
+    fitting = [
+        one
+        for one in stored
+        if (not sizes or one.numbers["n_train"] == sizes[0])
+        and (method is None or one.is_adaptive == (method == ADAPTIVE))
+    ]
+    wanted = [one for one in fitting if n_free_of(one.numbers) == n_free]
+    if wanted:
+        return min(wanted, key=lambda one: (not one.is_adaptive, one.mse))
+    asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
+    how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
+    make = f"studies calibrate {study.command}{how}{most_relevant(n_free)}"
+    if n_free is not None:
+        few = [one.name for one in stored if n_free_of(one.numbers) is not None]
+        there = f"there {'is' if len(few) == 1 else 'are'} {listed(few)}; " if few else ""
         raise InputError(
-            f"{study.label} has no calibration of {asked}{but}; type: studies calibrate {study.command}{how}"
+            f"{study.label} has no calibration of {asked} with{most_relevant(n_free)}; {there}type: {make}"
         )
-    return wanted
+    if not fitting:
+        raise InputError(f"{study.label} has no calibration of {asked}; type: {make}")
+    judge = f"studies uncertainty {study.command}{how}{most_relevant(n_free_of(fitting[0].numbers))}"
+    raise InputError(
+        f"{study.label} has no calibration of {asked} but {listed(one.name for one in fitting)}, which fixed "
+        f"some parameters; type: {judge}, or {make} for all parameters"
+    )
 
 
 def log_posterior(
@@ -130,13 +138,14 @@ def log_posterior(
     from studies.report.figures_uncertainty import band_figure, interval_figure
     from studies.report.uncertainty import uncertainty_record
 
-    numbers = stored.numbers
+    numbers, n_free = stored.numbers, n_free_of(stored.numbers)
     record = uncertainty_record(numbers, stored.arrays)
     left_out = ("recipe", "environment")
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
         band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
-        interval_figure(parameter_box(study.case), record, figures[1], footnote=study.label)
+        box = parameter_box(study.case).of(record.names)
+        interval_figure(box, record, figures[1], footnote=study.label)
         tracker_of(study.paths).log_stage(
             StageRun(
                 label=study.label,
@@ -156,6 +165,7 @@ def log_posterior(
                     "case": study.case.name,
                     "case_sha256": study.case.digest,
                     "calibration": numbers["calibration"],
+                    **({} if n_free is None else {"n_free": n_free}),
                     **memory_tags(
                         recipe=numbers["recipe"],
                         environment=numbers["environment"],

@@ -94,8 +94,9 @@ def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, stu
     whole = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     kept = stored(project, "adaptive")
     restricted = (*ADAPTIVE, "--most-relevant", "3", "--max-calls", "90")
-    found = studies(*restricted, "--json").stage
-    told = found["restriction"]
+    first = studies(*restricted, "--json")
+    assert f"relevance: by Morris' elementary effects, {N_MORRIS} calls, counted" in first.err
+    found, told = first.stage, first.stage["restriction"]
     assert (told["n_free"], len(told["fixed"]), told["source"]) == (3, P - 3, "Morris")
     assert {name: found["theta"][name] for name in told["fixed"]} == told["fixed"]
     assert set(told["why"].values()) - {"its prior"} == {"its estimate"}
@@ -117,8 +118,10 @@ def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, stu
         encoding="utf-8"
     )
     assert "prior 0.75 ×/÷ 1.05, moved by" in (folder / "parameters-adaptive.csv").read_text(encoding="utf-8")
-    assert "How sure it is" not in again.out, "fixed parameters are not to be judged"
+    assert "How sure it is: studies uncertainty office --most-relevant 3\n" in again.out
     commands = (folder / "index.html").read_text(encoding="utf-8")
+    assert "Least relevant calibrated: " in commands
+    assert "What the fixing cost: the MSE is " in commands
     for words in ("--max-calls 15\n", "--max-calls 90 --most-relevant 3\n"):
         assert f"studies calibrate office {words}" in commands
     assert studies("show", "office-quick/calibrate-adaptive-relevant3").code == 0
@@ -131,7 +134,9 @@ def test_stored_sobol_indices_say_it_without_a_call(project: Path, studies: Run)
     (project / "sobol.toml").write_text(SOBOL, encoding="utf-8")
     profile = ("--profile", "sobol.toml")
     assert studies("sensitivity", "office", *profile, "--jobs", "1").code == 0
-    found = studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9", "--json").stage
+    first = studies(*ADAPTIVE, *profile, "--most-relevant", "3", "--max-calls", "9", "--json")
+    assert "relevance: by the stored Sobol indices, 128 calls before, not counted" in first.err
+    found = first.stage
     assert (found["restriction"]["source"], found["restriction"]["n_calls"]) == ("Sobol", 0)
     assert found["restriction"]["n_calls_before"] == 8 * (P + 2)
     assert found["restriction"]["check"] is None
@@ -141,7 +146,7 @@ def test_stored_sobol_indices_say_it_without_a_call(project: Path, studies: Run)
     assert "not known, the budget held no check of it" in told
     answer = studies("uncertainty", "office", *profile)
     assert answer.code == 2
-    assert "no calibration of any kind but adaptive-relevant3, which fixed some parameters" in answer.err
+    assert "but adaptive-relevant3, which fixed some parameters; type: studies uncertainty" in answer.err
     file = project / "mlruns" / "results" / "office-sobol" / "sensitivity.npz"
     indices = SobolIndices.load(file)
     replace(indices, total_order=indices.total_order[..., ::-1]).save(file)  # done again, other rows failed

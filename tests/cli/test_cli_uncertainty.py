@@ -8,17 +8,22 @@ import signal
 import subprocess
 import sys
 import time
+from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet
 import pytest
+from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
 
 from studies.cli import main
 from studies.paths import ProjectPaths
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
+FEW = ("--most-relevant", "3")
+JUDGE_FEW = ("uncertainty", "wall", "--max-calls", "22", "--jobs", "1", *FEW)
 N_DIFFERENCES = 14
 N_CALIBRATION = 24
 LIMIT_S = 120.0
@@ -47,8 +52,19 @@ def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return copy_of(template, tmp_path / "project", monkeypatch)
 
 
-def results_of(project: Path) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json"
+@pytest.fixture(scope="module")
+def held(undisturbed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with a calibration of the three most relevant parameters, and that one judged."""
+    root = shutil.copytree(undisturbed, tmp_path_factory.mktemp("held") / "project")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        assert main(["calibrate", "wall", "--jobs", "1", "-q", "--max-calls", "48", *FEW]) == 0
+        assert main([*JUDGE_FEW, "-q"]) == 0
+    return root
+
+
+def results_of(project: Path, name: str = "adaptive") -> dict[str, Any]:
+    file = project / "mlruns" / "results" / "wall-quick" / f"posterior-{name}.json"
     content = json.loads(file.read_text(encoding="utf-8"))
     assert isinstance(content, dict)
     return content
@@ -59,7 +75,7 @@ def n_stored(project: Path) -> int:
     return sum(pyarrow.parquet.read_metadata(part).num_rows for part in parts)
 
 
-def test_it_says_how_sure_the_calibration_is_and_is_on_the_page(
+def test_it_says_how_sure_the_calibration_is(
     template: Path, undisturbed: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = shutil.copytree(undisturbed, tmp_path / "project")
@@ -71,6 +87,13 @@ def test_it_says_how_sure_the_calibration_is_and_is_on_the_page(
     for one in stage["parameters"].values():
         low, high = one["interval"]
         assert low < one["median"] < high
+    # More among the inputs would make every stored uncertainty an unfinished one.
+    manifest = project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json"
+    inputs = json.loads(manifest.read_text(encoding="utf-8"))["inputs"]
+    assert inputs.keys() == {
+        "case", "measurement", "is_log", "theta", "settings", "sampling", "step", "seed", "bands",
+    }  # fmt: skip
+    assert "restriction" not in stage
     assert stage["parameters"]["T2Start"]["known"] == "determined"
     calls = stage["ledger"]
     assert calls["n_differences"] == N_DIFFERENCES
@@ -88,23 +111,6 @@ def test_it_says_how_sure_the_calibration_is_and_is_on_the_page(
     assert f"{calls['total']} model calls: {N_DIFFERENCES} differences" in told
     assert f"{calls['n_known']} simulations stored before taught it, too" in told
     assert results_of(project) == before
-
-    page = studies("report", "wall", "--json")
-    assert page.code == 0, page.err
-    folder = (project / page.document["stages"][0]["index"]).parent
-    drawn = {"bands-adaptive.png", "intervals-adaptive.png", "uncertainty-adaptive.csv"}
-    assert drawn <= {file.name for file in folder.iterdir()}
-    html = (folder / "index.html").read_text(encoding="utf-8")
-    assert "How sure the adaptive calibration is" in html
-    assert "The data determine " in html
-
-    # MLflow's view is written again from what lies on disk.
-    from studies.keeping.stage_views import write_stages
-    from studies.stages.tracking import tracker_of
-
-    (project / "mlruns" / "mlflow.db").unlink()
-    tracker_of.cache_clear()
-    assert write_stages(ProjectPaths(project), "wall-quick") == []
 
 
 def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
@@ -150,6 +156,12 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
         ),
         (("--method", "adaptive", "--n-train", "64"), "--n-train names one calibration of --method paper"),
         (("--noise", "pink"), "invalid choice: 'pink'"),
+        (("--most-relevant", "7"), "--most-relevant 7 fixes nothing, wall has 7 parameters; give at most 6"),
+        (
+            ("--most-relevant", "5"),
+            "has no calibration of any kind with --most-relevant 5; type: studies calibrate wall "
+            "--most-relevant 5",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_one_line(
@@ -168,14 +180,88 @@ def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run)
     assert "no calibration of any kind; type: studies calibrate office" in answer.err
 
 
-def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(project: Path, studies: Run) -> None:
+def test_a_restricted_calibration_is_judged_given_what_it_fixed(
+    held: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(held, tmp_path / "project", monkeypatch)
+    stage = studies(*JUDGE_FEW, "--json").stage
+    assert stage["finished_before"]
     results = project / "mlruns" / "results" / "wall-quick"
-    for stem, suffix in (("calibration", ".json"), ("calibration", ".npz"), ("calibrate", ".json")):
-        whole = results / f"{stem}-adaptive{suffix}"
-        whole.rename(results / f"{stem}-adaptive-relevant4{suffix}")
-    numbers = results / "calibration-adaptive-relevant4.json"
-    content = json.loads(numbers.read_text(encoding="utf-8")) | {"restriction": {"n_free": 4}}
-    numbers.write_text(json.dumps(content), encoding="utf-8")
+    calibration = json.loads((results / "calibration-adaptive-relevant3.json").read_text(encoding="utf-8"))
+    fixed = calibration["restriction"]["fixed"]
+    assert set(stage["parameters"]) == set(calibration["theta"]) - set(fixed)
+    assert stage["ledger"]["n_differences"] == 6
+    # Rows with other values of what is fixed answer another problem: the adaptive search's own remain.
+    assert 0 < stage["ledger"]["n_known"] <= calibration["ledger"]["n_adaptive"]
+    told = stage["restriction"]
+    assert (told["n_free"], told["fixed"]) == (3, fixed)
+    assert told["in_words"].startswith("All this holds only if what was fixed is right: G23 = 10 W/K (its ")
+    assert all(f"{name} = " in told["in_words"] for name in fixed)
+    manifest = results / "uncertainty-adaptive-relevant3.json"
+    inputs = json.loads(manifest.read_text(encoding="utf-8"))["inputs"]
+    assert (inputs["held"], len(inputs["is_log"])) == (fixed, 3)
+    numbers = results_of(project, "adaptive-relevant3")
+    assert numbers["recipe"]["command"] == (
+        "studies uncertainty wall --method adaptive --most-relevant 3 --noise correlated --max-calls 22"
+    )
+    with np.load(results / "posterior-adaptive-relevant3.npz") as arrays:
+        assert arrays["sample_theta"].shape[1] == arrays["known_theta"].shape[1] == 3
+
+    shown = re.sub(r"\s+", " ", studies(*JUDGE_FEW).out)
+    assert "90 % intervals of the adaptive-relevant3 calibration (4 parameters fixed)" in shown
+    assert told["in_words"] in shown
+    card = re.sub(r"\s+", " ", studies("show", "wall-quick/uncertainty-adaptive-relevant3").out)
+    assert told["in_words"] in card
+
+    again = studies("reproduce", "wall-quick/adaptive-relevant3 uncertainty", "--json")
+    assert again.code == 0, again.err
+    assert again.document["equal"]
+
+
+def test_page_and_mlflow_tell_of_both_posteriors(
+    held: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(held, tmp_path / "project", monkeypatch)
+    page = studies("report", "wall", "--json")
+    assert page.code == 0, page.err
+    folder = (project / page.document["stages"][0]["index"]).parent
+    html = (folder / "index.html").read_text(encoding="utf-8")
+    for name in ("adaptive", "adaptive-relevant3"):
+        drawn = {f"bands-{name}.png", f"intervals-{name}.png", f"uncertainty-{name}.csv"}
+        assert drawn <= {file.name for file in folder.iterdir()}
+        assert f"How sure the {name} calibration is" in html
+        parameters = results_of(project, name)["parameters"]
+        table = (folder / f"uncertainty-{name}.csv").read_text(encoding="utf-8").splitlines()
+        assert [line.partition(",")[0] for line in table[1:]] == list(parameters)
+    assert "The data determine " in html
+    assert escape(results_of(project, "adaptive-relevant3")["restriction"]["in_words"]) in html
+    assert "What the fixing cost: the MSE is " in html
+
+    # MLflow's view is written again from what lies on disk.
+    from studies.keeping.stage_views import write_stages
+    from studies.stages.tracking import tracker_of
+
+    give_store(project)
+    tracker_of.cache_clear()
+    assert write_stages(ProjectPaths(project), "wall-quick") == []
+
+
+def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(
+    held: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(held, tmp_path / "project", monkeypatch)
+    answer = studies("uncertainty", "wall", "--most-relevant", "5")
+    assert answer.code == 2
+    assert answer.err.strip().endswith(
+        "wall-quick has no calibration of any kind with --most-relevant 5; there is adaptive-relevant3; "
+        "type: studies calibrate wall --most-relevant 5"
+    )
+    answer = studies("uncertainty", "wall", "--n-train", "64", *FEW)
+    assert "has no calibration of n_train = 64 with --most-relevant 3; there is adaptive-rel" in answer.err
+    (project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json").unlink()
     answer = studies(*JUDGE)
     assert answer.code == 2
-    assert "wall-quick has no calibration" in answer.err
+    assert answer.err.strip().endswith(
+        "wall-quick has no calibration of any kind but adaptive-relevant3, which fixed some parameters; "
+        "type: studies uncertainty wall --most-relevant 3, or studies calibrate wall for all parameters"
+    )
