@@ -202,6 +202,7 @@ def pairs_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, fo
     title = f"{record.names[first[0]]} and {record.names[first[1]]}: equally good parameter sets"
     if record.pairs:
         title = record.pairs[0].sentence
+    title += _if_fixed(record)
     n_columns = min(2, len(shown))
     n_rows = -(-len(shown) // n_columns)
     with drawing(path, title=title, height_in=0.5 + 3.1 * n_rows, footnote=footnote) as figure:

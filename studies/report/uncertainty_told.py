@@ -66,7 +66,8 @@ def interval_caption(record: UncertaintyRecord) -> str:
 def pairs_caption(record: UncertaintyRecord) -> str:
     """Say what the pairs show."""
     said = "; ".join(pair.sentence for pair in record.pairs[:3])
-    return f"Equally good parameter sets, in the case's scales. {said or 'No two compensate each other'}."
+    said = said or "No two compensate each other"
+    return f"Equally good parameter sets, in the case's scales. {said}{_fixed(record)}."
 
 
 def _fixed(record: UncertaintyRecord) -> str:

@@ -69,11 +69,12 @@ def held_numbers(case: Case, restriction: Restriction | None) -> dict[str, Any]:
     """Return on what fixed values the numbers of free parameters rest; empty without a restriction."""
     if restriction is None:
         return {}
-    units = {one.name: one.unit for one in case.parameter_space.parameters}
-    told = {"n_free": restriction.n_free, "fixed": dict(restriction.fixed), "why": dict(restriction.why)}
-    return {
-        "restriction": {**told, "in_words": condition_sentence(restriction.fixed, restriction.why, units)}
-    }
+    # MLflow's copy of a recipe has names by the alphabet: words follow the case.
+    units = {p.name: p.unit for p in case.parameter_space.parameters if p.name in restriction.fixed}
+    fixed = {name: restriction.fixed[name] for name in units}
+    why = {name: restriction.why[name] for name in units}
+    in_words = condition_sentence(fixed, why, units)
+    return {"restriction": {"n_free": restriction.n_free, "fixed": fixed, "why": why, "in_words": in_words}}
 
 
 def checked_size(case: Case, n_free: int) -> int:

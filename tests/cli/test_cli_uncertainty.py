@@ -18,8 +18,10 @@ import pytest
 from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
 
+from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
+from studies.stages.restriction import held_numbers, restriction_of
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
 FEW = ("--most-relevant", "3")
@@ -197,6 +199,9 @@ def test_a_restricted_calibration_is_judged_given_what_it_fixed(
     assert (told["n_free"], told["fixed"]) == (3, fixed)
     assert told["in_words"].startswith("All this holds only if what was fixed is right: G23 = 10 W/K (its ")
     assert all(f"{name} = " in told["in_words"] for name in fixed)
+    # As MLflow remembers it, names come in another order.
+    remembered = restriction_of(json.loads(json.dumps(calibration, sort_keys=True)))
+    assert held_numbers(load_case(project / "fmus" / "wall"), remembered) == {"restriction": told}
     manifest = results / "uncertainty-adaptive-relevant3.json"
     inputs = json.loads(manifest.read_text(encoding="utf-8"))["inputs"]
     assert (inputs["held"], len(inputs["is_log"])) == (fixed, 3)
