@@ -28,10 +28,11 @@ def environment(project: Path) -> dict[str, str]:
     }
 
 
-def finish(project: Path) -> str:
+def finish(project: Path, *more: str) -> str:
     """Run to the end and return what was said on the way."""
+    command = [*RUN, *more]
     done = subprocess.run(
-        RUN, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
+        command, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stderr
@@ -185,9 +186,9 @@ def test_another_scale_is_another_search_on_the_same_simulations(uninterrupted: 
     text = case.read_text()
     assert 'scale = "log"' in text
     case.write_text(text.replace('scale = "log"', 'scale = "linear"', 1))
-    log = finish(project)
+    log = finish(project, "--n-train", "32")
     assert "simulate: finished before" in log
-    for stage in ("tune", "calibrate-n0016", "calibrate-n0032"):
+    for stage in ("tune", "calibrate-n0032"):
         assert f"{stage}: finished before" not in log
 
 
@@ -198,16 +199,11 @@ def test_a_copy_at_another_place_calibrates_to_the_same_numbers(
     project = shutil.copytree(template, tmp_path / "moved" / "elsewhere")
     shutil.copytree(uninterrupted / "mlruns" / "champions", project / "mlruns" / "champions")
     command = [*RUN[:3], "calibrate", "--profile", "smoke", "--n-train", "32", "--json", "--again"]
-    answers = []
-    for _ in range(2):
-        done = subprocess.run(
-            command, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        stage = json.loads(done.stdout)["stages"][0]
-        assert not stage["finished_before"]
-        answers.append({name: value for name, value in stage.items() if "wall" not in name})
-    assert answers[0] == answers[1]
+    done = subprocess.run(
+        command, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert not json.loads(done.stdout)["stages"][0]["finished_before"]
     file = project / "mlruns" / "results" / LABEL / "calibration-n0032.json"
     assert json.loads(file.read_text()) == results(uninterrupted)["calibration-n0032.json"]
 
