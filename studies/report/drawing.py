@@ -107,7 +107,7 @@ def _save(canvas: FigureCanvasAgg, path: Path) -> None:
         # A title in a script that the font lacks is drawn with boxes; that is no reason to fail.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         # Figure.savefig would draw it twice for the same picture.
-        canvas.print_png(partial, metadata={"Software": None})
+        canvas.print_png(partial, metadata={"Software": None})  # type: ignore[no-untyped-call]
     partial.replace(path)
 
 
