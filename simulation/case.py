@@ -223,10 +223,10 @@ def load_case(
     fmu = with_units(read_description((path.parent / file.fmu).resolve()), said_units(file), path)
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
-    is_overridden, window = window_d is not None, window_d or file.time.window
-    plain = plain_period(path, declared, window, is_overridden=is_overridden)
+    window = file.time.window if window_d is None else window_d
+    plain = plain_period(path, declared, window, is_overridden=window_d is not None)
     case = _compared_over(path, file, fmu, data, plain)
-    period = validation_period(path, declared, window, is_overridden=is_overridden)
+    period = validation_period(path, declared, window, is_overridden=window_d is not None)
     if period is None:
         return case
     return replace(case, validation=_compared_over(path, file, fmu, data, period))

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
+from simulation.errors import MachineError
 from simulation.trajectories import Trajectories
 from simulation.workers.arena_file import (
     HEADER,
@@ -127,7 +127,7 @@ class Arena:
             spool: Folder for a file that outlives this process; None for memory that goes with it.
 
         Raises:
-            InputError: If there is no room for it.
+            MachineError: If there is no room for it.
         """
         names = json.dumps([grid.parameter_names, grid.output_names]).encode()
         shape = (len(names), capacity, len(grid.parameter_names), len(grid.time), len(grid.output_names))
@@ -152,7 +152,7 @@ class Arena:
                 os.close(descriptor)
             if isinstance(error, OSError):
                 much = f"{size / 1e6:.0f} MB" if size > 1e6 else f"{size / 1e3:.0f} kB"
-                raise InputError(
+                raise MachineError(
                     f"{spool or 'memory'}: no room for {much} of simulated rows ({error.strerror}); free some"
                 ) from None
             raise

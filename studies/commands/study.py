@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.console import Console
 from studies.paths import find_case, find_project
 
@@ -45,21 +45,27 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
     # Heavy imports wait until the words of the command line are known to be good.
+    from simulation.case_file import read_case_file
     from simulation.workers.parallel import available_cores
     from studies.keeping.rebuild import rebuild_mlflow
     from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
 
-    case, window = _load_case(file, chosen.window)
+    declared, window = read_case_file(file), chosen.window
+    label = f"{declared.name}-{profile.name}{label_end}"
     if window is not None:
-        label_end = f"-{window.label}{label_end}"
+        own_label, label = label, f"{declared.name}-{profile.name}-{window.label}{label_end}"
+        # The case's own window needs no name; earlier versions gave it one, which goes on.
+        if window.days == declared.time.window and not paths.results(label).is_dir():
+            label, window = own_label, None
+    case = _load_case(file, window)
     study = Study(
         case=case,
         profile=profile,
         paths=paths,
         console=console,
         n_jobs=chosen.jobs or available_cores(),
-        label=f"{case.name}-{profile.name}{label_end}",
+        label=label,
         command=_command(chosen, window),
         retry_failed=given.get("retry_failed", False),
         dask=given.get("dask"),
@@ -73,22 +79,23 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     return study
 
 
-def _load_case(file: Path, window: "Window | None") -> "tuple[Case, Window | None]":
-    """Read a case, and leave out a window that is the case's own.
+def _load_case(file: Path, window: "Window | None") -> "Case":
+    """Read a case.
 
     Raises:
         InputError: anything is wrong; what only the window brings about is told of the window.
     """
     from simulation.case import load_case
-    from simulation.case_file import read_case_file
 
-    if window is None or window.days == read_case_file(file).time.window:
-        return load_case(file), None
+    if window is None:
+        return load_case(file)
     try:
-        return load_case(file, window_d=window.days), window
+        return load_case(file, window_d=window.days)
+    except MachineError:
+        raise
     except InputError as error:
         load_case(file)
-        raise InputError(f"--window {window}: {error}") from None
+        raise InputError(f"--window {window}: {error}") from error
 
 
 def _command(chosen: argparse.Namespace, window: "Window | None") -> str:

@@ -197,8 +197,7 @@ class _Comparison:
             if not missing:
                 continue
             stages = [stage_name(paths, file).partition("/")[2] for file in missing]
-            lack = "has no run of its" if len(stages) == 1 else "have no runs of their"
-            what = f"{listed(stages)} {lack} numbers"
+            what = f"{listed(stages)} {'has no run' if len(stages) == 1 else 'have no runs'} of these results"
             repair = partial(write_missing_stages, self.stores, label)
             yield StoreFinding(STORE, "bad", label, what, _REMEDY, repair)
 

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlparse
 
-from sqlalchemy import create_engine, make_url, text
+from sqlalchemy import create_engine, inspect, make_url, text
 from sqlalchemy.engine import Connection
 from sqlalchemy.exc import DBAPIError
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
+from studies.tracking.tracker import cure_of
 
 ROLES = ("study", "trial", "calibration", "sensitivity", "uncertainty", "report", "overview")
 _TAGS = ("role", "trial_key", "study_key", "stage_key", "state", "whole", "owner", "label", "told")
@@ -130,6 +131,8 @@ def read_mlflow(paths: ProjectPaths) -> MlflowContent:
 def experiment_names(paths: ProjectPaths) -> list[str]:
     """Return the labels that MLflow knows."""
     with opened(paths) as connection:
+        if not inspect(connection).has_table("experiments"):
+            return []
         found = _rows(connection, "SELECT name FROM experiments WHERE lifecycle_stage = 'active'")
     return sorted(name for (name,) in found if name != "Default")
 
@@ -187,6 +190,7 @@ def connected(url: str) -> Iterator[Connection]:
 
     Raises:
         InputError: it cannot be read.
+        MachineError: it is locked, or its disk cannot be used.
     """
     engine = create_engine(make_url(url))
     try:
@@ -194,7 +198,8 @@ def connected(url: str) -> Iterator[Connection]:
             yield connection
     except DBAPIError as error:
         said = hide_passwords(str(error.orig).splitlines()[0])
-        raise InputError(f"MLflow's or Optuna's database cannot be read ({said})") from error
+        line, cure = f"MLflow's or Optuna's database cannot be read ({said})", cure_of(said)
+        raise (MachineError(f"{line}; {cure}") if cure else InputError(line)) from error
     finally:
         engine.dispose()
 

@@ -9,6 +9,7 @@ from typing import Any
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.stages.pipeline import Study, read_json
+from studies.tracking.tracker import metric_name
 
 TOLD_STAGES = ("sensitivity.json", "calibrate-*.json", "uncertainty-*.json", "report.json", "paper/*.json")
 """Manifests of the stages that MLflow is told of."""
@@ -34,7 +35,11 @@ def stage_metrics(manifest: Mapping[str, Any]) -> dict[str, float]:
         metrics = {f"first_order/{name}": index for name, index in indices.items()}
     elif kind == "uncertainty":
         metrics = {"sample/n_effective": summary.get("sample", {}).get("n_effective")}
-    return {name: value for name, value in metrics.items() if value is not None and math.isfinite(value)}
+    return {
+        metric_name(name): value
+        for name, value in metrics.items()
+        if value is not None and math.isfinite(value)
+    }
 
 
 def stage_name(paths: ProjectPaths, file: Path) -> str:

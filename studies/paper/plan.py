@@ -6,7 +6,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.profile import Profile
 from studies.stages.pipeline import Study
 
@@ -188,10 +188,12 @@ class Plan:
         """Return the study of Fig. 6's window, or the case's own where the recording does not hold it."""
         try:
             return self.opener(window=HYPERPARAMETER_WINDOW_D, n_train=n_train, trials=trials)
+        except MachineError:
+            raise
         except InputError as error:
-            self.study.console.say(
-                f"fig6: days 8 to 16 cannot be had ({error}); the case's own window is used"
-            )
+            # Nobody typed this window: what the case says of it, without the option's name.
+            why = error.__cause__ or error
+            self.study.console.say(f"fig6: days 8 to 16 cannot be had ({why}); the case's own window is used")
             return self.window_study(n_train, trials)
 
     def other_study(self, case: str) -> Study:

@@ -1,7 +1,7 @@
 """Calibrating the most relevant parameters alone: which they are, and what the others are held at."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,7 +57,7 @@ def restriction_of(told: Mapping[str, Any]) -> Restriction | None:
     """Return the restriction that a calibration's numbers or a recipe tell of, None for none."""
     if "restriction" not in told:
         return None
-    return Restriction(**{name: value for name, value in told["restriction"].items() if name != "check"})
+    return Restriction(**{one.name: told["restriction"][one.name] for one in fields(Restriction)})
 
 
 def recipe_part(restriction: Restriction | None) -> dict[str, Any]:

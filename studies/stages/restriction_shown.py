@@ -5,10 +5,11 @@ from typing import Any
 
 from studies.console import Column
 from studies.paths import size_name
-from studies.report.restriction_told import restriction_sentences, unrestricted
+from studies.report.records import CalibrationRecord
+from studies.report.restriction_told import restriction_sentences
 from studies.report.wording import MISSING, difference_unit, percent, squared
 from studies.stages.pipeline import Study
-from studies.stages.results import ADAPTIVE, calibration_record, restricted, stored_calibrations
+from studies.stages.results import ADAPTIVE, calibration_record, restricted, stored_calibration
 
 
 def show_restriction(study: Study, found: Mapping[str, Any], how: str) -> None:
@@ -38,12 +39,18 @@ def show_restriction(study: Study, found: Mapping[str, Any], how: str) -> None:
     columns = [Column("parameter"), Column("unit"), Column("fixed at", True), Column("which is")]
     columns += [Column("share", True), Column("gain if free", True)]
     console.table(f"{study.label}: parameters fixed as least relevant ({how})", columns, rows)
-    records = {one.name: calibration_record(one) for one in stored_calibrations(study)}
     method = ADAPTIVE if found.get("method") == ADAPTIVE else size_name(found["n_train"])
-    record = records[method + restricted(told["n_free"])]
-    unit = squared(difference_unit(study.case.outputs[0].unit))
-    for sentence in restriction_sentences(record, unrestricted(record, records.values()), unit):
-        console.result(sentence)
+    names = (method + restricted(told["n_free"]), method)
+    this, of_all = (_record(study, name) for name in names)
+    if this is not None:
+        unit = squared(difference_unit(study.case.outputs[0].unit))
+        for sentence in restriction_sentences(this, of_all, unit):
+            console.result(sentence)
+
+
+def _record(study: Study, name: str) -> CalibrationRecord | None:
+    stored = stored_calibration(study, name)
+    return None if stored is None else calibration_record(stored)
 
 
 def _share(share: float | None) -> str:

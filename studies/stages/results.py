@@ -114,16 +114,23 @@ def _files(study: Study, name: str) -> CalibrationFiles:
 def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
     """Read all calibrations of this case and measurement, the adaptive first, then by training set."""
     for file in sorted(study.results.glob("calibration-*.json"), key=lambda one: one.stem):
-        numbers = read_json(file)
-        name = file.stem.removeprefix("calibration-")
-        manifest = read_json(study.results / f"calibrate-{name}.json")
-        if numbers is None or manifest is None:
-            continue
-        told = (numbers.get("case_sha256"), numbers.get("measurement_sha256"))
-        files = _files(study, name)
-        if told == (study.case.digest, study.case.measurement.digest) and files.arrays.is_file():
-            arrays = read_arrays(files.arrays)
-            yield StoredCalibration(files, numbers, arrays, float(manifest["wall_s"]))
+        found = stored_calibration(study, file.stem.removeprefix("calibration-"))
+        if found is not None:
+            yield found
+
+
+def stored_calibration(study: Study, name: str) -> StoredCalibration | None:
+    """Read one calibration of this case and measurement by its name, None where there is none."""
+    files = _files(study, name)
+    numbers, manifest = read_json(files.numbers), read_json(study.results / f"calibrate-{name}.json")
+    if numbers is None or manifest is None or not files.arrays.is_file():
+        return None
+    if (numbers.get("case_sha256"), numbers.get("measurement_sha256")) != (
+        study.case.digest,
+        study.case.measurement.digest,
+    ):
+        return None
+    return StoredCalibration(files, numbers, read_arrays(files.arrays), float(manifest["wall_s"]))
 
 
 def read_arrays(file: Path) -> dict[str, NDArray[Any]]:

@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +24,13 @@ _T = TypeVar("_T")
 logger = logging.getLogger(__name__)
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED"]
+_REFUSED = re.compile(r"[^/\w.\- :]")
 History = Mapping[str, NDArray[Any]]
+
+
+def metric_name(name: str) -> str:
+    """Return a metric's name without the signs that MLflow refuses: `wall[1].R` becomes `wall_1_.R`."""
+    return _REFUSED.sub("_", name)
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,7 @@ class StageRun:
         key: digest of the stage's inputs; a stage already logged under it with the same metrics is not
             logged again.
         params: settings.
-        metrics: results, one number each.
+        metrics: results, one number each; their names become `metric_name`s.
         curves: results over steps: pairs of step and value, for example the best MSE over model calls.
         tags: what to search for (case, n_train, digests, ...).
         figures: image files.
@@ -66,6 +73,10 @@ class StageRun:
     note: str = ""
     recipe: Mapping[str, Any] = field(default_factory=dict)
     environment: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        named = {metric_name(name): value for name, value in self.metrics.items()}
+        object.__setattr__(self, "metrics", named)
 
 
 class Tracker(Protocol):
@@ -130,8 +141,9 @@ class NullTracker:
 class PatientTracker:
     """Tells another tracker, waits for a store that is away, and takes its failures as a warning.
 
-    A store that is locked, full, restarted or read-only must not cost a training: what this tracker misses
-    now it hears with the next call of the same command or with the next command.
+    A store that is locked, full, restarted or read-only must not cost a training: the trials that this
+    tracker misses now it hears of with the next call of the same command or with the next command, stages
+    when the doctor repairs.
 
     Args:
         tracker: the tracker that may fail.
@@ -186,7 +198,7 @@ class PatientTracker:
                 passing = _passes(error)
                 if passing and time.monotonic() < deadline:
                     if wait_s < 0.2:
-                        cure = _cure(line)
+                        cure = cure_of(line)
                         remedy = f"; {cure}" if cure else ""
                         logger.warning("MLflow's store is away (%s); waiting for it%s", line, remedy)
                     time.sleep(wait_s)
@@ -194,7 +206,9 @@ class PatientTracker:
                     continue
                 self._is_away = passing
                 name = type(error).__name__
-                logger.warning("MLflow missed something (%s: %s); the next run makes it good", name, line)
+                logger.warning(
+                    "MLflow missed something (%s: %s); studies doctor --repair makes it good", name, line
+                )
                 return otherwise
             self._is_away = False
             return answer
@@ -220,7 +234,7 @@ _SQLITE_CURES = {
 }
 
 
-def _cure(line: str) -> str | None:
+def cure_of(line: str) -> str | None:
     """Return what helps where a database of SQLite said this line, None where nothing is known to."""
     return next((cure for sign, cure in _SQLITE_CURES.items() if sign in line), None)
 
@@ -246,8 +260,9 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
         line = hide_passwords(str(error).splitlines()[0] if str(error) else type(error).__name__)
         if paths.storage is not None:
             where = hide_passwords(paths.storage)
-            raise InputError(f"MLflow cannot open {where} ({line}); check the URL and the server") from error
-        cure, said = _cure(line), f"MLflow cannot open {paths.tracking_database} ({line})"
+            kind = MachineError if _passes(error) else InputError
+            raise kind(f"MLflow cannot open {where} ({line}); check the URL and the server") from error
+        cure, said = cure_of(line), f"MLflow cannot open {paths.tracking_database} ({line})"
         raise (MachineError(f"{said}; {cure}") if cure else InputError(f"{said}; {_REWRITE}")) from error
     tracker.end_ghosts()
     return tracker

@@ -14,7 +14,7 @@ from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from studies.storage_url import hide_passwords
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ _REFUSALS = {
 _UNRESOLVED = ("could not translate host name", "failed to resolve host")
 
 
-class StorageAwayError(InputError):
+class StorageAwayError(MachineError):
     """The server cannot be reached at the moment; it may come back."""
 
 

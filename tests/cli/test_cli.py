@@ -4,8 +4,10 @@ import json
 import os
 import re
 import shlex
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -136,6 +138,9 @@ def test_window_and_seed_are_part_of_the_label(project: Path, studies: Run) -> N
     assert plain["label"] == "office-smoke"
     own = studies(*arguments, "--window", "0-240h").document
     assert (own["label"], own["stages"][0]["finished_before"]) == ("office-smoke", True)
+    (project / "mlruns" / "results" / "office-smoke-d0-10").mkdir()
+    earlier = studies(*arguments, "--window", "0-10").document
+    assert earlier["label"] == "office-smoke-d0-10", "results from before own windows had no label go on"
     other = studies(*arguments, "--window", "8-16", "--seed", "3").document
     assert other["label"] == "office-smoke-d8-16-seed3"
     assert set(other["stages"][0]["files"].values()).isdisjoint(plain["stages"][0]["files"].values())
@@ -171,6 +176,16 @@ def test_ui_refuses_a_label_that_nobody_worked_on(project: Path, studies: Run) -
     answer = studies("ui", "office-quik", "--dry-run")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "MLflow has no experiment 'office-quik'; there are: none" in answer.err
+    # A database in which MLflow has made nothing yet, as a new server's is.
+    database = project / "mlruns" / "mlflow.db"
+    database.write_bytes(b"")
+    assert "there are: none" in studies("ui", "office-quik", "--dry-run").err
+    with closing(sqlite3.connect(database, isolation_level=None)) as busy:
+        busy.execute("create table experiments (name, lifecycle_stage)")
+        busy.execute("begin exclusive")
+        answer = studies("ui", "office-quik", "--dry-run")
+    assert (answer.code, answer.err.count("\n")) == (1, 1)
+    assert "(database is locked); wait for the program that holds it, or stop it" in answer.err
 
 
 def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(

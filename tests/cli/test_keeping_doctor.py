@@ -127,7 +127,7 @@ def test_a_stage_that_was_done_again_while_mlflow_was_away_is_told_of(
     paths: ProjectPaths, studies: Run
 ) -> None:
     sql(paths, "update latest_metrics set value = 2 * value where key = 'mse/polished'")
-    assert bad_findings(studies) == [("MLflow", "calibrate-n0016 has no run of its numbers")]
+    assert bad_findings(studies) == [("MLflow", "calibrate-n0016 has no run of these results")]
     assert bad_findings(studies, "--repair") == []
 
 

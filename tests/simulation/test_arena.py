@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import pytest
 
-from simulation.errors import InputError
+from simulation.errors import MachineError
 from simulation.toy import ToyRC
 from simulation.workers.arena import Arena, Grid, RowState, recover_arenas
 
@@ -159,6 +159,6 @@ def test_a_full_disk_is_said_before_it_costs_a_simulation(tmp_path: Path):
 def test_a_spool_that_cannot_be_made_is_one_line(tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(
-        InputError, match=r"file/spool: no room for 4 kB of simulated rows \(Not a directory\)"
+        MachineError, match=r"file/spool: no room for 4 kB of simulated rows \(Not a directory\)"
     ):
         Arena.create(GRID, 1, spool=tmp_path / "file" / "spool")
