@@ -57,7 +57,7 @@ def report_stage(study: Study) -> Outcome:
         started_s = time.time()
         with study.console.progress("tables and figures", 1) as advance:
             index = build(_report_data(study), folder, on_progress=advance)
-        study.console.say(f"report: {study.paths.show(index)} is written, MLflow is told")
+        study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
         log_report(
             study.paths,
             study.label,
