@@ -5,15 +5,17 @@ cube evenly, the density's power rises from 0 to 1 in steps that keep their wort
 mass die out, and Markov steps move the rest: a narrow bent valley is filled while it is still wide. Regions
 that lie far apart keep their shares if they are about as wide; a much narrower one is kept if it is known.
 
-Steps take their shape from the place where they begin: the particles are parted in two halves, and around
-each member of the one its nearest fellows tell a covariance. A particle of the other half steps by that of
-its nearest member, or leaps into the normal density around any of them; the way back is weighed against it.
+A step is a multiple of the difference between two other particles (differential evolution Markov chain, ter
+Braak, doi:10.1007/s11222-006-8769-1): so steps have the shape of the density. The particles are parted in two
+halves, and each moves by differences of the other. They move in normal scores, Phi^-1(u), where an even
+density is a normal one and no step leads out of the cube, however many parameters the data leave open.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray, IntArray
@@ -22,17 +24,14 @@ from studies.uncertainty.weights import effective_size, normalized
 WORTH = 0.6
 """The power rises until the particles are worth this share of their number."""
 
-SWEEPS, LAST_SWEEPS = 3, 12
-"""Steps of every particle at each power, and at the last one; every third is a leap."""
+SWEEPS, LAST_SWEEPS = 10, 30
+"""Steps of every particle at each power, and at the last one; more by one and three for each parameter."""
 
-ACCEPTED = 0.25
-"""Share of steps that shall be taken: their width follows it."""
+STEP, SHORTEST, LONGEST = 2.38, -1.0, 0.3
+"""A step is this many differences over the square root of 2 p, times e to a power drawn between the others."""
 
-NEIGHBOURS_PER_PARAMETER = 3
-"""Nearest fellows that tell a covariance, for each parameter and two more."""
-
-LEAST_WIDTH = 1e-6
-"""Standard deviation that a covariance has at least. [1]"""
+EDGE = 1e-12
+"""Nearest that a particle begins to the faces of the cube, whose normal scores are infinite."""
 
 MOST_DRAWS = 1000
 """Whoever still fell out of the cube then begins anywhere."""
@@ -98,10 +97,16 @@ class Reference:
 
     def log_density(self, u: FloatArray) -> FloatArray:
         """Return the logarithm of the density, but for a constant and what the cube cuts off. Shape (n,)."""
-        if not len(self.centres):
+        c, p = self.centres.shape
+        if not c:
             return np.zeros(len(u))
-        mixture = Mixture(self.centres, self.roots)
-        near = mixture.log_density(u) - 0.5 * u.shape[1] * np.log(2.0 * np.pi) - np.log(len(self.centres))
+        inverse_roots = np.linalg.inv(self.roots)
+        centres = np.einsum("cij,cj->ci", inverse_roots, self.centres)
+        away = (inverse_roots.reshape(c * p, p) @ u.T).reshape(c, p, -1) - centres[:, :, None]
+        parts = -0.5 * np.einsum("cpn,cpn->cn", away, away)
+        parts -= np.sum(np.log(np.diagonal(self.roots, axis1=1, axis2=2)), axis=1)[:, None]
+        top = parts.max(axis=0)
+        near = top + np.log(np.mean(np.exp(parts - top), axis=0)) - 0.5 * p * np.log(2.0 * np.pi)
         found: FloatArray = np.logaddexp(0.0, near)
         return found
 
@@ -119,6 +124,33 @@ def sample_density(log_density: Density, reference: Reference, *, seed: int, n_p
         return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run()
 
 
+@dataclass(eq=False)
+class _Cloud:
+    """Particles, and what is known of them.
+
+    Attributes:
+        z: Normal scores. Shape (n, p). [1]
+        value: The density's logarithm. Shape (n,). [1]
+        at_first: The reference's. Shape (n,). [1]
+    """
+
+    z: FloatArray
+    value: FloatArray
+    at_first: FloatArray
+
+    def __getitem__(self, rows: IntArray) -> "_Cloud":
+        return _Cloud(self.z[rows], self.value[rows], self.at_first[rows])
+
+    def __setitem__(self, rows: IntArray, other: "_Cloud") -> None:
+        self.z[rows], self.value[rows], self.at_first[rows] = other.z, other.value, other.at_first
+
+    def log_density(self, power: float) -> FloatArray:
+        """Return the logarithm of the density between the first and the last one, in normal scores."""
+        between = power * self.value + (1.0 - power) * self.at_first
+        found: FloatArray = between - 0.5 * np.sum(self.z**2, axis=1)
+        return found
+
+
 class _Annealing:
     """The particles on their way."""
 
@@ -126,34 +158,38 @@ class _Annealing:
         self, log_density: Density, reference: Reference, n_particles: int, rng: np.random.Generator
     ) -> None:
         self._log_density, self._reference, self._rng = log_density, reference, rng
-        self._u = reference.draw(n_particles, rng)
-        self._value, self._at_first = log_density(self._u), reference.log_density(self._u)
         self._power = 0.0
-        self._step = 2.38 / np.sqrt(self._u.shape[1])
+        self._cloud = self._at(ndtri(np.clip(reference.draw(n_particles, rng), EDGE, 1.0 - EDGE)))
 
     def run(self) -> Particles:
         """Raise the power to 1."""
         n_powers, taken = 0, 0.0
+        n_parameters = self._cloud.z.shape[1]
         while self._power < 1.0:
             power = self._next_power() if n_powers < MOST_POWERS else 1.0
-            drawn = _drawn(self._weights(power), self._rng)
-            self._u, self._value, self._at_first = self._u[drawn], self._value[drawn], self._at_first[drawn]
+            self._cloud = self._cloud[_drawn(self._weights(power), self._rng)]
             self._power = power
             n_powers += 1
-            n_sweeps = LAST_SWEEPS if power == 1.0 else SWEEPS
-            taken = float(np.mean([self._sweep(leaps=i % 3 == 2) for i in range(n_sweeps)]))
-        order = self._rng.permutation(len(self._u))
-        return Particles(self._u[order], self._value[order], n_powers, taken)
+            n_sweeps = LAST_SWEEPS + 3 * n_parameters if power == 1.0 else SWEEPS + n_parameters
+            taken = float(np.mean([self._sweep() for _ in range(n_sweeps)]))
+        found = self._cloud[self._rng.permutation(len(self._cloud.z))]
+        return Particles(ndtr(found.z), found.value, n_powers, taken)
+
+    def _at(self, z: FloatArray) -> _Cloud:
+        """Ask what is known of points; the reference no longer where it does not count."""
+        u = ndtr(z)
+        at_first = np.zeros(len(u)) if self._power == 1.0 else self._reference.log_density(u)
+        return _Cloud(z, self._log_density(u), at_first)
 
     def _weights(self, power: float) -> FloatArray:
         """Return what the particles count at a higher power. Shape (n,)."""
-        return normalized((power - self._power) * (self._value - self._at_first))
+        return normalized((power - self._power) * (self._cloud.value - self._cloud.at_first))
 
     def _next_power(self) -> float:
         """Return the power at which the particles are worth as much as wanted, by halving."""
 
         def worth(power: float) -> float:
-            return effective_size(self._weights(power)) / len(self._value)
+            return effective_size(self._weights(power)) / len(self._cloud.value)
 
         if worth(1.0) >= WORTH:
             return 1.0
@@ -163,108 +199,22 @@ class _Annealing:
             low, high = (middle, high) if worth(self._power + middle) >= WORTH else (low, middle)
         return min(self._power + high, 1.0)
 
-    def _sweep(self, *, leaps: bool) -> float:
-        """Move either half of the particles by the other one; return the share of steps taken."""
-        order = self._rng.permutation(len(self._u))
-        middle = len(order) // 2
-        taken = [
-            self._move(moved, _Guide(self._u[still]), leaps=leaps)
-            for moved, still in ((order[:middle], order[middle:]), (order[middle:], order[:middle]))
-        ]
-        return float(np.mean(taken))
+    def _sweep(self) -> float:
+        """Move either half of the particles by differences of the other; return the share of steps taken."""
+        order = self._rng.permutation(len(self._cloud.z))
+        first, second = order[: len(order) // 2], order[len(order) // 2 :]
+        return 0.5 * (self._move(first, second) + self._move(second, first))
 
-    def _move(self, rows: IntArray, guide: "_Guide", *, leaps: bool) -> float:
-        here, value, at_first = self._u[rows], self._value[rows], self._at_first[rows]
-        n, p = here.shape
-        drawn = self._rng.standard_normal((n, p))
-        if leaps:
-            member = np.asarray(self._rng.integers(len(guide.u), size=n), dtype=np.int64)
-            there = guide.u[member] + np.einsum("nij,nj->ni", guide.roots[member], drawn)
-            back_over_there = guide.mixture.log_density(here) - guide.mixture.log_density(there)
-        else:
-            scale = self._step * np.exp(self._rng.uniform(-1.0, 0.5, n))
-            member = guide.nearest(here)
-            step = scale[:, None] * np.einsum("nij,nj->ni", guide.roots[member], drawn)
-            there = here + step
-            back = guide.mixture.log_step(guide.nearest(there), step / scale[:, None])
-            back_over_there = back - guide.mixture.log_step(member, step / scale[:, None])
-        inside = np.all((there >= 0.0) & (there <= 1.0), axis=1)
-        found, first_there = np.full(n, -np.inf), np.zeros(n)
-        found[inside] = self._log_density(there[inside])
-        first_there[inside] = self._reference.log_density(there[inside])
-        gain = self._power * (found - value) + (1.0 - self._power) * (first_there - at_first)
-        gain += back_over_there
-        accepted = np.log(self._rng.random(n)) < gain
-        self._u[rows[accepted]], self._value[rows[accepted]] = there[accepted], found[accepted]
-        self._at_first[rows[accepted]] = first_there[accepted]
-        share = float(np.mean(accepted))
-        if not leaps:
-            self._step *= float(np.exp(0.5 * (share - ACCEPTED)))
-        return share
-
-
-class Mixture:
-    """Normal densities of equal weight around points."""
-
-    def __init__(self, u: FloatArray, roots: FloatArray) -> None:
-        """Prepare what does not depend on where the density is asked.
-
-        Args:
-            u: The points. Shape (m, p). [1]
-            roots: Lower factors of the covariances around them. Shape (m, p, p). [1]
-        """
-        self._inverse_roots = np.linalg.inv(roots)
-        self._centres = np.einsum("mij,mj->mi", self._inverse_roots, u)
-        self._log_sizes = np.sum(np.log(np.diagonal(roots, axis1=1, axis2=2)), axis=1)
-
-    def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the logarithm of the sum of all members' densities, but for 2 pi. Shape (n,)."""
-        m, p = self._centres.shape
-        away = (self._inverse_roots.reshape(m * p, p) @ u.T).reshape(m, p, -1) - self._centres[:, :, None]
-        parts = -0.5 * np.einsum("mpn,mpn->mn", away, away) - self._log_sizes[:, None]
-        top = parts.max(axis=0)
-        found: FloatArray = top + np.log(np.sum(np.exp(parts - top), axis=0))
-        return found
-
-    def log_step(self, member: IntArray, step: FloatArray) -> FloatArray:
-        """Return the logarithm of a member's density of a step, but for 2 pi. Shape (n,)."""
-        away = np.einsum("nij,nj->ni", self._inverse_roots[member], step)
-        found: FloatArray = -0.5 * np.sum(away**2, axis=1) - self._log_sizes[member]
-        return found
-
-
-class _Guide:
-    """Particles that stand still and show the others how the density lies.
-
-    Attributes:
-        u: Their places. Shape (m, p). [1]
-        roots: Lower factors of the covariances around them. Shape (m, p, p). [1]
-        mixture: The normal densities around them.
-    """
-
-    def __init__(self, u: FloatArray) -> None:
-        """Find everybody's nearest fellows."""
-        n, p = u.shape
-        floor = LEAST_WIDTH**2 * np.eye(p)
-        self._whitener = np.linalg.inv(np.linalg.cholesky(np.cov(u.T).reshape(p, p) + floor)).T
-        self._white = u @ self._whitener
-        k = min(NEIGHBOURS_PER_PARAMETER * (p + 2), n)
-        fellows = np.argpartition(_squares(self._white, self._white), k - 1, axis=1)[:, :k]
-        away = u[fellows] - u[fellows].mean(axis=1, keepdims=True)
-        covariance = np.einsum("nki,nkj->nij", away, away, optimize=True) / (k - 1)
-        self.u, self.roots = u, np.linalg.cholesky(covariance + floor)
-        self.mixture = Mixture(u, self.roots)
-
-    def nearest(self, u: FloatArray) -> IntArray:
-        """Return which member lies nearest to points. Shape (n,)."""
-        found: IntArray = np.argmin(_squares(u @ self._whitener, self._white), axis=1)
-        return found
-
-
-def _squares(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the squared distances of points to others. Shape (n, m)."""
-    found: FloatArray = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
-    return found
+    def _move(self, rows: IntArray, others: IntArray) -> float:
+        here = self._cloud[rows]
+        n, p = len(rows), here.z.shape[1]
+        one, two = others[self._rng.integers(len(others), size=(2, n))]
+        length = STEP / np.sqrt(2.0 * p) * np.exp(self._rng.uniform(SHORTEST, LONGEST, (n, 1)))
+        there = self._at(here.z + length * (self._cloud.z[one] - self._cloud.z[two]))
+        gain = there.log_density(self._power) - here.log_density(self._power)
+        taken = np.flatnonzero(np.log(self._rng.random(n)) < gain)
+        self._cloud[rows[taken]] = there[taken]
+        return len(taken) / n
 
 
 def _drawn(weights: FloatArray, rng: np.random.Generator) -> IntArray:

@@ -246,10 +246,30 @@ def test_particles_fill_curved_valleys():
 
     found = sample_density(log_density, Reference.even(6), seed=0, n_particles=1000)
     x, y = 8.0 * found.u[:, ::2] - 4.0, 24.0 * found.u[:, 1::2] - 4.0
-    assert x.mean(axis=0) == pytest.approx(0.0, abs=0.15)
+    assert x.mean(axis=0) == pytest.approx(0.0, abs=0.12)
     assert x.std(axis=0) == pytest.approx(1.0, abs=0.12)
     assert y.mean(axis=0) == pytest.approx(1.0, abs=0.25)
     assert found.log_density == pytest.approx(log_density(found.u))
+
+
+@pytest.mark.parametrize("rate", [0.0, 3.0, 30.0])
+def test_many_open_parameters_are_filled_evenly(rate):
+    """exp(-rate sum u) of twelve parameters, which may lie at their bounds, beside two sums that are known."""
+
+    def log_density(u):
+        sums = (u[:, 0] + u[:, 1] - 1.0) ** 2 + (u[:, 2] + u[:, 3] - 0.6) ** 2
+        return -0.5 * sums / 0.02**2 - rate * np.sum(u[:, 4:], axis=1)
+
+    found = sample_density(log_density, Reference.even(16), seed=0, n_particles=1000)
+    mean = 1.0 / rate - 1.0 / np.expm1(rate) if rate else 0.5
+    deviation = np.sqrt(1.0 / rate**2 - np.exp(rate) / np.expm1(rate) ** 2) if rate else np.sqrt(1.0 / 12.0)
+    # Of a thousand independent points one mean errs by 3 % of the deviation.
+    assert (found.u[:, 4:].mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
+    assert np.mean(found.u[:, 4:], axis=0).mean() == pytest.approx(mean, abs=0.03 * deviation)
+    assert found.u[:, 4:].std(axis=0) == pytest.approx(deviation, rel=0.15)
+    # The shares are those of a sum that leaves either parameter anywhere.
+    assert np.quantile(found.u[:, 0], [0.05, 0.5, 0.95]) == pytest.approx([0.05, 0.5, 0.95], abs=0.06)
+    assert np.quantile(found.u[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([0.03, 0.3, 0.57], abs=0.06)
 
 
 def test_particles_fill_a_hyperbola():
@@ -261,7 +281,7 @@ def test_particles_fill_a_hyperbola():
 
     found = sample_density(log_density, Reference.even(7), seed=0, n_particles=2000)
     shares = np.quantile(np.log(found.u[:, 0] / 0.2) / np.log(5.0), [0.05, 0.25, 0.5, 0.75, 0.95])
-    assert shares == pytest.approx([0.05, 0.25, 0.5, 0.75, 0.95], abs=0.08)
+    assert shares == pytest.approx([0.05, 0.25, 0.5, 0.75, 0.95], abs=0.05)
     assert found.u[:, 2:].std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
