@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, types  # type: ignore[attr-defined]
+from numba import carray, cfunc, types
 from numba.extending import intrinsic
 
 from simulation.arrays import FloatArray

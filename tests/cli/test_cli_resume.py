@@ -87,7 +87,6 @@ MOMENTS = {
     "tune, at its start": said("tune: "),
     "tune, after a trial": there_is(f"mlruns/trials/{LABEL}/*/t000/trial.json"),
     "calibrate": said("calibrate-n0016: differential"),
-    "calibrate, the second": said("calibrate-n0032: differential"),
     "report": there_is(f"mlruns/reports/{LABEL}/*.png"),
 }
 
