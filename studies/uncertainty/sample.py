@@ -49,13 +49,15 @@ class Sampling:
         max_calls: Most rows that may be asked of the model.
         n_sample: Size of the sample that is simulated.
         n_batch: Rows per round.
-        n_particles: Points that stand for the surrogate's density.
+        n_particles: Points that stand for the last surrogate's density.
+        n_drawn_from: And for a surrogate's of which no more than the sample is drawn.
     """
 
     max_calls: int
     n_sample: int = 48
     n_batch: int = 8
     n_particles: int = 1200
+    n_drawn_from: int = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +131,11 @@ class PosteriorSampler:
         """Sample the posterior."""
         with threadpool_limits(limits=1, user_api="blas"):
             while True:
-                predicted, particles = self._round()
+                predicted, particles = self._round(self._settings.n_drawn_from)
                 drawn, ratios, is_good = self._simulate(predicted, particles)
                 if is_good or not self._has_another_round:
                     break
-            _, last = self._round()
+            _, last = self._round(self._settings.n_particles)
         density = self._posterior.at(self._u, self._mse)
         best = int(np.argmax(density))
         return PosteriorSample(
@@ -148,8 +150,8 @@ class PosteriorSampler:
             best_mse=float(self._mse[best]),
         )
 
-    def _round(self) -> tuple[Predicted, Particles]:
-        """Fit the process to what is known and sample the density that it predicts."""
+    def _round(self, n_particles: int) -> tuple[Predicted, Particles]:
+        """Fit the process to what is known and sample the density that it predicts by so many particles."""
         density = self._posterior.at(self._u, self._mse)
         rows = telling_rows(self._u, density, self._n_known)
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
@@ -162,7 +164,7 @@ class PosteriorSampler:
                 lambda u: self._posterior.by(predicted, u),
                 reference,
                 seed=int(self._rng.integers(2**31)),
-                n_particles=self._settings.n_particles,
+                n_particles=n_particles,
             )
 
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
