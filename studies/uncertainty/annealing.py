@@ -28,7 +28,7 @@ SWEEPS, LAST_SWEEPS = 10, 30
 """Steps of every particle at each power, and at the last one; more by one and three for each parameter."""
 
 STEP, SHORTEST, LONGEST = 2.38, -1.0, 0.3
-"""A step is this many differences over the square root of 2 p, times e to a power drawn between the others."""
+"""A step is so many differences over the square root of 2 p, times e to a power drawn between the others."""
 
 EDGE = 1e-12
 """Nearest that a particle begins to the faces of the cube, whose normal scores are infinite."""

@@ -254,7 +254,7 @@ def test_particles_fill_curved_valleys():
 
 @pytest.mark.parametrize("rate", [0.0, 3.0, 30.0])
 def test_many_open_parameters_are_filled_evenly(rate):
-    """exp(-rate sum u) of twelve parameters, which may lie at their bounds, beside two sums that are known."""
+    """exp(-rate sum u) of twelve parameters, which may lie at their bounds, beside two known sums."""
 
     def log_density(u):
         sums = (u[:, 0] + u[:, 1] - 1.0) ** 2 + (u[:, 2] + u[:, 3] - 0.6) ** 2
