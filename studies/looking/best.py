@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from studies.console import Block, Column, Said, Table
+from studies.looking.card_stage import fixed_tables, fixed_values
 from studies.looking.project import Project, StageLook, StudyLook
 from studies.looking.wording import error
 from studies.report.wording import MISSING, count, percent, quantity, setting, squared
@@ -181,6 +182,7 @@ def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] 
                 "unit": squared(project.unit_of(calibration.label)),
                 "n_calls_paper": calibration.n_calls,
                 "theta": dict(calibration.summary["theta"]),
+                "fixed": fixed_values(calibration),
             }
             for calibration in best_calibrations(project, labels)
         ],
@@ -266,11 +268,13 @@ def _how_to_load(model: BestModel) -> list[Block]:
 def _calibration(project: Project, stage: StageLook) -> list[Block]:
     unit = squared(project.unit_of(stage.label))
     how = count(stage.n_calls, "model call") + (" in the paper's count" if stage.has_paper_count else "")
-    rows = [[name, f"{value:.6g}"] for name, value in stage.summary["theta"].items()]
+    theta = stage.summary["theta"]
+    rows = [[name, f"{value:.6g}"] for name, value in theta.items() if name not in stage.fixed]
     return [
         Said(
             f"\n{project.case_of(stage.label) or stage.label}: best calibration: "
             f"MSE {quantity(stage.mse, unit, 4)}, {how}"
         ),
         Table(stage.name, [Column("parameter"), Column("calibrated", True)], rows, is_dense=True),
+        *fixed_tables(stage),
     ]

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from studies.looking.curve import plot
 from studies.looking.mlflow_runs import find_runs
 from studies.looking.project import Project, StageLook
 from studies.looking.things import DigestThing, RowSetThing
-from studies.report.wording import bound_at, count, quantity, squared
+from studies.report.wording import bound_at, count, quantity, shown_unit, squared
 from studies.stages.pipeline import read_json
 
 
@@ -39,7 +40,20 @@ def stage_blocks(project: Project, stage: StageLook) -> list[Block]:
 
 def stage_values(stage: StageLook) -> dict[str, Any]:
     """Return what a program reads of a stage."""
-    return {**stage.manifest, "label": stage.label, "is_calibration": stage.is_calibration}
+    values = {**stage.manifest, "label": stage.label, "is_calibration": stage.is_calibration}
+    return values | {"fixed": fixed_values(stage)} if stage.is_calibration else values
+
+
+def fixed_values(stage: StageLook) -> dict[str, Any]:
+    """Return what a program reads of the parameters that a calibration held fixed."""
+    return {name: asdict(one) for name, one in stage.fixed.items()}
+
+
+def fixed_tables(stage: StageLook) -> list[Block]:
+    """Return a table of the parameters that a calibration held fixed, none where it calibrated all."""
+    columns = [Column("parameter"), Column("unit"), Column("fixed at", True), Column("which is")]
+    rows = [[name, shown_unit(one.unit), f"{one.value:.6g}", one.why] for name, one in stage.fixed.items()]
+    return [Table("fixed as least relevant", columns, rows, is_dense=True)] if rows else []
 
 
 def row_set_blocks(project: Project, thing: RowSetThing) -> list[Block]:
@@ -85,6 +99,7 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
     return [
         Facts(f"{stage.name}: calibration", facts),
         parameters,
+        *fixed_tables(stage),
         *([Said(drawn), Said("")] if drawn else []),
     ]
 
@@ -123,6 +138,8 @@ def _parameters(project: Project, stage: StageLook) -> Table:
     columns += [Column("bounds", True, 1), Column("", spare=3)] if box else []
     rows = []
     for name, value in theta.items():
+        if name in stage.fixed:
+            continue
         row = [name, f"{value:.6g}", *([f"{screened[name]:.4g}"] if screened else [])]
         if name in box:
             lower, upper, scale = box[name]

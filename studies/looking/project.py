@@ -100,6 +100,21 @@ class StudyLook:
 
 
 @dataclass(frozen=True)
+class FixedParameter:
+    """A parameter that a calibration of the most relevant ones held fixed.
+
+    Args:
+        value: what it was held at. [unit]
+        unit: its unit, empty where nothing tells.
+        why: where the value comes from, in words.
+    """
+
+    value: float
+    unit: str
+    why: str
+
+
+@dataclass(frozen=True)
 class StageLook:
     """A finished stage.
 
@@ -144,6 +159,18 @@ class StageLook:
             return tomllib.loads(recipe["case"]["text"])
         except (KeyError, tomllib.TOMLDecodeError):
             return {}
+
+    @cached_property
+    def fixed(self) -> dict[str, FixedParameter]:
+        """The parameters that a calibration held fixed, by name; empty where it calibrated all."""
+        told = self.summary.get("restriction")
+        if told is None:
+            return {}
+        units = {one["name"]: one.get("unit", "1") for one in self.case_file.get("parameters", ())}
+        return {
+            name: FixedParameter(value, units.get(name, ""), told["why"][name])
+            for name, value in told["fixed"].items()
+        }
 
     @property
     def mse(self) -> float:

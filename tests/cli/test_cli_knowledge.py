@@ -12,6 +12,7 @@ from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
 
 from simulation.case import load_case
 from studies.doctor.declared import look_at_declaration
+from studies.report.wording import shown_unit
 from studies.sensitivity import SobolIndices
 
 ADAPTIVE = ("calibrate", "office", "--jobs", "1")
@@ -124,7 +125,19 @@ def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, stu
     assert "What the fixing cost: the MSE is " in commands
     for words in ("--max-calls 15\n", "--max-calls 90 --most-relevant 3\n"):
         assert f"studies calibrate office {words}" in commands
-    assert studies("show", "office-quick/calibrate-adaptive-relevant3").code == 0
+    card = studies("show", "office-quick/calibrate-adaptive-relevant3").out
+    calibrated, _, fixed = card.partition("fixed as least relevant")
+    lines = [line.split() for line in fixed.splitlines()]
+    document = studies("show", "office-quick/calibrate-adaptive-relevant3", "--json").document
+    space = load_case(project / "fmus" / "office" / "case.toml").parameter_space
+    assert set(document["fixed"]) == set(told["fixed"])
+    for parameter in space.parameters:
+        name, unit = parameter.name, parameter.unit
+        assert (name in calibrated.split()) == (name not in told["fixed"])
+        if name in told["fixed"]:
+            value, why = told["fixed"][name], told["why"][name]
+            assert f"{name} {shown_unit(unit)} {value:.6g} {why}".split() in lines
+            assert document["fixed"][name] == {"value": value, "unit": unit, "why": why}
     again = studies("reproduce", "office-quick/adaptive-relevant3", "--json")
     assert again.code == 0, again.err
     assert again.document["equal"]

@@ -174,16 +174,21 @@ def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studie
         summary = {
             "n_train": n_train,
             "mse_polished": mse,
-            "theta": {"UWin": 0.5 + mse},
+            "theta": {"UWin": 0.5 + mse, "b": 1.25},
             "ledger": {"total_paper": 100, "total_honest": 200},
             "case_sha256": "1",
             "measurement_sha256": "2",
+            "restriction": {"fixed": {"b": 1.25}, "why": {"b": "its estimate"}},
         }
         write_manifest(project, "office-quick", f"calibrate-n{n_train:04d}", summary)
     (found,) = studies("best", "--json").document["calibrations"]
-    assert (found["name"], found["theta"]) == ("office-quick/calibrate-n0128", {"UWin": 0.52})
+    assert (found["name"], found["theta"]) == ("office-quick/calibrate-n0128", {"UWin": 0.52, "b": 1.25})
+    assert found["fixed"] == {"b": {"value": 1.25, "unit": "", "why": "its estimate"}}
     shown = studies("best", "office-quick").out
-    assert "0.52" in shown
+    calibrated, _, fixed = shown.partition("fixed as least relevant")
+    assert "0.52" in calibrated
+    assert "1.25" not in calibrated
+    assert ["b", "1.25", "its", "estimate"] in [line.split() for line in fixed.splitlines()]
     assert "MSE 0.02000, 100 model calls in the paper's count\n" in shown
     assert "0.02000" in studies("status").out
 
