@@ -87,9 +87,12 @@ def open_ui(
     Raises:
         InputError: there is no store yet, the port is taken, the label is unknown, or a password is missing.
     """
-    plan = plan_ui(paths, host, port, ask=not dry_run)
+    # Before a password is asked for.
     if label is not None:
         _require_known(paths, label)
+    elif not dry_run:
+        _require_store(paths)
+    plan = plan_ui(paths, host, port, ask=not dry_run)
     if dry_run:
         document = {"command": "ui", **plan.to_dict(), "dry_run": True}
         variables = " ".join(f"{name}={value}" for name, value in document["environment"].items())
@@ -97,7 +100,6 @@ def open_ui(
         console.result(f"address: {plan.address}")
         console.document(document)
         return 0
-    _require_store(paths)
     console.say("ui: starting MLflow")
     signal.signal(signal.SIGTERM, interrupt)
     paths.mlruns.mkdir(parents=True, exist_ok=True)

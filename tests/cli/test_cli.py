@@ -188,6 +188,19 @@ def test_ui_refuses_a_label_that_nobody_worked_on(project: Path, studies: Run) -
     assert "(database is locked); wait for the program that holds it, or stop it" in answer.err
 
 
+def test_ui_refuses_what_it_cannot_show_before_it_asks_for_a_password(
+    project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MLFLOW_AUTH_ADMIN_PASSWORD", raising=False)
+    answer = studies("ui", "office-quik", "--host", "0.0.0.0")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "MLflow has no experiment 'office-quik'" in answer.err
+    (project / "mlruns" / "mlflow.db").unlink()
+    answer = studies("ui", "--host", "0.0.0.0")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "there is no mlruns/mlflow.db yet" in answer.err
+
+
 def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(
     project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,9 +218,7 @@ def test_ui_on_a_network_asks_for_a_password_and_never_shows_it(
     assert "a-secret" not in answer.out + answer.err
 
 
-def test_ui_says_which_address_is_wrong(
-    new_project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ui_says_which_address_is_wrong(project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MLFLOW_AUTH_ADMIN_PASSWORD", "a-secret-of-many-letters")
     for host in ("no.such.host.invalid", "192.0.2.1"):
         answer = studies("ui", "--host", host)

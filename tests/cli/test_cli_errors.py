@@ -253,7 +253,7 @@ def test_a_taken_port_is_refused(project: Path, studies: Run) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = str(other.getsockname()[1])
-        assert_refused(studies("ui", "--port", port), port, "taken")
+        assert_refused(studies("ui", "--port", port, "--dry-run"), port, "taken")
 
 
 @pytest.mark.parametrize("arguments", [["check", "ofice"], ["tune", "--trials", "x"], ["ui"]])
