@@ -153,10 +153,11 @@ class _Nursery:
             folder.mkdir()
             pid = os.fork()
         except OSError as error:
-            # The others go on, and it is tried again later.
+            # The others go on, and it is tried again later; where there are none, fewer would not help.
+            one, lower = ("one more", "lower simulation.max_workers, or ") if self._workers else ("a", "")
             why = (
-                f"one more process for simulations cannot be started ({error.strerror}); lower "
-                f"simulation.max_workers, or free memory, processes or room in {tempfile.gettempdir()}"
+                f"{one} process for simulations cannot be started ({error.strerror}); {lower}"
+                f"free memory, processes or room in {tempfile.gettempdir()}"
             )
             shutil.rmtree(folder, ignore_errors=True)
             with Connection(descriptor) as connection:

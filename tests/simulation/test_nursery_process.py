@@ -233,11 +233,13 @@ def test_where_one_process_can_be_started_it_goes_on(
     assert "(Resource temporarily unavailable); lower simulation.max_workers" in warnings[0]
 
 
-def test_where_none_can_be_started_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_where_none_can_be_started_the_machine_is_in_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "sitecustomize.py").write_text(f"{NO_ROOM.format(n=0)}os.fork = limited(os.fork)\n")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
     with (
-        pytest.raises(MachineError, match=r"cannot be started \(Resource temporarily unavailable\)"),
+        pytest.raises(
+            MachineError, match=r"^a process .*started \(Resource temporarily unavailable\); free memory"
+        ),
         ParallelModel(ToyRC, 1) as model,
     ):
         model.simulate(ROWS)
