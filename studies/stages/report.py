@@ -14,7 +14,15 @@ from studies.report import Provenance, Reference, ReportData, build
 from studies.report.uncertainty import uncertainty_record
 from studies.report.wording import count
 from studies.stages.adaptive import adaptive_command
-from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage
+from studies.stages.pipeline import (
+    Outcome,
+    Study,
+    Summary,
+    digest_of,
+    read_manifest,
+    run_stage,
+    write_json,
+)
 from studies.stages.results import (
     ADAPTIVE,
     calibration_record,
@@ -53,21 +61,30 @@ def report_stage(study: Study) -> Outcome:
         "versions": versions(),
     }
 
+    drawn, digest = folder / "drawn.json", digest_of(inputs)
+
     def work() -> tuple[Summary, list[Path]]:
-        started_s = time.time()
-        with study.console.progress("tables and figures", 1) as advance:
-            index = build(_report_data(study), folder, on_progress=advance)
+        started_s, index = time.time(), folder / "index.html"
+        # Where MLflow could not be told, the command is typed again: what is drawn is not drawn once more.
+        if read_manifest(study.paths, drawn, digest) is None:
+            drawn.unlink(missing_ok=True)
+            with study.console.progress("tables and figures", 1) as advance:
+                build(_report_data(study), folder, on_progress=advance)
+            files = [file for file in folder.iterdir() if file.is_file()]
+            sizes = {study.paths.relative(file): file.stat().st_size for file in files}
+            write_json(drawn, {"digest": digest, "files": sizes})
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
         log_report(
             study.paths,
             study.label,
-            digest_of(inputs),
+            digest,
             case={"case": study.case.name, "case_sha256": study.case.digest},
             note=study.case.note,
             index=index,
             started_s=started_s,
             wall_s=time.time() - started_s,
         )
+        drawn.unlink(missing_ok=True)
         summary = {"index": study.paths.show(index), "n_files": sum(1 for _ in folder.iterdir())}
         return summary, [index]
 

@@ -16,6 +16,7 @@ import pytest
 from project_for_tests import REPOSITORY, Run, copy_of, make_project
 
 from studies.cli import main
+from studies.report import ReportData, build
 
 BEST_KNOWN = 0.01052
 RECORDED = REPOSITORY / "data" / "office"
@@ -89,6 +90,35 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     }
     assert folder.name == "office-quick"  # the window is the case's own
     assert "studies calibrate office --max-calls 100" in (folder / "index.html").read_text(encoding="utf-8")
+
+
+def test_a_page_that_mlflow_could_not_be_told_of_is_drawn_once(
+    undisturbed: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(undisturbed, tmp_path / "project", monkeypatch)
+    drawn: list[Path] = []
+
+    def counted(data: ReportData, folder: Path, **options: Any) -> Path:
+        drawn.append(folder)
+        return build(data, folder, **options)
+
+    monkeypatch.setattr("studies.stages.report.build", counted)
+    database = project / "mlruns" / "mlflow.db"
+    whole = database.read_bytes()
+    database.write_bytes(b"no database" * 100)
+    for changed, n_drawn in (("", 1), ("", 1), ("convergence-adaptive.png", 2)):
+        if changed:
+            (drawn[0] / changed).unlink()
+        answer = studies("report")
+        assert answer.code == 2
+        assert "mlruns/reports/office-quick/index.html is written; now into MLflow" in answer.err
+        assert "MLflow cannot open" in answer.err
+        assert len(drawn) == n_drawn
+    database.write_bytes(whole)
+    assert studies("report").code == 0
+    assert len(drawn) == 2
+    assert not (drawn[0] / "drawn.json").exists()
+    assert "finished before" in studies("report").err
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "sigkill"])
