@@ -52,12 +52,15 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     from studies.stages.pipeline import Study
 
     declared, window = read_case_file(file), chosen.window
-    label = f"{declared.name}-{profile.name}{label_end}"
-    if window is not None:
-        own_label, label = label, f"{declared.name}-{profile.name}-{window.label}{label_end}"
-        # The case's own window needs no name; earlier versions gave it one, which goes on.
-        if window.days == declared.time.window and not paths.results(label).is_dir():
-            label, window = own_label, None
+
+    def label_with(window: "Window | None") -> str:
+        of_window = "" if window is None else f"-{window.label}"
+        return f"{declared.name}-{profile.name}{of_window}{label_end}"
+
+    # The case's own window needs no name; earlier versions gave it one, which goes on.
+    is_own = window is not None and window.days == declared.time.window
+    if is_own and not paths.results(label_with(window)).is_dir():
+        window = None
     case = _load_case(file, window)
     study = Study(
         case=case,
@@ -65,7 +68,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         paths=paths,
         console=console,
         n_jobs=chosen.jobs or available_cores(),
-        label=label,
+        label=label_with(window),
         command=_command(chosen, window),
         retry_failed=given.get("retry_failed", False),
         dask=given.get("dask"),

@@ -141,6 +141,8 @@ def test_window_and_seed_are_part_of_the_label(project: Path, studies: Run) -> N
     (project / "mlruns" / "results" / "office-smoke-d0-10").mkdir()
     earlier = studies(*arguments, "--window", "0-10").document
     assert earlier["label"] == "office-smoke-d0-10", "results from before own windows had no label go on"
+    own = studies(*arguments, "--window", "0-10", "--seed", "3").document
+    assert own["label"] == "office-smoke-seed3"
     other = studies(*arguments, "--window", "8-16", "--seed", "3").document
     assert other["label"] == "office-smoke-d8-16-seed3"
     assert set(other["stages"][0]["files"].values()).isdisjoint(plain["stages"][0]["files"].values())
