@@ -13,6 +13,7 @@ from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
 from simulation.time_unit import DAYS, TimeUnit
 from simulation.timestamps import zero_of, zone_named
+from simulation.wording import noun_of
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
@@ -53,7 +54,7 @@ class CaseData:
         inside &= ~(np.abs(recording.time - seen_s) <= slack)
         n_samples = int(np.count_nonzero(inside))
         if n_samples < 2:
-            held = f"{n_samples} value{'' if n_samples == 1 else 's'}"
+            held = f"{n_samples} {noun_of(n_samples, 'value')}"
             begin_d, end_d = ((time - self.day_zero_s) / DAYS.seconds for time in (begin_s, end_s))
             raise InputError(
                 f"{self.path}: outputs[{table.name}]: {recording.path} has {held} of {table.column} "

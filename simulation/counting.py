@@ -5,6 +5,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
+from simulation.wording import noun_of
 
 
 class BudgetExceeded(RuntimeError):  # noqa: N818 - the end of a budget is an event, not a mistake
@@ -60,7 +61,8 @@ class CountingModel(WrappedModel):
 
     def _why_no_more(self, n: int) -> str:
         """Say how so many rows do not fit into the budget, as the reason why a search ends."""
-        left = (self._budget or 0) - self._n_calls
+        budget = self._budget or 0
+        left = budget - self._n_calls
         if left:
-            return f"the next step takes {n} calls and the budget of {self._budget} has only {left} left"
-        return f"the budget of {self._budget} call{'' if self._budget == 1 else 's'} is spent"
+            return f"the next step takes {n} calls and the budget of {budget} has only {left} left"
+        return f"the budget of {budget} {noun_of(budget, 'call')} is spent"

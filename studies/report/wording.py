@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from simulation.wording import noun_of
+
 MISSING = "–"
 AT_BOUND = 0.01
 """Closer to a bound than this share of the range is at the bound."""
@@ -52,7 +54,7 @@ def count(value: float, noun: str = "", plural: str = "") -> str:
     number = f"{round(value):,}"
     if not noun:
         return number
-    return f"{number} {noun if round(value) == 1 else plural or noun + 's'}"
+    return f"{number} {noun_of(round(value), noun, plural)}"
 
 
 def percent(fraction: float) -> str:

@@ -1,4 +1,4 @@
-"""Counting, toys, locks and scratch folders."""
+"""Counting, toys, locks, scratch folders and nouns."""
 
 import errno
 import fcntl
@@ -15,6 +15,7 @@ from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
+from simulation.wording import noun_of
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
@@ -110,3 +111,10 @@ def test_another_system_is_told_at_once():
     script = "import sys; sys.platform = 'darwin'; import simulation"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.stderr.splitlines()[-1].startswith("ImportError: simulations need Linux")
+
+
+@pytest.mark.parametrize(
+    ("n", "calls", "boxes"), [(0, "calls", "boxes"), (1, "call", "box"), (2, "calls", "boxes")]
+)
+def test_one_thing_has_another_noun_than_none_or_several(n: int, calls: str, boxes: str):
+    assert (noun_of(n, "call"), noun_of(n, "box", "boxes")) == (calls, boxes)
