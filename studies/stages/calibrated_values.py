@@ -13,7 +13,7 @@ from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.restriction_shown import show_restriction
-from studies.stages.results import calibration_files, n_free_of, read_arrays
+from studies.stages.results import calibration_files, most_relevant, n_free_of, read_arrays
 from studies.stages.validation import show_validation
 
 
@@ -77,7 +77,7 @@ def target_numbers(study: Study, outcomes: list[Outcome], target: float | None) 
 
 
 def show_values(study: Study, outcomes: list[Outcome]) -> None:
-    """Print the calibrated parameters of the size with the lowest final error."""
+    """Print the calibrated parameters of the size with the lowest final error, and what judges them."""
     finished = [outcome.summary for outcome in outcomes if _error(outcome) < math.inf]
     if not finished:
         return
@@ -86,6 +86,8 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
     show_prior(study, best, f"n_train = {best['n_train']}")
     show_restriction(study, best, f"n_train = {best['n_train']}")
     show_guideline(study, judged_values(study, best))
+    judged = f"--n-train {best['n_train']}{most_relevant(n_free_of(best))}"
+    study.console.result(f"How sure it is: studies uncertainty {study.command} {judged}")
 
 
 def judged_values(study: Study, found: Mapping[str, Any]) -> Periods:

@@ -270,3 +270,17 @@ def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(
         "wall-quick has no calibration of any kind but adaptive-relevant3, which fixed some parameters; "
         "type: studies uncertainty wall --most-relevant 3, or studies calibrate wall for all parameters"
     )
+
+
+def test_a_calibration_from_a_surrogate_says_what_judges_it(
+    finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy_of(finished, tmp_path / "project", monkeypatch)
+    (line,) = [
+        line
+        for line in studies("calibrate", "--profile", "tiny.toml", "--method", "paper").out.splitlines()
+        if line.startswith("How sure it is: studies ")
+    ]
+    words = line.removeprefix("How sure it is: studies ").split()
+    assert words == ["uncertainty", "office", "--profile", "tiny.toml", "--n-train", "16"]
+    assert studies(*words, "--max-calls", "45", "--json").stage["calibration"] == "n0016"
