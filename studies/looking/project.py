@@ -103,10 +103,10 @@ class StudyLook:
 class FixedParameter:
     """A parameter that a calibration of the most relevant ones held fixed.
 
-    Args:
-        value: what it was held at. [unit]
-        unit: its unit, empty where nothing tells.
-        why: where the value comes from, in words.
+    Attributes:
+        value: What it was held at. [unit]
+        unit: Its unit, empty where nothing tells.
+        why: Where the value comes from, in words.
     """
 
     value: float
