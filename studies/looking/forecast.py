@@ -182,7 +182,7 @@ def _trials(project: Project, study: Study) -> list[Step]:
 
 def _trial_step(n_train: int, left: int, planned: int, cost: TrialCost) -> Step:
     seconds = None if cost.seconds is None else left * cost.seconds
-    each = "" if cost.seconds is None else f"{format_seconds(cost.seconds)} each: "
+    each = f"{format_seconds(cost.seconds)} each: " if left and cost.seconds is not None else ""
     what = f"tune: {size_name(n_train)}"
     return Step(what, left, planned, "trials", seconds, f"{each}{cost.basis}", left * TRIAL_BYTES)
 

@@ -231,6 +231,7 @@ def test_a_dry_run_knows_what_is_finished_and_writes_nothing(finished: Path, stu
     again = studies("run", "--profile", "smoke", "--trials", "3", "--dry-run", "--json").document
     assert {step["what"]: step["to_do"] for step in again["steps"] if step["to_do"]} == {}
     assert again["seconds"] == 0.0
+    assert {step["basis"] for step in again["steps"] if step["what"].startswith("tune: ")} == {""}
     more = studies(
         "tune", "--profile", "smoke", "--trials", "5", "--n-train", "16", "64", "--dry-run", "--json"
     )
