@@ -13,6 +13,7 @@ density is a normal one and no step leads out of the cube, however many paramete
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -100,15 +101,20 @@ class Reference:
         c, p = self.centres.shape
         if not c:
             return np.zeros(len(u))
-        inverse_roots = np.linalg.inv(self.roots)
-        centres = np.einsum("cij,cj->ci", inverse_roots, self.centres)
+        inverse_roots, centres, log_sizes = self._whitened
         away = (inverse_roots.reshape(c * p, p) @ u.T).reshape(c, p, -1) - centres[:, :, None]
-        parts = -0.5 * np.einsum("cpn,cpn->cn", away, away)
-        parts -= np.sum(np.log(np.diagonal(self.roots, axis1=1, axis2=2)), axis=1)[:, None]
+        parts = -0.5 * np.einsum("cpn,cpn->cn", away, away) - log_sizes[:, None]
         top = parts.max(axis=0)
         near = top + np.log(np.mean(np.exp(parts - top), axis=0)) - 0.5 * p * np.log(2.0 * np.pi)
         found: FloatArray = np.logaddexp(0.0, near)
         return found
+
+    @cached_property
+    def _whitened(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Inverses of the roots, the centres in their coordinates, logarithms of the determinants."""
+        inverse_roots = np.asarray(np.linalg.inv(self.roots), dtype=np.float64)
+        centres = np.einsum("cij,cj->ci", inverse_roots, self.centres)
+        return inverse_roots, centres, np.sum(np.log(np.diagonal(self.roots, axis1=1, axis2=2)), axis=1)
 
 
 def sample_density(log_density: Density, reference: Reference, *, seed: int, n_particles: int) -> Particles:

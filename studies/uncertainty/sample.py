@@ -50,7 +50,7 @@ class Sampling:
         n_sample: Size of the sample that is simulated.
         n_batch: Rows per round.
         n_particles: Points that stand for the last surrogate's density.
-        n_drawn_from: And for a surrogate's of which no more than the sample is drawn.
+        n_drawn_from: And for an earlier one's, of which no more than the sample is drawn.
     """
 
     max_calls: int
