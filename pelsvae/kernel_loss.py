@@ -1,4 +1,4 @@
-"""How unlikely a kernel is after what was simulated, with derivatives in closed form.
+"""How unlikely kernels are after what was simulated, with derivatives in closed form.
 
 Derivatives by reverse differentiation would keep every intermediate matrix of n x n and pass over each again:
 two thirds of the time at all sizes. In closed form a scale of bumps B costs one pass and one product with
@@ -8,6 +8,8 @@ the n x f warped features, for with S = dL/dk symmetric and E = S B element by e
 
 for every feature. What S is, is Eq. 5.9 of Rasmussen and Williams 2006, Gaussian Processes for Machine
 Learning.
+
+Several kernels are looked at at once: on few rows what an operation costs is its call.
 """
 
 from __future__ import annotations
@@ -24,52 +26,58 @@ from pelsvae.kernel import JITTER, N_INDEPENDENT, Kernel, Prior
 from pelsvae.standardize import Array
 
 
-def kernel_loss(
+def kernel_losses(
     kernel: Kernel, hyper: Array, x: Tensor, codes: Tensor, prior: Prior, n_independent: float = N_INDEPENDENT
-) -> tuple[float, Array]:
-    """Return minus the logarithm of posterior density and its gradient, infinite where none exists.
+) -> tuple[Array, Array]:
+    """Return minus the logarithms of posterior density and their gradients, infinite where none exists.
 
     Args:
-        kernel: Its form.
-        hyper: Hyperparameters. Shape (h,).
+        kernel: Form of all kernels; none changes what is said of another, but for rounding.
+        hyper: Hyperparameters of b kernels. Shape (b, h).
         x: Features of the rows. Shape (n, f). [1]
-        codes: Their values, whose squares sum up to n. Shape (n, z). [1]
-        prior: Of the hyperparameters.
+        codes: Values of each kernel, whose squares sum up to n. Shape (b, n, z). [1]
+        prior: Of the hyperparameters, for each kernel or for all.
         n_independent: As how many independent values the codes of a row count.
 
     Returns:
-        Value, and derivatives of shape (h,).
+        Values, shape (b,), and derivatives, shape (b, h).
     """
     n = len(x)
     with torch.no_grad():
         covariances = _Covariances.of(kernel, torch.from_numpy(hyper).to(x.device), x)
         factor, failed = torch.linalg.cholesky_ex(covariances.matrix)
-        if int(failed):
-            return math.inf, np.zeros_like(hyper)
-        inverse = torch.cholesky_inverse(factor)
-        solved = inverse @ codes
-        misfit = (codes * solved).sum()
-        value = n_independent * (factor.diagonal().log().sum() + 0.5 * n * torch.log(misfit / n))
+        is_none = failed != 0
+        if is_none.any():
+            factor[is_none] = torch.eye(n, dtype=x.dtype, device=x.device)
+        slopes = torch.cholesky_inverse(factor)
+        solved = slopes @ codes
+        misfit = (codes * solved).sum(dim=(1, 2))
+        log_factor = factor.diagonal(dim1=1, dim2=2).log().sum(dim=1)
+        value = n_independent * (log_factor + 0.5 * n * torch.log(misfit / n))
         half = 0.5 * n_independent
-        slopes = inverse.addmm_(solved, solved.T, beta=half, alpha=-half * n / float(misfit))
-        gradient = covariances.pulled_back(slopes).cpu().numpy()
+        slopes.baddbmm_(solved * (-half * n / misfit)[:, None, None], solved.mT, beta=half)
+        gradient = covariances.pulled_back(slopes)
     mean, deviation = prior
     step = (hyper - mean) / deviation
-    return float(value) + 0.5 * float(step @ step), gradient + step / deviation
+    values = value.cpu().numpy() + 0.5 * np.square(step).sum(axis=1)
+    gradients = gradient.cpu().numpy() + step / deviation
+    none = is_none.cpu().numpy()
+    values[none], gradients[none] = math.inf, 0.0
+    return values, gradients
 
 
 @dataclass(eq=False)
 class _Covariances:
-    """The covariances of rows, noise included, and what their derivatives need.
+    """The covariances of rows by b kernels, noise included, and what their derivatives need.
 
     Attributes:
         kernel: Their form.
-        hyper: Hyperparameters. Shape (h,).
+        hyper: Hyperparameters. Shape (b, h).
         x: Features. Shape (n, f). [1]
-        warped: The features warped. Shape (n, f). [1]
-        bumps: Of every scale. Shape (s, n, n); `pulled_back` overwrites them.
-        product: Of warped features, divided by the first scale's lengths. Shape (n, n).
-        matrix: The covariances. Shape (n, n).
+        warped: The features warped. Shape (b, n, f). [1]
+        bumps: Of every scale. Shape (b, s, n, n); `pulled_back` overwrites them.
+        product: Of warped features, divided by the first scale's lengths. Shape (b, n, n).
+        matrix: The covariances. Shape (b, n, n).
     """
 
     kernel: Kernel
@@ -83,38 +91,40 @@ class _Covariances:
     @classmethod
     def of(cls, kernel: Kernel, hyper: Tensor, x: Tensor) -> Self:
         warped = kernel.warped(hyper, x)
-        bumps = (kernel.near(hyper, warped) @ kernel.far(hyper, warped)).exp2_()
-        product = (warped / kernel.lengths(hyper)[0].square()) @ warped.T
-        matrix = kernel.on_trunk(hyper, bumps.sum(dim=0), product)
-        matrix.diagonal().add_(kernel.noise(hyper, matrix))
+        bumps = (kernel.near(hyper, warped)[:, None] @ kernel.far(hyper, warped)).exp2_()
+        product = kernel.products(hyper, warped, warped)
+        matrix = kernel.on_trunk(hyper, bumps.sum(dim=1), product)
+        matrix.diagonal(dim1=1, dim2=2).add_(kernel.noise(hyper, matrix)[:, None])
         return cls(kernel, hyper, x, warped, bumps, product, matrix)
 
     def pulled_back(self, slopes: Tensor) -> Tensor:
-        """Return the derivatives by the hyperparameters, (h,), of what has slopes (n, n) by the covariances.
+        """Return the derivatives by the hyperparameters, (b, h), of what has slopes (b, n, n) by covariances.
 
         The slopes are symmetric; bumps and slopes are overwritten.
         """
         kernel, warped = self.kernel, self.warped
-        squares, inverse = kernel.polynomial(self.hyper), kernel.lengths(self.hyper).square().reciprocal()
-        trace = slopes.diagonal().sum()
-        noise = 2.0 * (2.0 * self.hyper[-1]).exp() * trace
-        slopes.diagonal().add_(JITTER * trace)  # the noise has a share of the covariances' trace
+        inverse = kernel.lengths(self.hyper).square().reciprocal()  # (b, s, f)
+        diagonal = slopes.diagonal(dim1=1, dim2=2)
+        trace = diagonal.sum(dim=1)
+        noise = 2.0 * (2.0 * self.hyper[:, -1]).exp() * trace
+        diagonal.add_((JITTER * trace)[:, None])  # the noise has a share of the covariances' trace
 
-        each = self.bumps.mul_(slopes)  # (s, n, n)
-        sums, turned = each.sum(dim=2), each @ warped  # (s, n), (s, n, f)
-        apart = sums[:, :, None] * warped - turned
-        by_length = 2.0 * inverse * (warped * apart).sum(dim=1)  # (s, f)
-        by_warped = -2.0 * (inverse[:, None] * apart).sum(dim=0)  # (n, f)
-        by_weight = sums[1:].sum(dim=1)
+        each = self.bumps.mul_(slopes[:, None])  # (b, s, n, n)
+        sums = each.sum(dim=3)  # (b, s, n)
+        apart = sums[..., None] * warped[:, None] - each @ warped[:, None]  # (b, s, n, f)
+        by_length = 2.0 * inverse * (warped[:, None] * apart).sum(dim=2)  # (b, s, f)
+        by_warped = -2.0 * (inverse[:, :, None] * apart).sum(dim=1)  # (b, n, f)
+        by_weight = sums[:, 1:].sum(dim=2)
 
         by_square, total = [], torch.zeros_like(slopes)
-        for power, square in enumerate(squares, start=1):
-            total.addcmul_(slopes, power * square)
+        for power, square in enumerate(kernel.polynomial(self.hyper).unbind(dim=1), start=1):
+            total.addcmul_(slopes, power * square[:, None, None])
             slopes.mul_(self.product)
-            by_square.append(2.0 * square * slopes.sum())
-        turned = inverse[0] * (total @ warped)
-        by_length[0] -= 2.0 * (warped * turned).sum(dim=0)
+            by_square.append(2.0 * square * slopes.sum(dim=(1, 2)))
+        turned = inverse[:, :1] * (total @ warped)
+        by_length[:, 0] -= 2.0 * (warped * turned).sum(dim=1)
         by_warped += 2.0 * turned
 
-        by_warp = (by_warped * kernel.warped_slope(self.hyper, self.x, warped)).sum(dim=0)
-        return torch.cat([by_length.flatten(), by_weight, by_warp, torch.stack([*by_square, noise])])
+        by_warp = (by_warped * kernel.warped_slope(self.hyper, self.x, warped)).sum(dim=1)
+        by_others = torch.stack([*by_square, noise], dim=1)
+        return torch.cat([by_length.flatten(start_dim=1), by_weight, by_warp, by_others], dim=1)
