@@ -103,12 +103,17 @@ class CaseData:
         time, values = recording.time[known], recording.columns[column][known]
         if len(time) < 2 or not covers(time, edges, table.interpolation):
             held = f"covers {time[0]:.12g} to {time[-1]:.12g} s" if len(time) else "is empty"
+            remedy = "choose another window, or record longer"
+            if len(time) and (time[0] > edges[-1] or time[-1] < edges[0]):
+                remedy = "no moment is in both; correct the times of this file or of the first output's"
             raise InputError(
                 f"{where}: {recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; "
-                "choose another window, or record longer"
+                f"{remedy}"
             )
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
-        steps = np.diff(time)
+        # A held value is needed until the window ends, the others as far as the next sample.
+        ends = np.minimum(time[1:], edges[-1]) if table.interpolation == "held" else time[1:]
+        steps = ends - time[:-1]
         is_needed = (time[:-1] < edges[-1]) & (time[1:] > edges[0])
         for row in np.flatnonzero(is_needed & (steps > longest * (1.0 + 1e-9)))[:1]:
             # The line after the last value: its cell is empty, or its time is too late.

@@ -232,7 +232,8 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     location = fault["loc"]
     if location[:1] == ("fixed",) and len(location) > 1:
         name = str(location[1])
-        return f"fixed.{name} = {content['fixed'][name]!r}: {_FIXED_REMEDY}"
+        value = content["fixed"][name]
+        return f"fixed.{name} = {value!r}: {_quoted(name, value) or _FIXED_REMEDY}"
     key = _key(location, content)
     if fault["type"] == "extra_forbidden":
         return f"unknown key {key}{_suggestion(location)}; remove or correct it"
@@ -259,6 +260,15 @@ _PLAIN = {
 _FIXED_REMEDY = (
     'give a number, true or false, a text, { value = 20.0, unit = "degC" } or { first_measured = "<output>" }'
 )
+
+
+def _quoted(name: str, value: object) -> str:
+    """Say how to write a name with dots, which TOML takes for tables in tables; "" where there is none."""
+    path, told = name, {*FirstMeasured.model_fields, *ValueWithUnit.model_fields}
+    while isinstance(value, dict) and len(value) == 1 and not told & value.keys():
+        ((part, value),) = value.items()
+        path += f".{part}"
+    return "" if path == name else f'a name with dots needs quotes; write "{path}" = <its value>'
 
 
 def _prior_remedy(value: object, parameter: dict[str, Any]) -> str:

@@ -82,7 +82,8 @@ def trace(tmp_path, monkeypatch):
     # Nothing but the process that waits for the next campaign; a zombie is a child as well.
     end_resting()
     left = [c for c in psutil.Process().children(recursive=True) if c.pid not in before]
-    assert left == []
+    # A database server of other tests starts processes when it likes.
+    assert [c for c in left if "postgres" not in str(c)] == []
 
 
 def settings_of(fmu):

@@ -92,6 +92,11 @@ def test_a_fixed_value_may_have_a_unit(decay_case: Path, value: str, kelvin: flo
         ("1" + 400 * "0", r"toml: fixed\.x0 = 10{400}: give a number"),
         ("1" + 5000 * "0", r"toml: a number has thousands of digits; correct it"),
         ("nan", r"toml: fixed\.x0 = nan: give a number"),
+        (
+            "1.0\ntank.h.start = 2.0",
+            r"toml: fixed\.tank = .*: a name with dots .*; write \"tank\.h\.start\" =",
+        ),
+        ('1.0\ntank.h = { value = 2.0, unit = "m" }', r"a name with dots .*; write \"tank\.h\" ="),
     ],
 )
 def test_a_wrong_fixed_value_is_one_line(decay_case: Path, value: str, message: str):

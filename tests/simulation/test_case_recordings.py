@@ -87,6 +87,18 @@ def test_a_gap_of_an_input_outside_the_simulated_days_is_none(decay_case: Path):
     np.testing.assert_allclose(load_case(decay_case).scenario.inputs, before.scenario.inputs, rtol=1e-12)
 
 
+def test_a_gap_after_the_days_is_none_for_a_held_input(decay_case: Path):
+    edit(decay_case, ('"linear"', '"held"'))
+    path = decay_case / "data" / "recording.csv"
+    before, text = load_case(decay_case), path.read_text()
+    # The window ends at 64800 s, and the value of 63000 s holds until then.
+    path.write_text(re.sub(r"(?m)^((?:64800|66600|68400),[^,]*),.*$", r"\1,", text))
+    np.testing.assert_array_equal(load_case(decay_case).scenario.inputs, before.scenario.inputs)
+    path.write_text(re.sub(r"(?m)^((?:61200|63000|64800|66600),[^,]*),.*$", r"\1,", text))
+    with pytest.raises(InputError, match=r"from 59400 to 68400 s; .* max_gap_s = 5400$"):
+        load_case(decay_case)
+
+
 def test_sampling_that_jitters_is_no_gap(decay_case: Path):
     rng = np.random.default_rng(0)
     times = np.arange(0, DAY + 1, 600) + np.concatenate([[0], rng.uniform(-120, 120, 143), [0]])

@@ -247,6 +247,16 @@ WRONG: dict[str, tuple[Change, str]] = {
         csv(r"(?s)^63000,([^,]*),.*", r"63000,\1,\n86400,20,"),
         r"inputs\[u\]: .*recording\.csv covers 0 to 61200 s, the window needs 21600 to 64800 s",
     ),
+    "input of another year": (
+        lambda folder: (
+            toml('file = "recording.csv"\ncolumn = "heating"', 'file = "other.csv"\ncolumn = "heating"')(
+                folder
+            ),
+            (folder / "data" / "other.csv").write_text("time_s,heating\n-90000,1\n-3600,2\n"),  # type: ignore[dict-item]
+        ),
+        r"inputs\[u\]: .*other\.csv covers -90000 to -3600 s, the window needs 21600 to 64800 s; "
+        r"no moment is in both; correct the times of this file or of the first output's$",
+    ),
     "infinite cell": (csv(r"^3600,[^,]*,", "3600,inf,"), r"line 4, column T_degC: inf is not finite"),
     "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
     "blank line inside": (csv(r"^3600,.*$", ""), r"line 4 has 0 of the 3 cells up to column heating"),
