@@ -160,15 +160,18 @@ class AdaptiveSearch:
             if is_end and is_surely_no_better(process, points[0], expected, float(self._objective[home])):
                 self._turn()
                 return
+        asked = self._objective.size
         self._ask(points)
+        # The end of the budget may have cut off all points but the first ones.
+        found = self._objective[asked:]
         gain = max(centre_objective - self._leg_best, 0.0)
         promise = centre_objective - expected.value
-        self._resize(points - centre, gain, promise)
+        self._resize(points[0] - centre, found, gain, promise)
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
         dull = max(self._settings.ftol, DULL if self._horizon.is_whole else DULL_IN_A_BEGINNING)
         hope = max(gain, promise)
         predicted = self._expand(process, points[0], self._settings.caution).value
-        if is_surprised(float(self._objective[-len(points)]), predicted, expected.value, centre_objective):
+        if is_surprised(float(found[0]), predicted, expected.value, centre_objective):
             hope = np.inf
         self._idle = self._idle + 1 if hope <= self._settings.ftol * centre_objective else 0
         self._dull = self._dull + 1 if hope <= dull * centre_objective else 0
@@ -276,11 +279,18 @@ class AdaptiveSearch:
             points = np.concatenate([points, telling(surroundings, points, favourite, n_more, self._rng)])
         return points, favourite
 
-    def _resize(self, steps: FloatArray, gain: float, expected: float) -> None:
-        """Widen or shrink the trust region by what the last round has brought."""
-        if not np.isfinite(self._objective[-len(steps) :]).any():
+    def _resize(self, step: FloatArray, found: FloatArray, gain: float, expected: float) -> None:
+        """Widen or shrink the trust region by what the last round has brought.
+
+        Args:
+            step: From the centre to the favourite. Shape (p,). [1]
+            found: Objectives of the round. Shape (q,). [unit squared]
+            gain: How much lower the least of them is than the centre's. [unit squared]
+            expected: The gain that the favourite promised. [unit squared]
+        """
+        if not np.isfinite(found).any():
             self._radius = max(self._radius * SHRINK_AFTER_FAILURE, LEAST_RADIUS)
         elif gain < BAD_STEP * expected:
             self._radius = max(self._radius * SHRINK, min(self._radius, self._settings.least_radius))
-        elif gain > GOOD_STEP * expected and np.abs(steps[0]).max() > AT_THE_EDGE * self._radius:
+        elif gain > GOOD_STEP * expected and np.abs(step).max() > AT_THE_EDGE * self._radius:
             self._radius = min(self._radius * GROW, 1.0)

@@ -34,6 +34,10 @@ class Horizon:
         moved = measurement.compared(zero + np.eye(n_outputs)[:, None]) + signal
         self._is_of: BoolArray = moved > 0.5 * moved.max(axis=0)
         self._variance = np.array([signal[of].var() for of in self._is_of])
+        # What varies less than its sensor errs, as a room at its set point, says nothing where another does.
+        is_flat = self._variance <= (measurement.scales * measurement.uncertainty) ** 2
+        if not is_flat.all():
+            self._variance[is_flat] = 0.0
         self._part = 1.0
 
     @property

@@ -1,8 +1,9 @@
 """ASHRAE guideline 14 (2014): how far a calibrated building model may be off, and whether one is.
 
-CV(RMSE), the root mean square difference over the mean measured value, and NMBE, the mean difference over it,
-are limited for energy and power by the interval at which they were measured. The guideline divides by n - 1,
-here it is n. Samples closer than an hour are judged as they are by the hourly limits: means differ less.
+CV(RMSE), the root mean square difference over the size of the mean measured value, and NMBE, the mean
+difference over it, are limited for energy and power by the interval at which they were measured. The
+guideline divides by n - 1, here it is n. Samples closer than an hour are judged as they are by the hourly
+limits: means differ less.
 """
 
 from __future__ import annotations
@@ -124,10 +125,11 @@ def relative(
         output: Position of the output.
         unit: Unit of the output.
     """
-    mean = float(np.mean(measurement.samples[output].values))
+    # Of what is negative where it is taken out, as cooling is, the size counts.
+    mean = abs(float(np.mean(measurement.samples[output].values)))
     if _is_temperature(unit) or mean == 0.0:
         return None, None
-    return rmse / abs(mean), bias / mean
+    return rmse / mean, bias / mean
 
 
 def judged(

@@ -20,8 +20,8 @@ class FitRecord:
         n_samples: Samples compared.
         rmse: Root mean square difference. [output unit, differences]
         bias: Mean of simulated minus measured. [output unit, differences]
-        cv_rmse: rmse over the mean measured value. [1]
-        nmbe: bias over the mean measured value. [1]
+        cv_rmse: rmse over the size of the mean measured value. [1]
+        nmbe: bias over its size. [1]
     """
 
     output: str

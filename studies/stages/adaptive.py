@@ -20,7 +20,7 @@ from studies.calibration.recorder import Progress
 from studies.console import OnBar
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
-from studies.report.wording import count, difference_unit, quantity, squared
+from studies.report.wording import count, difference_unit, mse_text, quantity, squared
 from studies.stages.calibrate import write_arrays
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
@@ -172,7 +172,7 @@ def adaptive_stage(
         what=f"a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"final MSE {summary['mse']:.5f}",
+        reuse_note=lambda summary: f"final MSE {mse_text(summary['mse'])}",
         again=again,
     )
 

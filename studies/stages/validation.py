@@ -17,7 +17,7 @@ from simulation.time_unit import told_period
 from studies.console import Column
 from studies.physical_model import open_physical_model
 from studies.report.guideline14 import relative
-from studies.report.wording import difference_unit, quantity, squared
+from studies.report.wording import difference_unit, quantity, significant, squared
 from studies.stages.pipeline import Outcome, Study
 
 
@@ -29,9 +29,9 @@ class OutputFit:
         n_samples: Samples compared.
         rmse: Root mean square difference. [output's unit]
         bias: Mean of simulated minus measured. [output's unit]
-        cv_rmse: rmse over the mean measured value; None where that says nothing: for temperatures, whose zero
-            is a convention, and for means of zero. [1]
-        nmbe: bias over the mean measured value, positive where the model is too high; None likewise. [1]
+        cv_rmse: rmse over the size of the mean measured value; None where that says nothing: for
+            temperatures, whose zero is a convention, and for means of zero. [1]
+        nmbe: bias over its size, positive where the model is too high; None likewise. [1]
     """
 
     n_samples: int
@@ -203,7 +203,7 @@ def show_validation(study: Study, outcomes: list[Outcome]) -> None:
                 [
                     outcome.summary["n_train"] or "–",
                     name,
-                    *("–" if error is None else f"{error:.4f}" for error in errors),
+                    *("–" if error is None else significant(error, 4) for error in errors),
                     ", ".join(fits) or f"failed: {point['failure']}",
                 ]
             )

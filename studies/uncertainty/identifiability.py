@@ -121,7 +121,7 @@ class Identifiability:
     @property
     def n_null_directions(self) -> int:
         """Combinations of parameters that change no output at all, whatever is measured."""
-        return int(np.sum(self.singular_values < self.null * self.singular_values[0]))
+        return int(np.sum(self.singular_values <= self.null * self.singular_values[0]))
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -174,7 +174,7 @@ def identifiability(model: ForwardModel, measurement: Measurement, theta: FloatA
         theta: The point. Shape (p,). [per parameter]
 
     Returns:
-        Singular values, correlations and spreads; a parameter whose differences fail moves nothing.
+        Singular values, correlations and spreads; a parameter that fails on both sides moves nothing.
     """
     counter = CountingModel(model)
     problem = CalibrationProblem(counter, measurement)
@@ -213,21 +213,18 @@ def judged(
     Args:
         names: Names of the p parameters.
         answer: The model at `difference_rows`.
-        raised: Noise, raised for residuals that follow each other. [first output's unit]
+        raised: Noise, raised for residuals that follow each other; above 0. [first output's unit]
         n_independent: Independent samples that the residuals are worth.
         step: The step of the differences. [1]
         prior: What is known beforehand, or None.
     """
     u, p = answer.u[0], answer.u.shape[1]
     m = answer.residuals.shape[1]
-    width = (np.diag(answer.u[1 : p + 1]) - np.diag(answer.u[p + 1 :]))[:, None]
-    slopes = (answer.residuals[1 : p + 1] - answer.residuals[p + 1 :]) / width
-    jacobian = np.where(np.isfinite(slopes), slopes, 0.0).T
+    jacobian = _slopes(answer).T
     _, values, directions = np.linalg.svd(jacobian, full_matrices=len(jacobian) < p)
     values = np.pad(values, (0, p - len(values)))
     null = max(NULL, NULL_PER_STEP * step)
-    known = (values / raised) ** 2 if raised > 0.0 else np.where(values > null * values[0], np.inf, 0.0)
-    covariance = (directions.T / (known + 1.0 / BOX_VARIANCE)) @ directions
+    covariance = (directions.T / ((values / raised) ** 2 + 1.0 / BOX_VARIANCE)) @ directions
     if prior is not None:
         covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(prior.width**-2.0))
     lengths = np.linalg.norm(jacobian, axis=0)
@@ -265,6 +262,27 @@ def _moved(u: FloatArray, to: FloatArray) -> FloatArray:
     rows = np.tile(u, (len(u), 1))
     np.fill_diagonal(rows, to)
     return rows
+
+
+def _slopes(answer: Evaluation) -> FloatArray:
+    """Return a row of the residuals' slopes per parameter, 0 where both sides fail. Shape (p, m).
+
+    Where one side fails, the point itself takes its place.
+
+    Args:
+        answer: The model at `difference_rows`.
+    """
+    u, p = answer.u[0], answer.u.shape[1]
+    ends = []
+    for side in (slice(1, p + 1), slice(p + 1, None)):
+        residuals = answer.residuals[side]
+        is_good: BoolArray = np.all(np.isfinite(residuals), axis=1)
+        there = np.where(is_good, np.diag(answer.u[side]), u)
+        ends.append((there, np.where(is_good[:, None], residuals, answer.residuals[0])))
+    (ahead, above), (behind, below) = ends
+    width = np.where(ahead > behind, ahead - behind, 1.0)
+    slopes: FloatArray = (above - below) / width[:, None]
+    return slopes
 
 
 def _normed(products: FloatArray, lengths: FloatArray) -> FloatArray:

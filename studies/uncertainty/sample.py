@@ -10,6 +10,7 @@ Rows follow from problem, known rows, settings and seed alone: repeated over sto
 goes on where it stopped.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -24,8 +25,9 @@ from studies.uncertainty.density import Posterior, Predicted
 from studies.uncertainty.rows import joined, telling_rows
 from studies.uncertainty.weights import effective_size, normalized
 
-DECIMALS = 5
-"""Points are rounded to this many decimals of the unit cube, so that a store finds them again."""
+DECIMALS, STEPS_PER_DEVIATION = 5, 5.0
+"""Points are rounded to this many decimals of the unit cube, so that a store finds them again, or to so many
+that a parameter's deviation, the others held, has these steps."""
 
 AGREEMENT = 0.5
 """A batch that is worth this share of its size by its weights agrees with the surrogate."""
@@ -124,6 +126,7 @@ class PosteriorSampler:
         self._on_calls = on_calls
         self._u, self._mse, self._residuals = known.u, known.mse, known.residuals
         self._hyper: FloatArray | None = None
+        self._decimals = DECIMALS
         self._n_known = known.n
         self.n_calls = 0
 
@@ -157,6 +160,8 @@ class PosteriorSampler:
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
         self._hyper = process.hyper
         predicted = Predicted(process)
+        narrowest = self._posterior.precision(predicted, self._u[rows[:1]], wider=1.0)
+        self._decimals = decimals_for(float(np.sqrt(np.diagonal(narrowest[0]).max())))
         good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
 
         def sampled(reference: Reference) -> Particles:
@@ -195,7 +200,7 @@ class PosteriorSampler:
             n = min(settings.n_batch, settings.max_calls - self.n_calls, settings.n_sample - len(ratios))
             if n <= 0:
                 break
-            u = np.round(particles.u[len(ratios) : len(ratios) + n], DECIMALS)
+            u = np.round(particles.u[len(ratios) : len(ratios) + n], self._decimals)
             answer = self._ask(u)
             parts.append(answer)
             new = self._posterior.at(u, answer.mse) - self._posterior.by(predicted, u)
@@ -221,3 +226,12 @@ class PosteriorSampler:
         if self._on_calls is not None:
             self._on_calls(self.n_calls)
         return answer
+
+
+def decimals_for(steepness: float) -> int:
+    """Return to how many decimals points are rounded.
+
+    Args:
+        steepness: One over the smallest deviation of a parameter, the others held. [1]
+    """
+    return max(DECIMALS, math.ceil(math.log10(STEPS_PER_DEVIATION * steepness)))

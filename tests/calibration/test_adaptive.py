@@ -93,6 +93,12 @@ def test_never_asks_beyond_its_budget_and_says_so(max_calls: int) -> None:
     assert found.stop_reason == f"the budget of {max_calls} {noun} is spent"
 
 
+def test_a_round_may_be_larger_than_the_budget() -> None:
+    found = Adaptive(max_calls=10, n_parallel=64).minimize(rc_problem(noise=0.05), seed=0)
+    assert (found.n_calls, found.n_rounds) == (10, 2)
+    assert found.stop_reason == "the budget of 10 calls is spent"
+
+
 def test_stops_at_its_target() -> None:
     found = Adaptive(target_mse=0.01).minimize(rc_problem(), seed=0)
     assert found.converged

@@ -27,6 +27,11 @@ def test_the_measures_are_shares_of_the_mean() -> None:
     assert found.is_met
 
 
+def test_of_negative_values_too_high_is_positive_as_well() -> None:
+    found = judged(HOUR_S, "W", [5.0] * 4, [-80.0, -120.0, -100.0, -100.0])
+    assert (found.cv_rmse, found.nmbe) == (pytest.approx(0.05), pytest.approx(0.05))
+
+
 @pytest.mark.parametrize(
     ("step_s", "off", "limits", "is_met"),
     [

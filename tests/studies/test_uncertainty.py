@@ -103,6 +103,16 @@ def test_a_linear_models_posterior_is_the_textbook_one():
     assert found.n_calls == 2 * 2 + len(found.sample.weights)
 
 
+def test_a_sample_is_as_narrow_as_its_density():
+    sigma = 1e-6
+    problem = posed(line(), [0.3, -0.4], sigma=sigma, uncertainty=sigma)
+    best, _ = least_squares(problem)
+    found = assessed(problem, best, kind="sensor").sample
+    excess = (found.drawn.mse - problem.mse(problem.space.to_unit(best))[0]) * TIME.size / sigma**2
+    # Chi square of two parameters; 48 members know its mean to 15 %. Rounding to 1e-5 made it 1e4.
+    assert found.weights @ excess == pytest.approx(2.0, rel=0.5)
+
+
 def test_a_prior_enters_as_it_is():
     """A linear model and a normal prior: the posterior is normal, its precision the sum of both."""
     problem = posed(line(), [0.3, -0.4])
@@ -381,6 +391,26 @@ def test_a_parameter_without_effect_is_open():
     u = np.column_stack([0.5 + 0.01 * rng.standard_normal(2000), rng.random(2000)])
     assert knowledge(space, u) == {"a": "determined", "b": "open"}
     assert compensations(space, u) == ()
+
+
+def around(model, theta):
+    """What the residuals around a point determine."""
+    problem = posed(model, theta)
+    answer = problem.evaluate(difference_rows(problem.space.to_unit(np.array(theta)), 0.01))
+    return judged(model.parameter_space.names, answer, SIGMA, float(TIME.size), 0.01)
+
+
+def test_a_parameter_that_fails_on_one_side_is_judged_by_the_other():
+    whole = line()
+    cut = replace(whole, f=lambda theta, t: np.where(theta[0] > 0.31, np.nan, theta[0] + theta[1] * t))
+    assert around(cut, [0.3, -0.4]).spread == pytest.approx(around(whole, [0.3, -0.4]).spread)
+    assert around(cut, [0.3, -0.4]).n_null_directions == 0
+
+
+def test_where_nothing_moves_an_output_every_direction_is_null():
+    found = around(replace(line(), f=lambda theta, t: 0.0 * theta[0] + t), [0.3, -0.4])
+    assert found.n_null_directions == 2
+    assert found.n_determined_directions == 0
 
 
 def test_a_noise_is_worth_its_independent_samples():
