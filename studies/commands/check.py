@@ -12,7 +12,8 @@ what happens: reads the case, checks names, units, bounds and data against the F
 estimates and the corners of the box, moves every parameter and every input, asks again in another process
 and at half the communication step, watches the memory, and says what the profile will cost. The FMU runs in
 processes of its own: a crash or a hang is a line in the table. It simulates for two minutes at most and says
-what a slow model had to go without; --thorough leaves nothing out. What it simulates is kept for the study.
+what a slow model had to go without; --thorough leaves nothing out. What it simulates is kept for the study,
+and `studies run` does not examine again what was found sound.
 Exit code 1 if anything fails; each finding says what to do.
 
 examples:
@@ -34,10 +35,10 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import show_diagnosis
-    from studies.stages.check import diagnose
+    from studies.stages.check import check_stage
 
     study = open_study(chosen, console)
-    diagnosis = diagnose(study, is_thorough=chosen.thorough)
+    _, diagnosis = check_stage(study, again=True, is_thorough=chosen.thorough)
     show_diagnosis(console, study.label, diagnosis)
     console.document({"command": "check", "label": study.label, **diagnosis.to_dict()})
     return OK if diagnosis.is_sound else FAILED

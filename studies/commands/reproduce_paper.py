@@ -155,10 +155,11 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
 def _one_row(plan: "Plan", name: str, console: Console) -> int:
     """Compute one row of Table 3 and return the exit code."""
     from studies.paper.table3 import run_one
+    from studies.report.wording import mse_text
 
     found = run_one(plan, name)
     paper = found["paper"] or {"n_calls": None, "mse": None}
-    shown = [found["title"], found["n_calls"], f"{found['mse']:.5f}", format_seconds(found["wall_s"])]
+    shown = [found["title"], found["n_calls"], mse_text(found["mse"]), format_seconds(found["wall_s"])]
     console.table(
         f"{plan.study.label}: {found['name']}",
         [Column("row"), *(Column(t, True) for t in ("calls", "MSE", "work", "paper's calls", "paper's MSE"))],

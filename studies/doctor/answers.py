@@ -11,7 +11,8 @@ from simulation.design import uniform_design
 from simulation.trajectories import Trajectories
 from studies.doctor.declared import temperature_doubt
 from studies.doctor.finding import Finding
-from studies.doctor.keeping import STOPPED
+from studies.doctor.keeping import MORE_TIME, STOPPED
+from studies.report.wording import difference_unit, quantity, squared
 
 N_CORNERS, N_COVERAGE = 32, 64
 DOCTOR_SEED = 12_345
@@ -25,7 +26,7 @@ COVERED_SHARE = 0.9
 
 _REMEDIES = {
     "accepted": "widen accepted of that output, or correct the estimates",
-    STOPPED: "say how long one simulation may take: [simulation] timeout_s; or wait: --thorough",
+    STOPPED: MORE_TIME,
     "licen": "see that the licence can be reached from here; how many at once: [simulation] max_workers",
     "shared object": "install the system library that it names, or export the FMU with its libraries inside",
 }
@@ -64,7 +65,8 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
         f"{output.name} from {low:.4g} to {high:.4g}{with_unit(output.unit)}"
         for output, (low, high) in zip(case.outputs, spans, strict=True)
     )
-    yield Finding("estimates", "ok", f"MSE {mse:.4g}, {ranges}")
+    unit = squared(difference_unit(case.outputs[0].unit))
+    yield Finding("estimates", "ok", f"MSE {quantity(mse, unit, 4)}, {ranges}")
     still = [output.name for k, output in enumerate(case.outputs) if np.ptp(nominal.y[0, :, k]) <= SAME]
     if still:
         yield Finding(

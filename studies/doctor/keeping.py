@@ -9,6 +9,8 @@ from simulation.trajectories import Trajectories
 
 STOPPED = "was stopped"
 """What the reason of a row says that ran into a time-out."""
+MORE_TIME = "say how long one simulation may take: [simulation] timeout_s; or wait: --thorough"
+"""What to do about it."""
 
 
 class KeepingModel(WrappedModel):

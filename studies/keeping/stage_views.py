@@ -8,6 +8,7 @@ from typing import Any
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
+from studies.report.wording import listed
 from studies.stages.pipeline import Study, read_json
 from studies.tracking.tracker import metric_name
 
@@ -51,9 +52,9 @@ def write_stages(paths: ProjectPaths, label: str) -> list[str]:
     """Tell MLflow of the finished stages of a label; what it knows already stays.
 
     Returns:
-        What could not be told, a line each.
+        What could not be told, a line for each reason.
     """
-    left = []
+    left: dict[str, list[str]] = {}
     for file, manifest in stage_manifests(paths, label):
         wall_s = float(manifest["wall_s"])
         when = {
@@ -72,8 +73,11 @@ def write_stages(paths: ProjectPaths, label: str) -> list[str]:
             else:
                 _write_calibration(paths, file, manifest, when)
         except InputError as error:
-            left.append(f"{stage_name(paths, file)} is not shown in MLflow: {error}")
-    return left
+            left.setdefault(str(error), []).append(stage_name(paths, file))
+    return [
+        f"{listed(names)} {'is' if len(names) == 1 else 'are'} not shown in MLflow: {reason}"
+        for reason, names in left.items()
+    ]
 
 
 def _write_calibration(

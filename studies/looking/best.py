@@ -9,7 +9,7 @@ from studies.console import Block, Column, Said, Table
 from studies.looking.card_stage import fixed_tables, fixed_values
 from studies.looking.project import Project, StageLook, StudyLook
 from studies.looking.wording import error
-from studies.report.wording import MISSING, count, percent, quantity, setting, squared
+from studies.report.wording import MISSING, count, percent, quantity, setting, shown_unit, squared
 from studies.stages.pipeline import read_json
 from studies.tuning.trial_record import TrialRecord, trial_name
 
@@ -269,12 +269,17 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
     unit = squared(project.unit_of(stage.label))
     how = count(stage.n_calls, "model call") + (" in the paper's count" if stage.has_paper_count else "")
     theta = stage.summary["theta"]
-    rows = [[name, f"{value:.6g}"] for name, value in theta.items() if name not in stage.fixed]
+    rows = [
+        [name, shown_unit(stage.units.get(name, "")), f"{value:.6g}"]
+        for name, value in theta.items()
+        if name not in stage.fixed
+    ]
+    columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     return [
         Said(
             f"\n{project.case_of(stage.label) or stage.label}: best calibration: "
             f"MSE {quantity(stage.mse, unit, 4)}, {how}"
         ),
-        Table(stage.name, [Column("parameter"), Column("calibrated", True)], rows, is_dense=True),
+        Table(stage.name, columns, rows, is_dense=True),
         *fixed_tables(stage),
     ]

@@ -133,14 +133,15 @@ def _convergence(project: Project, stage: StageLook, unit: str) -> str:
 def _parameters(project: Project, stage: StageLook) -> Table:
     box = _box(project, stage.label)
     theta, screened = stage.summary["theta"], stage.summary.get("theta_screened") or {}
-    columns = [Column("parameter"), Column("calibrated", True)]
+    columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     columns += [Column("screened", True, 2)] if screened else []
     columns += [Column("bounds", True, 1), Column("", spare=3)] if box else []
     rows = []
     for name, value in theta.items():
         if name in stage.fixed:
             continue
-        row = [name, f"{value:.6g}", *([f"{screened[name]:.4g}"] if screened else [])]
+        row = [name, shown_unit(stage.units.get(name, "")), f"{value:.6g}"]
+        row += [f"{screened[name]:.4g}"] if screened else []
         if name in box:
             lower, upper, scale = box[name]
             row += [f"{lower:.4g} to {upper:.4g}", _at_bound(value, lower, upper, scale)]

@@ -149,6 +149,7 @@ def _of_calibration(project: Project, stage: StageLook) -> Comparable:
             "method": found.get("method", "screen, then polish"),
             "n_train": found["n_train"],
             **_flat(inputs),
+            **{f"fixed: {name}": one.value for name, one in stage.fixed.items()},
             **_code(stage.manifest.get("environment") or stage.manifest.get("versions") or {}),
         },
         results={
@@ -156,7 +157,7 @@ def _of_calibration(project: Project, stage: StageLook) -> Comparable:
             "calls (paper)": ledger["total_paper"],
             "calls (all)": ledger["total_honest"],
             "took [s]": float(stage.manifest.get("wall_s", 0.0)),
-            **{f"theta {name}": value for name, value in found["theta"].items()},
+            **{f"theta {name}": value for name, value in found["theta"].items() if name not in stage.fixed},
         },
     )
 

@@ -116,7 +116,9 @@ def _results(letters: Sequence[str], sides: Sequence[Comparable], *, may_judge: 
         is_error = may_judge and ("/" in name or "MSE" in name or name == "gap")
         row += [_told_ratio(_ratio(first, value), is_error=is_error) for value in values[1:]]
         rows.append(row)
-    behind = f" (errors in {unit})" if unit else ""
+    has_outputs = any("/mae_" in name for name in _all_results(sides))
+    alone = "; mae_... in that output's unit" if has_outputs else ""
+    behind = f" (errors in {unit}{alone})" if unit else ""
     return Table(f"results{behind}", columns, rows, is_dense=True)
 
 

@@ -161,14 +161,18 @@ class StageLook:
             return {}
 
     @cached_property
+    def units(self) -> dict[str, str]:
+        """Units of a calibration's parameters by name; empty where nothing tells."""
+        return {one["name"]: one.get("unit", "1") for one in self.case_file.get("parameters", ())}
+
+    @cached_property
     def fixed(self) -> dict[str, FixedParameter]:
         """The parameters that a calibration held fixed, by name; empty where it calibrated all."""
         told = self.summary.get("restriction")
         if told is None:
             return {}
-        units = {one["name"]: one.get("unit", "1") for one in self.case_file.get("parameters", ())}
         return {
-            name: FixedParameter(value, units.get(name, ""), told["why"][name])
+            name: FixedParameter(value, self.units.get(name, ""), told["why"][name])
             for name, value in told["fixed"].items()
         }
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 from studies.console import format_seconds
-from studies.report.wording import MISSING
+from studies.report.wording import MISSING, significant
 
 
 def ago(moment_s: float, now_s: float | None = None) -> str:
@@ -32,7 +32,7 @@ def moment(moment_s: float) -> str:
 
 def error(value: float | None) -> str:
     """Write an error of a surrogate."""
-    return MISSING if value is None else f"{value:.3f}"
+    return MISSING if value is None else significant(value)
 
 
 def hint(text: str, known: Iterable[str]) -> str:

@@ -146,6 +146,7 @@ file = "{INPUTS_FILE}"
 column = {toml_string(variable.name)}
 unit = {unit}
 interpolation = "{between}
+# With held values, an output at the very moment of a jump still sees the value before it.
 # max_gap_s = 7200            # bridge gaps up to this long; else a gap is an error"""
 
 

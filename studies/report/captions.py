@@ -95,7 +95,7 @@ def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRec
         if residual is None:
             parts.append(f"{name} could not be simulated")
             continue
-        unit_of_time = unit_for(float(measurement.time[-1] - measurement.time[0]))
+        unit_of_time = unit_for(float(measurement.time[-1]))
         moment = f"{residual.largest_at_s / unit_of_time.seconds:.1f}"
         when = f"day {moment}" if unit_of_time is DAYS else f"{moment} {unit_of_time.symbol}"
         side = "high" if residual.bias > 0 else "low"

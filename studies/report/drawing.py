@@ -257,13 +257,15 @@ def line_with_gaps(axes: Axes, time: Floats, values: Floats, **style: Any) -> No
 
 
 def time_axis(axes: Axes, time: Floats) -> TimeUnit:
-    """Fit the horizontal axis to times, label it in the unit that suits them, and return that.
+    """Fit the horizontal axis to times, label it in the unit that suits their end, and return the unit.
+
+    Periods are told in the same one (`told_period`).
 
     Args:
         axes: Whose axis.
         time: Times. Shape (t,). [s]
     """
-    unit = unit_for(float(time[-1] - time[0]))
+    unit = unit_for(float(time[-1]))
     first, last = (float(end) for end in unit.of_seconds(time[[0, -1]]))
     axes.set_xlim(first, last if last > first else first + 1.0)
     axes.set_xlabel(f"time [{unit.symbol}]")

@@ -51,11 +51,9 @@ def overview_figure(
     ordered = sorted(calibrations, key=lambda c: c.n_train)
     finals = [c.mse_polished for c in ordered]
     cheapest = min(ordered, key=lambda c: c.calls_paper)
-    span = (
-        f"an MSE of {quantity(finals[0], mse_unit)}"
-        if len(finals) == 1
-        else f"{significant(min(finals))} to {quantity(max(finals), mse_unit)}"
-    )
+    least, most = significant(min(finals)), quantity(max(finals), mse_unit)
+    is_one = least == significant(max(finals))
+    span = f"an MSE of {most}" if is_one else f"{least} to {most}"
     final = "calibrated" if any(c.is_adaptive for c in ordered) else "polished"
     ends = "Polishing ends" if final == "polished" else "All end"
     title = f"{ends} at {span}; the cheapest way takes {count(cheapest.calls_paper)} model calls"

@@ -24,6 +24,8 @@ from studies.report.records_model import SensitivityRecord
 from studies.report.wording import count, listed, percent
 
 N_LABELED = 6
+LEAST_NAMED = 0.005
+"""Share of the variance from which on a title names a parameter beside the first one. [1]"""
 
 
 def sensitivity_figure(sensitivity: SensitivityRecord, path: Path, *, footnote: str = "") -> Path:
@@ -54,6 +56,8 @@ def sensitivity_figure(sensitivity: SensitivityRecord, path: Path, *, footnote: 
 def _title(sensitivity: SensitivityRecord) -> str:
     order, mean = ranking(sensitivity, 0), mean_over_time(sensitivity.first_order[:, 0])
     top = [i for i in order[:3] if np.isfinite(mean[i]) and mean[i] > 0]
+    # An estimate of nothing scatters around zero.
+    top = [i for i in top if i == top[0] or mean[i] >= LEAST_NAMED]
     if not top:
         return "No parameter moves the output: its Sobol indices are undefined"
     of_output = f" of {sensitivity.output_names[0]}" if len(sensitivity.output_names) > 1 else ""

@@ -102,6 +102,11 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{significant(value, digits)} {unit}".strip()
 
 
+def mse_text(value: float | None) -> str:
+    """Write a mean squared error without its unit; None is that of a simulation that failed."""
+    return "failed" if value is None else significant(value, 4)
+
+
 def axis_label(what: str, unit: str) -> str:
     """Write an axis label, e.g. "TAir [°C]"."""
     return f"{what} [{unit}]" if unit else what

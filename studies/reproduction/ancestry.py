@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from simulation.errors import InputError
+from simulation.time_unit import told_period
 from studies.paths import ProjectPaths
 from studies.recipe import file_digest, text_digest
 from studies.tuning.trial_record import trial_name
@@ -118,10 +119,9 @@ class Ancestry:
             )
             for one in recipe["files"]
         ]
-        begin, end = recipe["window_d"]
         return self._add(
             "case",
-            f"{told['name']}, days {begin:g} to {end:g}",
+            f"{told['name']}, {told_period(recipe['window_d'])}",
             digest=told["digest"],
             place=told["place"],
             look=lambda: self._text_state(told["place"], told["text_sha256"]),

@@ -13,6 +13,7 @@ from simulation.whole_file import whole_file
 from studies.paths import size_name
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import Recipe, recipe_of
+from studies.report.wording import mse_text
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.restriction import (
@@ -127,7 +128,7 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         what="differential evolution on the surrogate, then LS-TRF on the FMU",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"final MSE {summary['mse_polished']:.5f}",
+        reuse_note=lambda summary: f"final MSE {mse_text(summary['mse_polished'])}",
         again=again,
     )
 

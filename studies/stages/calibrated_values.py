@@ -8,7 +8,7 @@ import numpy as np
 
 from studies.console import Column
 from studies.physical_model import warn_failed
-from studies.report.wording import bound_at, difference_unit, squared
+from studies.report.wording import bound_at, difference_unit, mse_text, significant, squared
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
@@ -30,13 +30,13 @@ def show_calibrations(study: Study, outcomes: list[Outcome], target: float | Non
         errors, ledger = found["surrogate_errors"], found["ledger"]
         row = [
             found["n_train"],
-            f"{errors['val/mae']:.3f}",
-            f"{errors['test/mae']:.3f}",
-            _mse(found["mse_surrogate"]),
-            _mse(found["mse_screened"]),
-            _mse(found["screening_gap"]),
+            significant(errors["val/mae"]),
+            significant(errors["test/mae"]),
+            mse_text(found["mse_surrogate"]),
+            mse_text(found["mse_screened"]),
+            mse_text(found["screening_gap"]),
             ledger["n_polish"],
-            _mse(found["mse_polished"]),
+            mse_text(found["mse_polished"]),
             ledger["total_paper"],
             ledger["total_honest"],
         ]
@@ -141,7 +141,3 @@ def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
 def _error(outcome: Outcome) -> float:
     error = outcome.summary["mse_polished"]
     return math.inf if error is None else float(error)
-
-
-def _mse(value: float | None) -> str:
-    return "failed" if value is None else f"{value:.4f}"

@@ -36,8 +36,8 @@ def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
     return examine(surgery, is_thorough=is_thorough)
 
 
-def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:
-    """Examine the case unless it was found sound before."""
+def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> tuple[Outcome, Diagnosis]:
+    """Examine the case unless it was found sound before, or again."""
     inputs = {
         "case": study.case.digest,
         "measurement": study.case.measurement.digest,
@@ -46,7 +46,7 @@ def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:
     }
 
     def work() -> tuple[Summary, list[Path]]:
-        return diagnose(study).to_dict(), []
+        return diagnose(study, is_thorough=is_thorough).to_dict(), []
 
     outcome = run_stage(
         study,
@@ -56,6 +56,7 @@ def check_stage(study: Study) -> tuple[Outcome, Diagnosis]:
         work=work,
         reuse_note=lambda summary: count(len(summary["findings"]), "finding"),
         keep=lambda summary: bool(summary["sound"]),
+        again=again,
     )
     return outcome, _diagnosis(outcome.summary)
 

@@ -10,7 +10,7 @@ from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.console import Column
 from studies.recipe import Recipe, recipe_of
-from studies.report.wording import count, difference_unit
+from studies.report.wording import count, difference_unit, significant
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
 from studies.stages.simulate import datasets_of, set_files
 from studies.stages.tracking import tracker_of
@@ -196,8 +196,8 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
     for found in outcome.summary["studies"]:
         errors, config = found["best_metrics"], found["best_config"]
         cells = [found["n_train"], found["n_trials"], found["n_pruned"], found["n_failed"]]
-        cells += [f"{errors[name]:.3f}" for name in ("val/mae", "test/mae", "test/p90")]
-        cells += [f"{errors[f'test/{output_metric(one.name)}']:.3g}" for one in several]
+        cells += [significant(errors[name]) for name in ("val/mae", "test/mae", "test/p90")]
+        cells += [significant(errors[f"test/{output_metric(one.name)}"]) for one in several]
         rows.append([*cells, *(f"{config[name]:.3g}" for name in searched)])
     study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
     if len(study.profile.tuning.objectives) > 1:
@@ -217,7 +217,8 @@ def _show_front(study: Study, outcome: Outcome, behind: str) -> None:
     for found in outcome.summary["studies"]:
         records = open_trials(study.paths, found["study"]).records()
         for record in pareto_front(records, study.profile.tuning.objectives):
-            cells = [f"{record.metrics[name]:.3f}" for name in ("val/mae", "val/p90", "test/mae", "test/p90")]
+            errors = ("val/mae", "val/p90", "test/mae", "test/p90")
+            cells = [significant(record.metrics[name]) for name in errors]
             cells += [f"{record.config[name]:.3g}" for name in searched]
             rows.append([found["n_train"], record.index, *cells])
     study.console.table(f"{study.label}: trials that no other one beats in both errors", columns, rows)

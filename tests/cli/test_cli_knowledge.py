@@ -127,7 +127,7 @@ def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, stu
         assert f"studies calibrate office {words}" in commands
     card = studies("show", "office-quick/calibrate-adaptive-relevant3").out
     calibrated, _, fixed = card.partition("fixed as least relevant")
-    lines = [line.split() for line in fixed.splitlines()]
+    lines, others = ([line.split() for line in part.splitlines()] for part in (fixed, calibrated))
     document = studies("show", "office-quick/calibrate-adaptive-relevant3", "--json").document
     space = load_case(project / "fmus" / "office" / "case.toml").parameter_space
     assert set(document["fixed"]) == set(told["fixed"])
@@ -138,6 +138,19 @@ def test_the_most_relevant_are_calibrated_and_the_others_stay(project: Path, stu
             value, why = told["fixed"][name], told["why"][name]
             assert f"{name} {shown_unit(unit)} {value:.6g} {why}".split() in lines
             assert document["fixed"][name] == {"value": value, "unit": unit, "why": why}
+        else:
+            words = f"{name} {shown_unit(unit)} {found['theta'][name]:.6g}".split()
+            assert words in [line[: len(words)] for line in others]
+    names = ("office-quick/calibrate-adaptive", "office-quick/calibrate-adaptive-relevant3")
+    compared = studies("compare", *names, "--json").document
+    for parameter in space.parameters:
+        values = [whole["theta"][parameter.name], found["theta"][parameter.name]]
+        is_fixed = parameter.name in told["fixed"]
+        said = compared["results"][f"theta {parameter.name}"]["values"]
+        assert said == [values[0], None if is_fixed else values[1]]
+        assert compared["differs"].get(f"fixed: {parameter.name}") == (
+            [None, values[1]] if is_fixed else None
+        )
     again = studies("reproduce", "office-quick/adaptive-relevant3", "--json")
     assert again.code == 0, again.err
     assert again.document["equal"]

@@ -1,5 +1,6 @@
 """The doctor on the real office, on a sound case and on spoilt ones."""
 
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ from bad_cases_for_tests import counted, make_bad_case
 from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.case import load_case
+from simulation.trajectories import Trajectories
 from studies.doctor.answers import look_at_influence
 from studies.doctor.declared import look_at_data, look_at_declaration, temperature_doubt
 from studies.doctor.patience import EXAMINATION_S, FIRST_S, SLOWER, Patience
+from studies.doctor.repeats import look_at_order
 from studies.doctor.variants import changed_input
 
 EXAMINED = {
@@ -54,16 +57,27 @@ def test_the_office_is_sound(project: Path, studies: Run) -> None:
     assert {found["what"] for found in document["findings"]} == EXAMINED
     assert all(found["level"] != "fail" for found in document["findings"])
     assert all(found["remedy"] for found in document["findings"] if found["level"] != "ok")
+    estimates = next(found["found"] for found in document["findings"] if found["what"] == "estimates")
+    assert re.match(r"MSE [0-9.]+ K², TAir from [0-9.]+ to [0-9.]+ ", estimates)
     assert 0.0 < document["simulation_s"] < 1.0
     # n_base (p + 2) for 14 parameters
     assert document["planned_simulations"]["sensitivity"] == 8 * 16
     assert document["planned_simulations"]["training"] == 32
 
 
-def test_findings_are_a_table_for_people(project: Path, studies: Run) -> None:
-    answer = studies("check", "--profile", "smoke")
-    assert "what to do" in answer.out
-    assert "0 failed" in answer.out.splitlines()[-1]
+def test_findings_are_a_table_for_people_and_a_plan_knows_them(project: Path, studies: Run) -> None:
+    plan = ("run", "--profile", "smoke", "--dry-run", "--json")
+    before = {step["what"]: step for step in studies(*plan).document["steps"]}
+    assert before["check"]["to_do"] == 1
+    assert before["simulate: training"]["basis"] == "unknown: type studies check office --profile smoke"
+    for _ in range(2):
+        answer = studies("check", "--profile", "smoke")
+        assert "what to do" in answer.out
+        assert "0 failed" in answer.out.splitlines()[-1]
+    after = {step["what"]: step for step in studies(*plan).document["steps"]}
+    assert after["check"]["to_do"] == 0
+    assert after["simulate: training"]["basis"] == "examination of office-smoke"
+    assert after["simulate: training"]["seconds"] > 0.0
 
 
 def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: Run) -> None:
@@ -94,6 +108,33 @@ def test_a_measurement_out_of_reach_is_worth_a_look(project: Path, studies: Run)
     assert answer.code == 0
     assert finding["level"] == "warn"
     assert "bounds" in finding["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("failures", "level"),
+    [
+        (("", ""), "ok"),
+        (("a", "did not answer within 1 s and was stopped"), "ok"),
+        (("", "did not answer within 1 s and was stopped"), "warn"),
+        (("did not answer within 1 s and was stopped", ""), "warn"),
+        (("", "SIGSEGV"), "fail"),
+    ],
+)
+def test_a_time_out_is_no_sign_of_what_an_fmu_keeps(failures: tuple[str, str], level: str) -> None:
+    later, first = (
+        Trajectories.checked(
+            np.ones((1, 1)),
+            np.ones((1, 2, 1)),
+            time=np.arange(2.0),
+            parameter_names=("k",),
+            output_names=("y",),
+            failures=[failure],
+        )
+        for failure in failures
+    )
+    finding = look_at_order(later, first)
+    assert finding.level == level
+    assert ("timeout_s" in finding.remedy) == (level == "warn")
 
 
 @pytest.mark.parametrize("command", ["check", "run"])

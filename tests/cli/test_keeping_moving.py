@@ -14,6 +14,7 @@ import pytest
 from kept_project import LABEL, bad_findings, contents, copy_project, enter, flip, the_study, trial_folder
 from project_for_tests import TINY_PROFILE, Run, make_project
 
+from studies.keeping.stage_views import write_stages
 from studies.paths import ProjectPaths
 
 CALIBRATE = ("calibrate", "--method", "paper", "--profile", "tiny.toml", "--quiet")
@@ -153,6 +154,20 @@ def test_what_is_missing_of_a_study_is_added(archive: Path, paths: ProjectPaths,
     assert (done["new"], done["known"]) == ({entry.name: 1}, {entry.name: 2})
     assert store.records() == before
     assert bad_findings(studies) == []
+
+
+def test_stages_of_a_case_that_is_not_here_are_told_of_in_one_line(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, studies: Run
+) -> None:
+    other = clean_project(tmp_path / "other", monkeypatch)
+    shutil.rmtree(other.root / "fmus")
+    assert studies("import", str(archive)).code == 0
+    for file in sorted(other.results(LABEL).glob("calibrat*-n0016.json")):
+        shutil.copy(file, file.with_name(file.name.replace("16", "32")))
+    (line,) = write_stages(other, LABEL)
+    names = f"{LABEL}/calibrate-n0016 and {LABEL}/calibrate-n0032"
+    assert line.startswith(f"{names} are not shown in MLflow: ")
+    assert line.endswith("case.toml: no such file; a case is a folder with a case.toml")
 
 
 def test_a_trial_that_says_something_else_stops_the_import(

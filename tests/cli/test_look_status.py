@@ -169,6 +169,26 @@ def test_best_tells_a_small_gain_from_none(project: Path, studies: Run) -> None:
     assert "by 0.4 % of its validation error" in shown
 
 
+def test_best_tells_errors_of_an_output_that_is_a_small_number(project: Path, studies: Run) -> None:
+    store = write_study(project, "office-quick", 64, n_trials=1)
+    (default,) = store.records()
+    small = default.metrics | {"val/mae": 0.000234, "test/mae": 3.21e-5}
+    store.write(replace(default, index=1, metrics=small), {})
+    shown = studies("best").out
+    assert " 0.000234 " in shown
+    assert " 3.21e-05 " in shown
+
+
+def test_compare_tells_errors_of_one_output_in_its_own_unit(project: Path, studies: Run) -> None:
+    store = write_study(project, "office-quick", 64, n_trials=2)
+    assert "(errors in K)" in studies("compare", "n64/t0", "n64/t1").out
+    for record in store.records():
+        store.write(
+            replace(record, index=record.index + 2, metrics=record.metrics | {"val/mae_power": 7.0}), {}
+        )
+    assert "(errors in K; mae_... in that output's unit)" in studies("compare", "n64/t2", "n64/t3").out
+
+
 def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studies: Run) -> None:
     for n_train, mse in ((64, 0.04), (128, 0.02)):
         summary = {

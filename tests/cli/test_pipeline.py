@@ -16,6 +16,7 @@ from studies.paper.plan import BUDGETS, Plan
 from studies.paper.run import item_inputs
 from studies.paths import ProjectPaths, find_case, size_name
 from studies.profile import load_profile
+from studies.stages.calibrated_values import show_calibrations
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
 from studies.stages.report import command_of
 from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
@@ -215,3 +216,21 @@ def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_sizes_sort_by_name_as_by_number() -> None:
     sizes = [32, 64, 128, 1024, 4096]
     assert sorted(map(size_name, sizes)) == [size_name(n) for n in sizes]
+
+
+def test_errors_of_an_output_that_is_a_small_number_keep_their_digits(
+    study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = {
+        "n_train": 32,
+        "surrogate_errors": {"val/mae": 0.000123, "test/mae": 2.34e-5},
+        "mse_surrogate": 3.456e-6,
+        "mse_screened": None,
+        "screening_gap": -4.567e-7,
+        "mse_polished": 5.678e-8,
+        "ledger": {"n_polish": 35, "total_paper": 68, "total_honest": 708},
+    }
+    show_calibrations(study, [Outcome("calibrate-n0032", "", summary, False, 1.0)], None)
+    row = next(line.split() for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["32"])
+    errors = ["0.000123", "2.34e-05", "3.456e-06", "failed", "-4.567e-07", "35", "5.678e-08"]
+    assert row == ["32", *errors, "68", "708"]

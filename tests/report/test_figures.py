@@ -4,6 +4,7 @@ import itertools
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,9 @@ from records_for_tests import (
 )
 
 from simulation.measurement import Samples
+from simulation.time_unit import told_period
 from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
-from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart
+from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart, time_axis
 from studies.report.figures_calibration import calibration_figure, polish_figure
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
 from studies.report.figures_overview import overview_figure
@@ -180,6 +182,35 @@ def test_the_overview_calls_polished_what_was_polished_alone(
     assert told[-1] == word
 
 
+def test_an_overview_of_equal_errors_tells_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles = titles_of("figures_overview", monkeypatch)
+    equal = [replace(calibration(n), mse_polished=3.28e-6 + n * 1e-13) for n in (32, 64)]
+    overview_figure(equal, (), tmp_path / "o.png", mse_unit="bar²")
+    overview_figure([equal[0], replace(equal[1], mse_polished=5e-6)], (), tmp_path / "o.png", mse_unit="bar²")
+    assert "ends at an MSE of 3.28e-06 bar²;" in titles[0]
+    assert "ends at 3.28e-06 to 5.00e-06 bar²;" in titles[1]
+
+
+def test_a_parameter_without_effect_explains_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles = titles_of("figures_sensitivity", monkeypatch)
+    whole = sensitivity(3)
+    first = np.full_like(whole.first_order, [0.9, 3e-13, -0.002])
+    sensitivity_figure(replace(whole, first_order=first), tmp_path / "s.png")
+    assert titles == [f"{whole.names[0]} explains 90 % of the variance, averaged over time"]
+
+
+def titles_of(module: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Collect the titles that a module gives its pictures."""
+    titles: list[str] = []
+
+    def draw(path: Path, *, title: str, **options: Any) -> AbstractContextManager[Figure]:
+        titles.append(title)
+        return drawing(path, title=title, **options)
+
+    monkeypatch.setattr(f"studies.report.{module}.drawing", draw)
+    return titles
+
+
 def test_several_outputs_get_panels_of_their_own(tmp_path: Path) -> None:
     n_pixels = {}
     for k in (1, 2):
@@ -279,6 +310,15 @@ def test_two_cases_at_once_do_not_share_a_picture(tmp_path: Path) -> None:
     a = calibration_figure(data.measurement, data.calibrations[0], tmp_path / "a.png").read_bytes()
     b = calibration_figure(data.measurement, data.calibrations[1], tmp_path / "b.png").read_bytes()
     assert a != b
+
+
+def test_a_late_period_has_the_unit_in_which_it_is_told() -> None:
+    axes = Figure().add_subplot()
+    hour_s = 3600.0
+    unit = time_axis(axes, np.array([4.0, 5.0, 5.5]) * hour_s)
+    assert unit.symbol in told_period((4.0 / 24.0, 5.5 / 24.0))
+    assert axes.get_xlabel() == "time [h]"
+    assert axes.get_xlim() == (4.0, 5.5)
 
 
 def test_limits_ignore_what_a_logarithm_cannot_show() -> None:
