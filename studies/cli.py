@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 from simulation.errors import InputError, MachineError
 from studies.commands import options
 from studies.console import Console
+from studies.interrupts import interrupt_heeded, interrupts_kept, is_interrupt
 from studies.storage_url import hide_passwords
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
@@ -107,24 +108,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as done:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
-    try:
-        answer: int = command_module(chosen.command).run(chosen, console)
-        return answer
-    except MachineError as error:
-        return _failed(console, error)
-    except InputError as error:
+    with interrupts_kept():
+        try:
+            answer: int = command_module(chosen.command).run(chosen, console)
+            return answer
+        except (Exception, KeyboardInterrupt) as error:
+            if is_interrupt(error):
+                return _interrupted(console, arguments)
+            return _told(console, error)
+
+
+def _told(console: Console, error: BaseException) -> int:
+    """Say what has ended a command, and return its exit code."""
+    if isinstance(error, InputError) and not isinstance(error, MachineError):
         return _bad_input(console, " ".join(str(error).split()))
-    except KeyboardInterrupt:
-        again = hide_passwords(shlex.join(["studies", *arguments]))
-        console.warn(f"interrupted; what is finished is kept, go on with: {again}")
-        console.document({"error": "interrupted", "go_on_with": again})
-        return INTERRUPTED
-    except BrokenPipeError:
+    if isinstance(error, BrokenPipeError):
         # whoever read our output has left; there is nobody to tell, and nothing has failed
         sys.stdout = None
         return UNHEARD
-    except Exception as error:
-        return _failed(console, error)
+    return _failed(console, error)
 
 
 def _understand(arguments: Sequence[str]) -> argparse.Namespace:
@@ -216,7 +218,15 @@ def _bad_input(console: Console, line: str) -> int:
     return BAD_INPUT
 
 
-def _failed(console: Console, error: Exception) -> int:
+def _interrupted(console: Console, arguments: Sequence[str]) -> int:
+    interrupt_heeded()
+    again = hide_passwords(shlex.join(["studies", *arguments]))
+    console.warn(f"interrupted; what is finished is kept, go on with: {again}")
+    console.document({"error": "interrupted", "go_on_with": again})
+    return INTERRUPTED
+
+
+def _failed(console: Console, error: BaseException) -> int:
     """Say that a stage failed in one line; anything unforeseen keeps its traceback, for a report to us."""
     from studies.environment import explain
     from studies.stages.pipeline import StageError

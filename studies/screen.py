@@ -15,6 +15,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from studies.console import Block, Facts, Said, Table
+from studies.interrupts import interrupt_heeded
 
 PLAIN_WIDTH = 160
 """Columns of a table that is written to a file or a pipe."""
@@ -57,6 +58,7 @@ def watch_blocks(look: Callable[[], Sequence[Block]], *, period_s: float) -> Non
                 live.update(_cropped(blocks, screen), refresh=True)
                 time.sleep(max(period_s, LOOKING * (time.perf_counter() - started)))
     except KeyboardInterrupt:
+        interrupt_heeded()
         print_blocks(blocks)
 
 

@@ -9,6 +9,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from simulation.errors import InputError
 from studies.console import Console
+from studies.interrupts import interrupt_heeded
 from studies.paths import ProjectPaths
 from studies.tracking.ui_access import LOOPBACK
 from studies.tracking.ui_server import free_port, interrupt
@@ -57,6 +58,7 @@ def open_dashboard(paths: ProjectPaths, console: Console, *, port: int | None) -
             console.document({"command": "dashboard", "url": url})
             serving.join()
         except KeyboardInterrupt:
+            interrupt_heeded()
             console.say("dashboard: stopped")
         finally:
             server.shutdown()

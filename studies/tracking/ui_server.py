@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from simulation.errors import InputError
 from studies.console import Console
+from studies.interrupts import interrupt_heeded
 from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
 from studies.tracking.ui_access import (
@@ -124,6 +125,7 @@ def open_ui(
             console.warn(f"error: MLflow ended by itself; {paths.show(log)} says why")
             return 1
         except KeyboardInterrupt:
+            interrupt_heeded()
             console.say("ui: stopped")
             return 0
         finally:

@@ -1,0 +1,58 @@
+"""Ctrl-C that is not lost on its way to whoever heeds it."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from sys import exc_info
+from typing import NoReturn
+
+_LOOK_AFTER_S = 0.25
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Interrupt again where a Ctrl-C came to nothing.
+
+    Python raises KeyboardInterrupt wherever it is, also in code that drops whatever is raised in it: in a
+    `__del__`, or in what NumPy asks of Python when it makes a dtype. The work would go on as if nobody had
+    pressed a key. So a moment later it is raised again, unless somebody handles it by then.
+
+    Only where Ctrl-C means KeyboardInterrupt, and on the main thread: elsewhere nothing is changed.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, _look_again)
+    signal.signal(signal.SIGINT, _interrupt)
+    try:
+        yield
+    finally:
+        interrupt_heeded()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGALRM, before)
+
+
+def interrupt_heeded() -> None:
+    """Say that a Ctrl-C is known to whoever it was meant for, and is not to be raised again."""
+    if signal.getsignal(signal.SIGALRM) is _look_again:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def is_interrupt(error: BaseException | None) -> bool:
+    """Say whether an error is a Ctrl-C, or was raised while one was on its way."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+def _interrupt(number: int, frame: object) -> NoReturn:
+    signal.setitimer(signal.ITIMER_REAL, _LOOK_AFTER_S)
+    raise KeyboardInterrupt
+
+
+def _look_again(number: int, frame: object) -> None:
+    # What is handled here is what the interrupted code handles: an except, a finally, the end of a with.
+    if not is_interrupt(exc_info()[1]):
+        _interrupt(number, frame)

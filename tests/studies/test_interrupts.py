@@ -1,0 +1,135 @@
+"""A Ctrl-C that some code drops is raised again; one that somebody handles is not."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from studies.interrupts import is_interrupt
+
+REPOSITORY = Path(__file__).parents[2]
+# In processes of their own: the timer that looks again is pytest's as well.
+BEGINNING = """
+import signal, sys, time
+from studies.interrupts import interrupt_heeded, interrupts_kept
+
+sys.unraisablehook = lambda dropped: print("dropped", dropped.exc_type.__name__)
+
+class Drops:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def work(duration_s):
+    end = time.monotonic() + duration_s
+    while time.monotonic() < end:
+        time.sleep(0.01)
+"""
+
+
+def said_by(script: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", BEGINNING + script],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    return done.stdout.splitlines()
+
+
+def test_one_that_is_dropped_is_raised_again() -> None:
+    script = """
+try:
+    with interrupts_kept():
+        Drops()
+        work(30)
+except KeyboardInterrupt:
+    print("raised again")
+"""
+    assert said_by(script) == ["dropped KeyboardInterrupt", "raised again"]
+
+
+def test_one_that_is_dropped_twice_is_raised_a_third_time() -> None:
+    script = """
+class DropsLater:
+    def __del__(self):
+        work(30)
+
+try:
+    with interrupts_kept():
+        Drops()
+        DropsLater()
+        work(30)
+except KeyboardInterrupt:
+    print("raised again")
+"""
+    assert said_by(script) == ["dropped KeyboardInterrupt"] * 2 + ["raised again"]
+
+
+def test_tidying_up_after_one_is_not_interrupted_again() -> None:
+    script = """
+from contextlib import contextmanager
+
+@contextmanager
+def opened():
+    try:
+        yield
+    finally:
+        work(0.6)
+        print("closed")
+
+try:
+    with interrupts_kept(), opened():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            work(0.6)
+            print("tidied up")
+except KeyboardInterrupt:
+    print("heard")
+"""
+    assert said_by(script) == ["tidied up", "closed", "heard"]
+
+
+def test_one_that_is_heeded_is_over() -> None:
+    script = """
+with interrupts_kept():
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        interrupt_heeded()
+    work(0.6)
+print("ended")
+assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+"""
+    assert said_by(script) == ["ended"]
+
+
+def test_where_it_is_ignored_it_stays_ignored() -> None:
+    script = """
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+with interrupts_kept():
+    signal.raise_signal(signal.SIGINT)
+    work(0.6)
+print("ended")
+"""
+    assert said_by(script) == ["ended"]
+
+
+def fail_while_interrupted() -> None:
+    try:
+        raise KeyboardInterrupt
+    finally:
+        raise ValueError("half written")
+
+
+def test_an_error_that_it_led_to_is_told_from_others() -> None:
+    with pytest.raises(ValueError, match="half written") as found:
+        fail_while_interrupted()
+    assert is_interrupt(found.value)
+    assert is_interrupt(KeyboardInterrupt())
+    assert not is_interrupt(ValueError("half written"))
+    assert not is_interrupt(None)
