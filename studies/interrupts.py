@@ -1,10 +1,10 @@
 """Ctrl-C that is not lost on its way to whoever heeds it."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from sys import exc_info
 from typing import NoReturn
 
 _LOOK_AFTER_S = 0.25
@@ -24,7 +24,7 @@ def interrupts_kept() -> Iterator[None]:
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
-    before = signal.signal(signal.SIGALRM, _look_again)
+    before, hook = signal.signal(signal.SIGALRM, _look_again), sys.unraisablehook
     signal.signal(signal.SIGINT, _interrupt)
     try:
         yield
@@ -32,6 +32,7 @@ def interrupts_kept() -> Iterator[None]:
         interrupt_heeded()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGALRM, before)
+        sys.unraisablehook = hook
 
 
 def interrupt_heeded() -> None:
@@ -49,10 +50,16 @@ def is_interrupt(error: BaseException | None) -> bool:
 
 def _interrupt(number: int, frame: object) -> NoReturn:
     signal.setitimer(signal.ITIMER_REAL, _LOOK_AFTER_S)
+    # What is left half made may complain when it is freed, as a ZIP file does.
+    sys.unraisablehook = _say_nothing
     raise KeyboardInterrupt
 
 
 def _look_again(number: int, frame: object) -> None:
     # What is handled here is what the interrupted code handles: an except, a finally, the end of a with.
-    if not is_interrupt(exc_info()[1]):
+    if not is_interrupt(sys.exception()):
         _interrupt(number, frame)
+
+
+def _say_nothing(dropped: object) -> None:
+    pass
