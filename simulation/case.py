@@ -12,7 +12,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case_data import CaseData, read_data
-from simulation.case_file import CaseFile, read_case_file
+from simulation.case_file import CaseFile
 from simulation.case_parts import (
     Value,
     accepted_bands,
@@ -24,6 +24,7 @@ from simulation.case_parts import (
     parameter_space,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
+from simulation.case_reading import read_case_file
 from simulation.case_units import said_units, with_units
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings

@@ -36,7 +36,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         command: the command line that makes it.
         more: what this kind needs beyond case, profile and seed, as JSON values.
     """
-    from simulation.case_file import read_case_file
+    from simulation.case_reading import read_case_file
 
     case = study.case
     declared = read_case_file(case.path)

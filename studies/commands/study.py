@@ -45,7 +45,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
     # Heavy imports wait until the words of the command line are known to be good.
-    from simulation.case_file import read_case_file
+    from simulation.case_reading import read_case_file
     from simulation.workers.parallel import available_cores
     from studies.keeping.rebuild import rebuild_mlflow
     from studies.stages.one_case import refuse_other_case

@@ -12,7 +12,7 @@ import pytest
 from project_for_tests import OFFICE, Run
 
 from simulation.case import load_case
-from simulation.case_file import read_case_file
+from simulation.case_reading import read_case_file
 from simulation.fmi.variable import FmuVariable
 from studies.new.choice import bounds_for
 

@@ -8,7 +8,7 @@ import pytest
 from fmu_for_tests import OFFICE, REPOSITORY
 
 from simulation.case import load_case
-from simulation.case_file import read_case_file
+from simulation.case_reading import read_case_file
 
 FMUS = REPOSITORY / "fmus"
 RECORDING = REPOSITORY.parent / "shared" / "data" / "office_recording"

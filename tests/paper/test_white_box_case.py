@@ -8,7 +8,7 @@ from fmpy import simulate_fmu
 from paper_study_for_tests import RECORDING, REPOSITORY
 
 from simulation.case import load_case
-from simulation.case_file import read_case_file
+from simulation.case_reading import read_case_file
 from studies.paths import ProjectPaths, find_case
 
 FOLDER = REPOSITORY / "fmus" / "office-whitebox-metered"

@@ -55,7 +55,11 @@ WRONG: dict[str, tuple[Change, str]] = {
         lambda folder: (folder / "case.toml").unlink(),
         r"case\.toml: no such file; a case is a folder with a case\.toml",
     ),
-    "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line"),
+    "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line .*; correct that line$"),
+    "a key that needs quotes": (
+        toml("schema = 1", "schema = 1\ntank[2].h = 0.5  # [m]"),
+        r'case\.toml: not valid TOML: .*line .*needs quotes; write "tank\[2\]\.h" = \.\.\.$',
+    ),
     "far too small a step": (
         toml("communication_step_s = 600", "communication_step_s = 1e-3"),
         r"case\.toml: time\.communication_step_s = 0\.001 makes 4\.32e\+07 steps .* at least 0\.00436,",

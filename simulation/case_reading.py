@@ -1,0 +1,150 @@
+"""Reading a case file, and what to say of one that is wrong: one line with key, value and remedy."""
+
+import difflib
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from simulation.case_file import (
+    CaseFile,
+    FirstMeasured,
+    InputTable,
+    OutputTable,
+    ReferenceTable,
+    SimulationTable,
+    TimeTable,
+    ValueWithUnit,
+)
+from simulation.case_parameter import ParameterTable, PriorTable
+from simulation.case_table import Table
+from simulation.errors import InputError
+
+
+def read_case_file(path: Path) -> CaseFile:
+    """Read and validate a case file.
+
+    Args:
+        path: The case.toml.
+
+    Returns:
+        Its content.
+
+    Raises:
+        InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; a case is a folder with a case.toml") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a text file") from None
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}; {_line_remedy(text, str(error))}") from None
+    except ValueError:
+        # tomllib leaves this one to Python.
+        raise InputError(f"{path}: a number has thousands of digits; correct it") from None
+    try:
+        return CaseFile.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_in_one_line(error, content)}") from None
+
+
+def _line_remedy(text: str, told: str) -> str:
+    """Say what to do about the line that is no TOML: often a key that only quotes make one."""
+    place = re.search(r"at line (\d+)", told)
+    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    key = re.match(r"\s*([^\s=\"'#\[{][^=\"'#]*?)\s*=", line)
+    if key and not re.fullmatch(r"[\w.-]+", key[1], re.ASCII):
+        return f'a name with more than letters and digits needs quotes; write "{key[1]}" = ...'
+    return "correct that line"
+
+
+def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
+    """Say the first fault as key, value and remedy; an unknown key may be a missing one, misspelt."""
+    faults = error.errors(include_url=False)
+    # Of a union (number or table) each branch tells its own, which says nothing of the key.
+    unknown = (one for one in faults if one["type"] == "extra_forbidden" and one["loc"][:1] != ("fixed",))
+    fault = next(unknown, faults[0])
+    location = fault["loc"]
+    if location[:1] == ("fixed",) and len(location) > 1:
+        name = str(location[1])
+        value = content["fixed"][name]
+        return f"fixed.{name} = {value!r}: {_quoted(name, value) or _FIXED_REMEDY}"
+    key = _key(location, content)
+    if fault["type"] == "extra_forbidden":
+        return f"unknown key {key}{_suggestion(location)}; remove or correct it"
+    if fault["type"] == "missing":
+        return f"key {key} is missing; add it"
+    if fault["type"] == "model_type" and location[-1:] == ("prior",):
+        return (
+            f"{key} = {fault['input']!r}: {_prior_remedy(fault['input'], content['parameters'][location[1]])}"
+        )
+    value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
+    told = _PLAIN.get(fault["type"], fault["msg"].removeprefix("Value error, "))
+    return f"{key}{value}: {told}" + ("" if "; " in told else "; correct it")
+
+
+_PLAIN = {
+    "tuple_type": "is no pair; write two numbers, like [0, 10]",
+    "too_long": "holds too much; write two numbers, like [0, 10]",
+    "model_type": "is no table; write its keys as a table, like the other ones of the file",
+    "dict_type": "is no table; write its keys as a table, like the other ones of the file",
+    "list_type": "is no list of tables; write its name in two brackets, [[...]], over each of them",
+    "string_pattern_mismatch": "a name has letters, digits, - and _ only",
+}
+"""What to say of faults that the schema tells in words of Python."""
+_FIXED_REMEDY = (
+    'give a number, true or false, a text, { value = 20.0, unit = "degC" } or { first_measured = "<output>" }'
+)
+
+
+def _quoted(name: str, value: object) -> str:
+    """Say how to write a name with dots, which TOML takes for tables in tables; "" where there is none."""
+    path, told = name, {*FirstMeasured.model_fields, *ValueWithUnit.model_fields}
+    while isinstance(value, dict) and len(value) == 1 and not told & value.keys():
+        ((part, value),) = value.items()
+        path += f".{part}"
+    return "" if path == name else f'a name with dots needs quotes; write "{path}" = <its value>'
+
+
+def _prior_remedy(value: object, parameter: dict[str, Any]) -> str:
+    about = value if isinstance(value, int | float) and not isinstance(value, bool) else "<value>"
+    width = "within_factor = 1.5" if parameter.get("scale") == "log" else "within = <in its unit>"
+    return f"a prior says how sure it is; write prior = {{ about = {about}, {width} }}"
+
+
+def _key(location: tuple[int | str, ...], content: Any) -> str:
+    words = ""
+    for part in location:
+        try:
+            content = content[part]
+        except (KeyError, IndexError, TypeError):
+            content = None
+        if isinstance(part, int):
+            name = content.get("name") if isinstance(content, dict) else None
+            words += f"[{name}]" if isinstance(name, str) else f"[{part}]"
+        else:
+            words += f".{part}" if words else part
+    return words or "the file"
+
+
+def _suggestion(location: tuple[int | str, ...]) -> str:
+    tables: dict[str, type[Table]] = {
+        "time": TimeTable,
+        "inputs": InputTable,
+        "outputs": OutputTable,
+        "parameters": ParameterTable,
+        "simulation": SimulationTable,
+        "references": ReferenceTable,
+    }
+    table = tables.get(str(location[0]), CaseFile) if len(location) > 1 else CaseFile
+    if "prior" in location[:-1]:
+        table = PriorTable
+    known = [field.alias or name for name, field in table.model_fields.items()]
+    close = difflib.get_close_matches(str(location[-1]), known, n=1)
+    return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known)})"
