@@ -68,8 +68,9 @@ class Adaptive:
         stall_gain: The relative gain that a leg owes. [1]
         n_elsewhere: Legs away from the best row, for problems with several valleys, that a search makes
             before it may converge; 0 never leaves the first valley. [1]
-        doubtful_mse: Error above which a valley is no answer: the search goes on elsewhere until its budget
-            is spent, however little is expected; None believes every valley. [first output's unit squared]
+        doubtful_mse: Error above which a valley is no answer: the search goes on elsewhere, however little
+            is expected, until its budget is spent or its surrogate excludes half the error everywhere; None
+            believes every valley. [first output's unit squared]
         target_mse: Stop at this error, or None. [first output's unit squared]
         max_calls: Most rows that may be asked of the model.
     """

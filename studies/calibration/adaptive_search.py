@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.calibration.elsewhere import farther_along, least_excluded
+from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least_excluded
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
@@ -34,6 +34,8 @@ OWED_ELSEWHERE = 0.2
 DULL, DULL_IN_A_BEGINNING, DULL_ROUNDS = 1e-4, 0.1, 2
 # A leg elsewhere whose next point is so near the best row has come back.
 AT_HOME = 0.1
+# So many legs in a row that begin where everything is excluded end the doubt: there is no deeper valley.
+EXCLUDED_LEGS = 2
 # A search whose best error falls by this factor within so many rounds is not lost.
 FALLING, FALLING_ROUNDS = 0.5, 3
 
@@ -72,6 +74,7 @@ class AdaptiveSearch:
         self._leg: list[float] = []
         self._idle = self._dull = 0
         self._n_elsewhere = 0
+        self._n_excluded = 0
         self._is_far = False
         self.n_rounds = 0
         self.expected_gain = np.inf
@@ -98,7 +101,7 @@ class AdaptiveSearch:
                     self._look_further()
                     continue
                 if self._is_home and self._may_end and self._idle:
-                    return f"the surrogate expects a gain of less than {settings.ftol:g} of the error"
+                    return self._reason
                 self._turn()
             self._step()
 
@@ -188,15 +191,26 @@ class AdaptiveSearch:
         return self._leg_best <= float(self._objective.min())
 
     @property
-    def _is_doubtful(self) -> bool:
+    def _is_too_large(self) -> bool:
         """Whether the best error is too large for the bottom of the right valley."""
         doubtful = self._settings.doubtful_mse
         return doubtful is not None and self._recorder.best_mse > doubtful
 
     @property
+    def _is_doubtful(self) -> bool:
+        """Whether the best error is too large, and there may be a deeper valley."""
+        return self._is_too_large and self._n_excluded < EXCLUDED_LEGS
+
+    @property
     def _may_end(self) -> bool:
         """Whether the search has looked elsewhere and believes what it has found."""
         return self._n_elsewhere >= self._settings.n_elsewhere and not self._is_doubtful
+
+    @property
+    def _reason(self) -> str:
+        """Why a search ends that has converged."""
+        reason = f"the surrogate expects a gain of less than {self._settings.ftol:g} of the error"
+        return f"{reason}, and nowhere {WANTED:g} times the error" if self._is_too_large else reason
 
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
@@ -261,8 +275,10 @@ class AdaptiveSearch:
         """Return where a leg elsewhere begins, one point for each parallel row."""
         expand, shape = partial(self._expand, process), (self._settings.n_parallel, self._p)
         if self._is_far:
-            best = float(self._objective.min())
-            return least_excluded(expand, best, shape, self._settings.margin, self._rng)
+            best, margin = float(self._objective.min()), self._settings.margin
+            points, excess = least_excluded(expand, best, shape, margin, self._rng)
+            self._n_excluded = self._n_excluded + 1 if excess > EXCLUDED else 0
+            return points
         return farther_along(expand, self._settings.caution, shape, self._settings.margin, self._rng)
 
     def _propose(self, process: ProcessGroups, centre: FloatArray) -> tuple[FloatArray, Expansion]:

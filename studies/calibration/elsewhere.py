@@ -17,6 +17,8 @@ LEAST_DESCENTS, DESCENTS_PER_POINT = 20, 4
 N_SPREAD = 100
 # Another valley is worth while if its error may be this part of the best one's.
 WANTED = 0.5
+# It is excluded everywhere where the least excess over that is so many times its variance.
+EXCLUDED = 100.0
 APART = 0.05
 # Relative to the error: a prediction is never surer than this.
 LEAST_VARIANCE = 1e-9
@@ -53,8 +55,8 @@ def least_excluded(
     shape: tuple[int, int],
     margin: float,
     rng: np.random.Generator,
-) -> FloatArray:
-    """Return points whose predicted excess over a wanted error is the smallest part of its variance.
+) -> tuple[FloatArray, float]:
+    """Return points whose predicted excess over a wanted error is the least multiple of its variance.
 
     Args:
         expand: The surrogate.
@@ -64,7 +66,7 @@ def least_excluded(
         rng: Source of the descents' starts and the spread points.
 
     Returns:
-        The points, the least excluded first. Shape as asked. [1]
+        The points, the least excluded first, of the shape asked [1], and the first one's multiple [1].
     """
     n, p = shape
     mean = partial(expand, caution=0.0)
@@ -79,7 +81,7 @@ def least_excluded(
             chosen.append(i)
     # In a small box fewer may lie apart than are asked for.
     chosen += [i for i in order if i not in chosen]
-    return np.asarray(points[chosen[:n]], dtype=np.float64)
+    return np.asarray(points[chosen[:n]], dtype=np.float64), float(scores[chosen[0]])
 
 
 def _excess_by_variance(expand: Expand, u: FloatArray, wanted: float) -> float:

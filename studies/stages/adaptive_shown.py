@@ -39,10 +39,14 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:
-        console.result(
-            f"That is more than {DOUBT:g} times the sensor's uncertainty: there may be a deeper valley, or "
-            "the model lacks something; try more --max-calls, another --seed, or studies run"
+        told = (
+            "the surrogate expects no deeper valley in the box: the model lacks something, or a bound is "
+            "in the way"
+            if found["converged"]
+            else "there may be a deeper valley, or the model lacks something; try more --max-calls, another "
+            "--seed, or studies run"
         )
+        console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {told}")
     for known in study.case.references:
         if known.is_target:
             reached = calls_to(study, known.mse, n_free)

@@ -70,6 +70,27 @@ class TwoOutputs:
         )
 
 
+@dataclass(frozen=True)
+class Waves:
+    """A decaying oscillation of unknown frequency: its error has many valleys."""
+
+    parameter_space: ParameterSpace = field(
+        default_factory=lambda: ParameterSpace((Parameter("frequency", 0.25, 4.0, scale="log"),))
+    )
+    output_names: tuple[str, ...] = ("deflection",)
+    time: FloatArray = field(default_factory=lambda: np.linspace(0.0, 10.0, 240))
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        y = np.sin(2.0 * np.pi * theta[:, :1] * self.time) * np.exp(-self.time / 4.0)
+        return Trajectories.checked(
+            theta,
+            y[:, :, None],
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+        )
+
+
 def problem_on(
     model: ForwardModel, truth: FloatArray, *, noise: float = 0.0, uncertainty: FloatArray | None = None
 ) -> CalibrationProblem:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_problem, rc_problem
+from problems_for_tests import TRUE_RC, Diary, FailsInBand, Waves, problem_on, product_problem, rc_problem
 from scipy.optimize import approx_fprime
 
 from simulation.arrays import FloatArray
@@ -114,13 +114,23 @@ def test_stops_when_nothing_more_is_expected() -> None:
     assert found.stop_reason == "the surrogate expects a gain of less than 0.001 of the error"
 
 
-def test_an_error_that_is_too_large_is_no_end_while_calls_are_left() -> None:
+def test_an_error_that_is_too_large_ends_a_search_once_nothing_deeper_can_be() -> None:
     problem = rc_problem(noise=0.05)
     believed = replace(SHORT, doubtful_mse=1.0).minimize(problem, seed=0)
     doubted = replace(SHORT, doubtful_mse=1e-9).minimize(problem, seed=0)
-    assert (believed.converged, doubted.converged) == (True, False)
-    assert doubted.n_calls == 60
+    assert believed.converged
+    assert doubted.converged
+    assert believed.n_calls < doubted.n_calls < 60
     assert doubted.mse <= believed.mse
+    assert doubted.stop_reason.endswith("and nowhere 0.5 times the error")
+
+
+def test_an_error_that_is_too_large_is_no_end_where_valleys_may_hide() -> None:
+    found = replace(SHORT, doubtful_mse=1e-9).minimize(
+        problem_on(Waves(), np.array([1.3]), noise=0.1), seed=0
+    )
+    assert not found.converged
+    assert found.n_calls == 60
 
 
 def test_finds_the_optimum_beside_a_failed_region() -> None:
