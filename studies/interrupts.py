@@ -18,20 +18,25 @@ def interrupts_kept() -> Iterator[None]:
     `__del__`, or in what NumPy asks of Python when it makes a dtype. The work would go on as if nobody had
     pressed a key. So a moment later it is raised again, unless somebody handles it by then.
 
-    Only where Ctrl-C means KeyboardInterrupt, and on the main thread: elsewhere nothing is changed.
+    Only on the main thread, where Ctrl-C means KeyboardInterrupt and nobody else waits for the timer:
+    elsewhere nothing is changed.
     """
-    is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+        or signal.getsignal(signal.SIGALRM) is not signal.SIG_DFL
+    ):
         yield
         return
-    before, hook = signal.signal(signal.SIGALRM, _look_again), sys.unraisablehook
+    hook = sys.unraisablehook
+    signal.signal(signal.SIGALRM, _look_again)
     signal.signal(signal.SIGINT, _interrupt)
     try:
         yield
     finally:
         interrupt_heeded()
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
         sys.unraisablehook = hook
 
 
@@ -56,9 +61,14 @@ def _interrupt(number: int, frame: object) -> NoReturn:
 
 
 def _look_again(number: int, frame: object) -> None:
-    # What is handled here is what the interrupted code handles: an except, a finally, the end of a with.
-    if not is_interrupt(sys.exception()):
-        _interrupt(number, frame)
+    # What is handled here is what the interrupted code handles: an except, a finally, the end of a with. A
+    # generator that is dropped on the way tidies up without knowing why.
+    error = sys.exception()
+    if is_interrupt(error) or isinstance(error, GeneratorExit):
+        signal.setitimer(signal.ITIMER_REAL, _LOOK_AFTER_S)
+    else:
+        # Not raised from here: somebody may hold Ctrl-C back.
+        signal.raise_signal(signal.SIGINT)
 
 
 def _say_nothing(dropped: object) -> None:

@@ -1,8 +1,8 @@
 """The whole examination, in the order in which things can go wrong; slow models get a short one."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,15 +89,18 @@ def examine(surgery: Surgery, *, is_thorough: bool = False) -> Diagnosis:
     case = surgery.case
     patience = Patience(surgery.n_workers, is_thorough, case.policy.timeout_s)
     findings = [*look_at_declaration(case), *look_at_data(case)]
-    with surgery.console.progress("examinations", N_STEPS) as advance:
-        for step, found in enumerate(_simulated(surgery, patience), start=1):
+    with (
+        surgery.console.progress("examinations", N_STEPS) as advance,
+        closing(_simulated(surgery, patience)) as simulated,
+    ):
+        for step, found in enumerate(simulated, start=1):
             findings += found
             advance(min(step, N_STEPS), N_STEPS)
     planned = planned_simulations(case, surgery.profile)
     return Diagnosis(tuple(findings), patience.simulation_s, planned)
 
 
-def _simulated(surgery: Surgery, patience: Patience) -> Iterator[list[Finding]]:
+def _simulated(surgery: Surgery, patience: Patience) -> Generator[list[Finding]]:
     """Simulate, and judge what comes; ends early where the estimates fail."""
     case, base = surgery.case, base_point(surgery.case.parameter_space)
     policy, warn = _policy(case, patience.first_timeout_s), surgery.console.warn

@@ -21,7 +21,12 @@ from studies.report.wording import (
 UNCORRELATED = 0.9
 """Samples that are worth this share of their number are said not to follow each other."""
 
-HOW_KNOWN = {"determined": "determined", "narrowed": "narrowed", "open": "not determined"}
+HOW_KNOWN = {
+    "determined": "determined",
+    "narrowed": "narrowed",
+    "open": "not determined",
+    "prior": "as known before",
+}
 
 
 @dataclass(frozen=True)
@@ -184,6 +189,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
         ("determined", "The data determine {names}."),
         ("narrowed", "They narrow down {names}."),
         ("open", "They say next to nothing about {names}: any value in the bounds fits as well."),
+        ("prior", "They leave {names} about as uncertain as the prior did."),
     )
     for kind, text in kinds:
         if names := r.called(kind):

@@ -40,6 +40,19 @@ def prior_inputs(case: Case, space: ParameterSpace | None = None) -> dict[str, A
     return {"prior": {"parameters": beliefs, "weight": prior.weight}}
 
 
+def is_of_this_density(inputs: Mapping[str, Any], case: Case, space: ParameterSpace | None = None) -> bool:
+    """Say whether a stage had the scales and priors that the case declares now.
+
+    Args:
+        inputs: The stage's inputs, as its manifest has them.
+        case: The case.
+        space: The parameters that the stage was about; None for all.
+    """
+    space, present = case.parameter_space if space is None else space, prior_inputs(case, space)
+    is_log = space.is_log.tolist()
+    return inputs.get("is_log", is_log) == is_log and inputs.get("prior") == present.get("prior")
+
+
 def sensor_inputs(case: Case) -> dict[str, Any]:
     """Return what sensors' noise depends on beyond the measurement; empty where nothing is declared."""
     lasts_s = case.measurement.error_lasts_s

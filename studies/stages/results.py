@@ -18,7 +18,7 @@ from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterB
 from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_restriction import restriction_record
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
-from studies.stages.knowledge import known_before
+from studies.stages.knowledge import is_of_this_density, known_before
 from studies.stages.pipeline import Study, read_json
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
 
 
 def stored_calibration(study: Study, name: str) -> StoredCalibration | None:
-    """Read one calibration of this case and measurement by its name, None where there is none."""
+    """Read one calibration of this case, measurement and density by its name, None where there is none."""
     files = _files(study, name)
     numbers, manifest = read_json(files.numbers), read_json(study.results / f"calibrate-{name}.json")
     if numbers is None or manifest is None or not files.arrays.is_file():
@@ -128,7 +128,7 @@ def stored_calibration(study: Study, name: str) -> StoredCalibration | None:
     if (numbers.get("case_sha256"), numbers.get("measurement_sha256")) != (
         study.case.digest,
         study.case.measurement.digest,
-    ):
+    ) or not is_of_this_density(manifest["inputs"], study.case):
         return None
     return StoredCalibration(files, numbers, read_arrays(files.arrays), float(manifest["wall_s"]))
 

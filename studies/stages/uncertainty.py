@@ -209,7 +209,7 @@ def _told(
     case, found, local, noise = study.case, assessed.sample, assessed.local, assessed.noise
     space, measurement, u = problem.space, case.measurement, assessed.sample.particles.u
     linear = space.from_unit(assessed.linear)
-    ends, known = space.from_unit(assessed.interval), knowledge(space, u)
+    ends, known = space.from_unit(assessed.interval), knowledge(space, u, problem.prior)
     good = np.isfinite(found.drawn.mse)
     bands = bands_of(found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL)
     n = len(found.weights)

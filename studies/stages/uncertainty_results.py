@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from simulation.errors import InputError
 from studies.recipe import memory_tags
 from studies.report.wording import listed
+from studies.stages.knowledge import is_of_this_density
 from studies.stages.pipeline import Study, read_json
+from studies.stages.restriction import free_space, restriction_of
 from studies.stages.results import (
     ADAPTIVE,
     StoredCalibration,
@@ -75,7 +77,9 @@ def stored_posteriors(study: Study) -> Iterator[StoredPosterior]:
             continue
         told = (numbers["case_sha256"], numbers["measurement_sha256"], manifest["inputs"]["theta"])
         case = study.case
-        if told == (case.digest, case.measurement.digest, calibration.numbers["theta"]):
+        space = free_space(case, restriction_of(calibration.numbers))
+        is_present = told == (case.digest, case.measurement.digest, calibration.numbers["theta"])
+        if is_present and is_of_this_density(manifest["inputs"], case, space):
             yield StoredPosterior(files, numbers, read_arrays(files.arrays))
 
 
@@ -115,7 +119,9 @@ def calibration_to_judge(
             f"{study.label} has no calibration of {asked} with{most_relevant(n_free)}; {there}type: {make}"
         )
     if not fitting:
-        raise InputError(f"{study.label} has no calibration of {asked}; type: {make}")
+        is_other = not stored and any(study.results.glob("calibration-*.json"))
+        other = " (what is stored is of another window, measurement, scale or prior)" if is_other else ""
+        raise InputError(f"{study.label} has no calibration of {asked}{other}; type: {make}")
     judge = f"studies uncertainty {study.command}{how}{most_relevant(n_free_of(fitting[0].numbers))}"
     raise InputError(
         f"{study.label} has no calibration of {asked} but {listed(one.name for one in fitting)}, which fixed "

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from simulation.errors import InputError
+from simulation.workers.held_interrupts import interrupts_held
 from studies.console import Console
 from studies.interrupts import interrupt_heeded
 from studies.paths import ProjectPaths
@@ -105,7 +106,7 @@ def open_ui(
     signal.signal(signal.SIGTERM, interrupt)
     paths.mlruns.mkdir(parents=True, exist_ok=True)
     log = paths.mlruns / LOG_FILE
-    with log.open("w", encoding="utf-8") as messages:
+    with log.open("w", encoding="utf-8") as messages, interrupts_held() as release:
         # A session of its own: Ctrl-C comes to this process alone, which stops all that MLflow has started.
         server = subprocess.Popen(
             plan.argv,
@@ -115,6 +116,7 @@ def open_ui(
             start_new_session=True,
         )
         try:
+            release()
             if _is_up(server, plan.server):
                 password = plan.environment.get(PASSWORD_VARIABLE, "")
                 page = leaderboard_page(plan.server, label=label, password=password)

@@ -3,19 +3,21 @@
 import math
 from dataclasses import dataclass
 from itertools import combinations
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.parameters import ParameterSpace
+from studies.calibration.prior import Prior
 
 LEVEL = 0.9
 """Probability of intervals and bands."""
 
 DETERMINED, OPEN = 0.33, 0.7
-"""Widths of an interval, as shares of the range: below the first the data determine a parameter, above the
-second they say next to nothing (0.9 is the width without any data)."""
+"""Widths of an interval, as shares of the range where nothing was known before: below the first the data
+determine a parameter, above the second they say next to nothing (0.9 is the width without any data)."""
 
 CLEARLY = 0.5
 """A combination counts as known where its spread is below this share of that of either of the two."""
@@ -100,16 +102,34 @@ def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, .
     return tuple(found[:MOST_NAMED])
 
 
-def knowledge(space: ParameterSpace, u: FloatArray) -> dict[str, str]:
-    """Say of each parameter whether the data determine it: "determined", "narrowed" or "open".
+def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) -> dict[str, str]:
+    """Say of each parameter what the data tell: "determined", "narrowed", "open" or, of a prior's, "prior".
+
+    An interval counts as a share of what it would be without data: nine tenths of the range, or the prior's.
 
     Args:
         space: The parameters.
         u: A posterior sample. Shape (n, p). [1]
+        prior: What was known beforehand, or None.
     """
     low, high = np.quantile(u, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
-    words = ["determined" if w < DETERMINED else "open" if w > OPEN else "narrowed" for w in high - low]
-    return dict(zip(space.names, words, strict=True))
+    found = {}
+    for j, name in enumerate(space.names):
+        before, left_open = LEVEL, "open"
+        if prior is not None and prior.is_held[j]:
+            before, left_open = _width(float(prior.centre[j]), float(prior.width[j])), "prior"
+        share = float(high[j] - low[j]) * LEVEL / before
+        found[name] = "determined" if share < DETERMINED else left_open if share > OPEN else "narrowed"
+    return found
+
+
+def _width(centre: float, deviation: float) -> float:
+    """Return the width of the interval of a normal distribution that the unit interval cuts off. [1]."""
+    normal = NormalDist(centre, deviation)
+    least, most = normal.cdf(0.0), normal.cdf(1.0)
+    ends = (least + (most - least) * share for share in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL))
+    low, high = (normal.inv_cdf(end) for end in ends)
+    return high - low
 
 
 def correlation(u: FloatArray) -> FloatArray:

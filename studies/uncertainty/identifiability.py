@@ -24,7 +24,8 @@ STEP = 1e-4
 """Step of the differences, as a share of the range."""
 
 DETERMINED = 0.1
-"""A standard deviation below this share of the range counts as determined by the data."""
+"""A standard deviation below this share of the range counts as determined by the data; where something was
+known before, below the same part of what it was then."""
 
 A_PAIR = 0.7
 """A direction that two parameters make up to this share of its squared length is theirs."""
@@ -84,6 +85,7 @@ class Identifiability:
         noise: Standard deviation of the residuals, raised for those that follow each other.
             [first output's unit]
         spread: Standard deviation of each parameter, as a share of its range. Shape (p,). [1]
+        before: The same without data, of the range or a prior within it. Shape (p,). [1]
         correlation: Of the estimates. Shape (p, p). [1]
         alignment: Cosine between the columns of the Jacobian: what two parameters do to the outputs,
             all others held. Shape (p, p). [1]
@@ -101,6 +103,7 @@ class Identifiability:
     directions: FloatArray
     noise: float
     spread: FloatArray
+    before: FloatArray
     correlation: FloatArray
     alignment: FloatArray
     n_samples: int
@@ -111,7 +114,8 @@ class Identifiability:
     @property
     def determined(self) -> tuple[str, ...]:
         """Parameters that the data determine."""
-        return tuple(n for n, s in zip(self.names, self.spread, strict=True) if s < DETERMINED)
+        limit = DETERMINED / np.sqrt(BOX_VARIANCE) * self.before
+        return tuple(n for n, is_so in zip(self.names, self.spread < limit, strict=True) if is_so)
 
     @property
     def n_determined_directions(self) -> int:
@@ -225,7 +229,9 @@ def judged(
     values = np.pad(values, (0, p - len(values)))
     null = max(NULL, NULL_PER_STEP * step)
     covariance = (directions.T / ((values / raised) ** 2 + 1.0 / BOX_VARIANCE)) @ directions
+    known = np.full(p, 1.0 / BOX_VARIANCE)
     if prior is not None:
+        known = known + prior.width**-2.0
         covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(prior.width**-2.0))
     lengths = np.linalg.norm(jacobian, axis=0)
     return Identifiability(
@@ -237,6 +243,7 @@ def judged(
         directions=directions,
         noise=raised,
         spread=np.sqrt(np.diag(covariance)),
+        before=1.0 / np.sqrt(known),
         correlation=_normed(covariance, np.sqrt(np.diag(covariance))),
         alignment=_normed(jacobian.T @ jacobian, lengths),
         n_samples=m,

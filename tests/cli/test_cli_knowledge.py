@@ -50,6 +50,9 @@ def test_a_prior_costs_no_simulation_again_and_is_told(project: Path, studies: R
     before = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     assert "prior" not in before
     with_prior(project)
+    judged = studies("uncertainty", "office")
+    assert judged.code == 2
+    assert "is of another window, measurement, scale or prior); type: studies calibrate office" in judged.err
     after = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     assert not after["finished_before"]
     assert after["n_simulated"] <= 1, "the first design is stored"

@@ -96,6 +96,62 @@ except KeyboardInterrupt:
     assert said_by(script) == ["tidied up", "closed", "heard"]
 
 
+def test_one_that_is_dropped_slowly_is_raised_again() -> None:
+    script = """
+class DropsSlowly:
+    def __del__(self):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            work(0.4)
+            print("dropped")
+
+try:
+    with interrupts_kept():
+        DropsSlowly()
+        work(30)
+except KeyboardInterrupt:
+    print("raised again")
+"""
+    assert said_by(script) == ["dropped", "raised again"]
+
+
+def test_a_generator_that_is_dropped_on_the_way_tidies_up() -> None:
+    script = """
+def opened():
+    try:
+        yield
+    finally:
+        work(0.6)
+        print("tidied up")
+
+try:
+    with interrupts_kept():
+        for _ in opened():
+            signal.raise_signal(signal.SIGINT)
+except KeyboardInterrupt:
+    print("heard")
+"""
+    assert said_by(script) == ["tidied up", "heard"]
+
+
+def test_who_holds_ctrl_c_back_holds_the_second_one_too() -> None:
+    script = """
+from simulation.workers.held_interrupts import interrupts_held
+
+try:
+    with interrupts_kept():
+        Drops()
+        with interrupts_held() as release:
+            work(0.6)
+            print("made whole")
+            release()
+except KeyboardInterrupt:
+    print("heard")
+"""
+    assert said_by(script) == ["dropped", "made whole", "heard"]
+
+
 def test_one_that_is_heeded_is_over() -> None:
     script = """
 with interrupts_kept():
@@ -109,6 +165,17 @@ assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
 """
     assert said_by(script) == ["ended"]
+
+
+def test_who_waits_for_the_timer_keeps_it() -> None:
+    script = """
+signal.signal(signal.SIGALRM, lambda number, frame: print("rang"))
+signal.setitimer(signal.ITIMER_REAL, 0.3)
+with interrupts_kept():
+    pass
+work(0.6)
+"""
+    assert said_by(script) == ["rang"]
 
 
 def test_where_it_is_ignored_it_stays_ignored() -> None:

@@ -393,6 +393,28 @@ def test_a_parameter_without_effect_is_open():
     assert compensations(space, u) == ()
 
 
+def test_what_was_known_before_is_no_merit_of_the_data():
+    space = ParameterSpace(tuple(Parameter(name, lower=0.0, upper=1.0) for name in "abcd"))
+    width = np.array([0.02, 0.02, 0.02, np.inf])
+    prior = Prior(np.array([0.5, 0.5, 0.0, np.nan]), width, 1.0, 1)
+    rng = np.random.default_rng(0)
+    u = 0.5 + np.array([0.02, 0.004, 0.02, 0.02]) * rng.standard_normal((4000, 4))
+    u[:, 2] = np.abs(u[:, 2] - 0.5)
+    assert knowledge(space, u, prior) == {"a": "prior", "b": "determined", "c": "prior", "d": "determined"}
+
+
+def test_a_prior_alone_determines_nothing():
+    problem = posed(line(), [0.3, -0.4])
+    best, _ = least_squares(problem)
+    u = problem.space.to_unit(best)
+    answer = problem.evaluate(difference_rows(u, 1e-3))
+    known = Prior(u, np.array([np.inf, 1e-4]), SIGMA**2, 1)
+    found = [judged(problem.space.names, answer, SIGMA, 1.0, 1e-3, prior=prior) for prior in (None, known)]
+    assert found[0].determined == problem.space.names
+    assert found[1].determined == problem.space.names[:1]
+    assert found[1].spread[1] == pytest.approx(found[1].before[1], rel=0.01)
+
+
 def around(model, theta):
     """What the residuals around a point determine."""
     problem = posed(model, theta)
