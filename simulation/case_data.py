@@ -11,7 +11,7 @@ from simulation.errors import InputError
 from simulation.measurement import Samples
 from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
-from simulation.time_unit import DAYS, TimeUnit
+from simulation.time_unit import DAYS, HOURS, TimeUnit
 from simulation.timestamps import zero_of, zone_named
 from simulation.wording import noun_of
 
@@ -121,9 +121,19 @@ class CaseData:
             raise InputError(
                 f"{recording.path}: line {line}: {column} has no value from {time[row]:.12g} to "
                 f"{time[row + 1]:.12g} s; fill the gap, or let inputs[{table.name}] bridge it with "
-                f"max_gap_s = {steps[row]:.12g}"
+                f"max_gap_s = {steps[row]:.12g}{_clock_hint(recording, float(steps[row]))}"
             )
         return time, values
+
+
+def _clock_hint(recording: Recording, gap_s: float) -> str:
+    """Say what else a gap of one hour of timestamps may be."""
+    hour_s = HOURS.seconds
+    if recording.clock == "seconds" or abs(gap_s - recording.step_s - hour_s) > 1e-6 * hour_s:
+        return ""
+    if recording.clock == "local":
+        return "; if clocks were set forward there, give the case its timezone instead"
+    return "; if this clock is never set forward or back, leave timezone out of the case instead"
 
 
 def read_data(path: Path, file: CaseFile) -> CaseData:

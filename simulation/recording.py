@@ -4,6 +4,8 @@ import csv
 import io
 import math
 import re
+import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -21,6 +23,7 @@ _WORDS: Final = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan
     "true": 1.0,
     "false": 0.0,
 }
+_SECONDS: Final = ("_s", "[s]", "(s)")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 FIRST_LINE: Final = 2
 
@@ -70,7 +73,7 @@ def read_recording(
     """Read columns of a CSV file with a header line.
 
     Commas, semicolons or tabulators separate the cells; with the latter two, a decimal comma is read.
-    Times are seconds in a column whose name ends with `_s` or `[s]`, else timestamps.
+    Times are seconds in a column whose name ends with `_s`, `[s]` or `(s)`, else timestamps.
 
     Args:
         path: The file.
@@ -93,9 +96,11 @@ def read_recording(
     rows, delimiter = _rows(path)
     if not rows or not any(cell.strip() for cell in rows[0]):
         raise InputError(f"{path}: the file is empty; the first line names the columns")
-    header = [cell.strip() for cell in rows[0]]
-    time_name = _time_column(path, header, time_column)
-    for name in [time_name, *column_names]:
+    # An umlaut may be one character or two.
+    header = [_composed(cell.strip()) for cell in rows[0]]
+    asked = {name: _composed(name) for name in column_names}
+    time_name = _time_column(path, header, time_column and _composed(time_column))
+    for name in (time_name, *asked.values()):
         if name not in header:
             raise InputError(
                 f"{path}: column {name} is missing; correct column in the case file; there are "
@@ -111,12 +116,15 @@ def read_recording(
     if len(rows) < 3:
         n_rows = "one row" if len(rows) == 2 else "no row"
         raise InputError(f"{path}: {n_rows} of data; a recording has at least two")
-    n_used = 1 + max(header.index(name) for name in [time_name, *column_names])
+    n_used = 1 + max(header.index(name) for name in (time_name, *asked.values()))
     _check_lengths(path, rows, n_used, delimiter)
-    cells = {name: _cells(rows, header.index(name)) for name in [time_name, *column_names]}
+    cells = {name: _cells(rows, header.index(name)) for name in (time_name, *asked.values())}
+    is_seconds = time_name.endswith(_SECONDS)
+    numbers = {name: cells[name] for name in cells if is_seconds or name != time_name}
+    has_commas = delimiter != "," and _has_decimal_commas(path, numbers)
     clock: Clock = "seconds"
-    if time_name.endswith(("_s", "[s]")):
-        time = _numbers(path, time_name, cells[time_name], delimiter)
+    if is_seconds:
+        time = _numbers(path, time_name, cells[time_name], has_commas=has_commas)
         for row in np.flatnonzero(np.isnan(time))[:1]:
             raise InputError(
                 f"{path}: line {row + FIRST_LINE}, column {time_name}: the time is missing; add it"
@@ -124,8 +132,10 @@ def read_recording(
     else:
         stamps = Timestamps(path, time_name, timezone)
         time, clock = stamps.read(cells[time_name], first_line=FIRST_LINE)
-    _check_rising(path, time_name, time, cells[time_name])
-    columns = {name: _numbers(path, name, cells[name], delimiter) for name in column_names}
+    _check_rising(path, time_name, time, cells[time_name], timezone)
+    columns = {
+        name: _numbers(path, column, cells[column], has_commas=has_commas) for name, column in asked.items()
+    }
     return Recording(path, time, columns, clock, time_name)
 
 
@@ -138,11 +148,17 @@ def _rows(path: Path) -> tuple[list[list[str]], str]:
         text = _decoded(content)
         first = text.partition("\n")[0]
         delimiter = next((sign for sign in ";\t" if sign in first), ",")
-        return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)), delimiter
+        if first.startswith("sep="):
+            raise InputError(f"{path}: line 1, {first.strip()!r}, is for a spreadsheet alone; remove it")
+        return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)), delimiter
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             f"{path}: not a readable CSV file ({error}); give a comma-separated text file"
         ) from None
+
+
+def _composed(name: str) -> str:
+    return unicodedata.normalize("NFC", name)
 
 
 def _decoded(content: bytes) -> str:
@@ -194,16 +210,14 @@ def _cells(rows: list[list[str]], index: int) -> list[str]:
     return [row[index].strip() for row in rows[1:]]
 
 
-def _numbers(path: Path, name: str, cells: list[str], delimiter: str) -> FloatArray:
+def _numbers(path: Path, name: str, cells: list[str], *, has_commas: bool) -> FloatArray:
     """Return the cells as numbers, NaN where one is empty."""
-    if delimiter != ",":
-        cells = _with_points(path, name, cells)
     values = np.empty(len(cells))
     for row, cell in enumerate(cells):
         try:
             if "_" in cell:
                 raise ValueError("only Python takes 1_0 for 10")
-            values[row] = float(cell)
+            values[row] = float(cell.replace(",", ".") if has_commas else cell)
         except ValueError:
             if cell.casefold() not in _WORDS:
                 raise InputError(
@@ -218,27 +232,42 @@ def _numbers(path: Path, name: str, cells: list[str], delimiter: str) -> FloatAr
     return values
 
 
-def _with_points(path: Path, name: str, cells: list[str]) -> list[str]:
-    """Replace decimal commas; a column that has points as well could mean thousands by one of them."""
-    commas = [row for row, cell in enumerate(cells) if _DECIMAL_COMMA.fullmatch(cell)]
-    points = [row for row, cell in enumerate(cells) if "." in cell]
-    if commas and points:
-        raise InputError(
-            f"{path}: column {name} has a comma in {cells[commas[0]]!r} (line {commas[0] + FIRST_LINE}) and "
-            f"a point in {cells[points[0]]!r} (line {points[0] + FIRST_LINE}); write all numbers alike"
+def _has_decimal_commas(path: Path, cells: Mapping[str, list[str]]) -> bool:
+    """Say whether a file has decimal commas; where it has points as well, one of them may mean thousands."""
+    commas, points = (
+        next(
+            (
+                (name, row)
+                for name, column in cells.items()
+                for row, cell in enumerate(column)
+                if is_one(cell)
+            ),
+            None,
         )
-    return [cell.replace(",", ".") for cell in cells] if commas else cells
+        for is_one in (_DECIMAL_COMMA.fullmatch, lambda cell: "." in cell)
+    )
+    if commas and points:
+        (comma, row_of_comma), (point, row_of_point) = commas, points
+        where = "" if point == comma else f" in column {point}"
+        raise InputError(
+            f"{path}: column {comma} has a comma in {cells[comma][row_of_comma]!r} (line "
+            f"{row_of_comma + FIRST_LINE}) and there is a point in {cells[point][row_of_point]!r} (line "
+            f"{row_of_point + FIRST_LINE}{where}); write all numbers alike, without thousands signs"
+        )
+    return commas is not None
 
 
-def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str]) -> None:
+def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str], timezone: str | None) -> None:
     for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
         said = "repeats" if time[row + 1] == time[row] else "comes before"
         stamps = name if name == TIME_COLUMN else f"column {name}"
-        hint = (
-            " (if clocks were set back there: write the offset from UTC, or give the case a timezone)"
-            if not name.endswith(("_s", "[s]")) and 0 <= time[row] - time[row + 1] <= 3600.0
-            else ""
-        )
+        hint = ""
+        if not name.endswith(_SECONDS) and 0 <= time[row] - time[row + 1] <= 3600.0:
+            hint = (
+                f"; if this clock is never set forward or back, remove timezone = {timezone!r} from the case"
+                if timezone
+                else "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
+            )
         raise InputError(
             f"{path}: line {row + FIRST_LINE + 1}: {stamps} = {cells[row + 1]} {said} the line above "
             f"({cells[row]}); sort the rows and drop duplicates{hint}"

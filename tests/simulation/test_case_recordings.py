@@ -1,6 +1,7 @@
 """Recordings as loggers write them: own times, gaps, other separators, timestamps, clocks set back."""
 
 import re
+import unicodedata
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -141,6 +142,7 @@ def test_tabs_and_other_encodings_are_read(decay_case: Path, encoding: str):
 
 
 START = datetime(2018, 2, 21)
+CHANGE = datetime(2018, 3, 25, 2)
 
 
 def stamped(folder: Path, stamps: list[str], header: str = "time,T_degC,heating") -> None:
@@ -196,6 +198,33 @@ def test_a_clock_that_is_set_back_is_followed_where_the_time_zone_is_known(decay
     ):
         load_case(decay_case)
     edit(decay_case, ("schema = 1", 'schema = 1\ntimezone = "Europe/Berlin"'))
+    assert load_case(decay_case).measurement.digest == before.measurement.digest
+
+
+def test_what_a_clock_change_makes_of_a_clock_is_told(decay_case: Path):
+    # Clocks in Berlin went forward on 25 March 2018 at 02:00.
+    begin = datetime(2018, 3, 24, 18)
+    never_shifted = [(begin + timedelta(minutes=30 * i)).isoformat() for i in range(49)]
+    shifted = [
+        (begin + timedelta(minutes=30 * i, hours=begin + timedelta(minutes=30 * i) >= CHANGE)).isoformat()
+        for i in range(49)
+    ]
+    edit(decay_case, ("window_d = [0.25, 0.75]", "window_d = [0.125, 0.875]"))
+    stamped(decay_case, shifted)
+    with pytest.raises(InputError, match=r"= 5400; if clocks were set forward there, give the case"):
+        load_case(decay_case)
+    edit(decay_case, ("schema = 1", 'schema = 1\ntimezone = "Europe/Berlin"'))
+    load_case(decay_case)
+    stamped(decay_case, shifted[:1] + never_shifted[1:])
+    with pytest.raises(InputError, match=r"never set forward or back, remove timezone = "):
+        load_case(decay_case)
+
+
+def test_an_umlaut_may_be_one_character_or_two(decay_case: Path):
+    before = load_case(decay_case)
+    path = decay_case / "data" / "recording.csv"
+    path.write_text(path.read_text().replace("T_degC", unicodedata.normalize("NFD", "Wärme")))
+    edit(decay_case, ('column = "T_degC"', f'column = "{unicodedata.normalize("NFC", "Wärme")}"'))
     assert load_case(decay_case).measurement.digest == before.measurement.digest
 
 
@@ -297,8 +326,16 @@ def test_files_with_different_clocks_are_refused(decay_case: Path):
         (
             ["0;1,5", "1800;1.5"],
             "time_s;T_degC",
-            r"column T_degC has a comma in '1,5' \(line 2\) and a point",
+            r"column T_degC has a comma in '1,5' \(line 2\) and there is a point in '1.5' \(line 3\)",
         ),
+        (
+            ["0,5;1.018", "1800,5;2"],
+            "time_s;T_degC",
+            r"column time_s has a comma in '0,5' \(line 2\) and .* \(line 2 in column T_degC\); write all",
+        ),
+        (["0;1,5 K", "1800;1,5"], "time_s;T_degC", r"line 2, column T_degC: '1,5 K' is not a number"),
+        (["time_s;T_degC", "0;1", "1800;2"], "sep=;", r"line 1, 'sep=;', is for a spreadsheet alone"),
+        (['0;"1', "1800;2"], "time_s;T_degC", r"not a readable CSV file \(unexpected end of data\)"),
         (["0;1.234,5", "1800;2"], "time_s;T_degC", r"line 2, column T_degC: '1\.234,5' is not a number"),
         (['0,"1,5"', "1800,2"], "time_s,T_degC", r"line 2, column T_degC: '1,5' is not a number"),
         (["0,1", "1800,x"], "time_s,T_degC", r"line 3, column T_degC: 'x' is not a number"),
