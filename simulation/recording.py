@@ -23,6 +23,8 @@ _WORDS: Final = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan
     "true": 1.0,
     "false": 0.0,
 }
+# Beyond, programs mark what was not measured; squares of it are no numbers any more.
+_MOST: Final = 1e30
 _SECONDS: Final = ("_s", "[s]", "(s)")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 FIRST_LINE: Final = 2
@@ -225,9 +227,10 @@ def _numbers(path: Path, name: str, cells: list[str], *, has_commas: bool) -> Fl
                     "correct it, or leave the cell empty"
                 ) from None
             values[row] = _WORDS[cell.casefold()]
-        if math.isinf(values[row]):
+        if abs(values[row]) > _MOST:
             raise InputError(
-                f"{path}: line {row + FIRST_LINE}, column {name}: {cell} is not finite; leave the cell empty"
+                f"{path}: line {row + FIRST_LINE}, column {name}: {cell} is no measured value; leave the "
+                "cell empty"
             )
     return values
 

@@ -4,6 +4,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 
 @contextmanager
@@ -34,3 +35,24 @@ def interrupts_held() -> Iterator[Callable[[], None]]:
         yield release
     finally:
         release()
+
+
+@contextmanager
+def interrupts_masked() -> Iterator[None]:
+    """Hold Ctrl-C back, also in processes that are spawned meanwhile, until these call `ignore_interrupts`.
+
+    A terminal sends it to all of them, and one that was just spawned would end in the middle of its imports.
+    """
+    # Starting it would unmask.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def ignore_interrupts() -> None:
+    """Let a worker process not heed Ctrl-C, which reaches the whole group: its parent decides."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -17,6 +17,8 @@ from studies.report.wording import count, difference_unit, quantity, squared
 COLDEST_K, COLDEST_DEGC = 150.0, -100.0
 LIKE_KELVIN = (200.0, 400.0)
 """Values in degC that all lie in between are rather in kelvin."""
+FEW, FAR = 200, 10.0
+"""One value of so many may be far from the others: farther than so many times their own span."""
 LONGEST = 4
 """Names told in one line."""
 
@@ -59,6 +61,7 @@ def look_at_data(case: Case) -> Iterator[Finding]:
             f"constant over the window: {_listed(still)}",
             "see whether the CSV column is the right one and is filled",
         )
+    yield from _far_from_others(case)
     yield from _data_in_wrong_unit(case, series)
 
 
@@ -79,6 +82,26 @@ def temperature_doubt(values: FloatArray, unit: str) -> str:
         if LIKE_KELVIN[0] < low and high < LIKE_KELVIN[1]:
             return f"{span} is very hot: rather K"
     return ""
+
+
+def _far_from_others(case: Case) -> Iterator[Finding]:
+    """Look for single values that no sensor can have meant, as -9999 where nothing was measured."""
+    for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
+        values = samples.values
+        n_most = max(1, len(values) // FEW)
+        others = np.sort(values)[n_most:-n_most]
+        low, high = (others[0], others[-1]) if len(others) else (0.0, 0.0)
+        far = np.flatnonzero(np.maximum(low - values, values - high) > FAR * (high - low))
+        if low < high and len(far):
+            more = f" and {len(far) - 1} more" if len(far) > 1 else ""
+            unit = f" {output.unit}" if output.unit else ""
+            yield Finding(
+                "values far from all others",
+                "warn",
+                f"{output.name}: {values[far[0]]:.6g}{unit} at {samples.time[far[0]]:.12g} s{more}; the "
+                f"others lie between {low:.4g} and {high:.4g}{unit}",
+                "leave the cell empty where nothing was measured",
+            )
 
 
 def _names(case: Case) -> Finding:

@@ -1,7 +1,6 @@
 """Processes that each open the model once and take one start of a row after the other."""
 
 import multiprocessing
-import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -17,6 +16,7 @@ from simulation.fmi.fmu import FmuModel
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
+from simulation.workers.held_interrupts import ignore_interrupts, interrupts_masked
 from simulation.workers.parallel import ParallelModel, exit_with_parent
 from simulation.workers.recipe import Recipe
 from studies.paper.direct_journal import Journal
@@ -110,7 +110,8 @@ class Crew:
         )
         futures: dict[Future[StartResult], int] = {}
         try:
-            futures = {pool.submit(_work, theta0[j]): j for j in numbers}
+            with interrupts_masked():
+                futures = {pool.submit(_work, theta0[j]): j for j in numbers}
             waiting = set(futures)
             while waiting:
                 done, waiting = wait(waiting, timeout=LISTEN_S, return_when=FIRST_COMPLETED)
@@ -184,7 +185,7 @@ _worker: _Worker | None = None
 def _begin(task: Task, stop: Event, n_calls: "Synchronized[int]", best: "Synchronized[float]") -> None:
     """Open the model in a new worker process."""
     global _worker
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    ignore_interrupts()
     exit_with_parent()
     _worker = _Worker(task, stop, n_calls, best)
 

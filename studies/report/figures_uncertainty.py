@@ -130,7 +130,7 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
     p = len(record.names)
     n_determined = len(record.called("determined"))
     title = f"Of {count(p, 'parameter')} the data determine {count(n_determined) if n_determined else 'none'}"
-    title += _if_fixed(record)
+    title = title + _if_fixed(record) if record.is_trusted else "Too few calls to say what the data determine"
     u, point = box.to_unit(record.particles), box.to_unit(record.calibrated)
     low, high = box.to_unit(record.interval)
     linear_low, linear_high = box.to_unit(record.linear)

@@ -26,6 +26,7 @@ HOW_KNOWN = {
     "narrowed": "narrowed",
     "open": "not determined",
     "prior": "as known before",
+    "unsure": "too few calls",
 }
 
 
@@ -49,9 +50,9 @@ class UncertaintyRecord:
         names: One name per parameter.
         calibrated: Shape (p,). [per parameter]
         linear: Linearised intervals. Shape (2, p). [per parameter]
-        interval: Intervals of the posterior. Shape (2, p). [per parameter]
-        known: "determined", "narrowed" or "open", one per parameter.
-        pairs: Which parameters compensate each other, the clearest first.
+        interval: Intervals of the posterior, NaN where it is not trusted. Shape (2, p). [per parameter]
+        known: A key of `HOW_KNOWN`, one per parameter.
+        pairs: Which parameters compensate each other, the clearest first; none where it is not trusted.
         singular_values: Falling. Shape (p,). [first output's unit per range]
         null_directions: Combinations that change no output at all, in words.
         n_determined_directions: Combinations that the data determine.
@@ -102,7 +103,7 @@ class UncertaintyRecord:
     def digits(self) -> tuple[int, ...]:
         """How many digits each parameter's values are told with: no two ends of an interval look equal."""
         return tuple(
-            max(digits_between(low, high, least=4) for low, high in (interval, linear))
+            max(digits_between(low, high, least=4) for low, high in (interval, linear) if np.isfinite(low))
             for interval, linear in zip(self.interval.T, self.linear.T, strict=True)
         )
 
@@ -119,6 +120,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         arrays: Its arrays.
     """
     parameters, local = numbers["parameters"], numbers["identifiability"]
+    is_trusted, interval = numbers["sample"]["is_trusted"], [one["interval"] for one in parameters.values()]
     restriction = numbers.get("restriction", {"fixed": {}, "in_words": ""})
     n_null = local["n_null_directions"]
     directions = local["directions"]
@@ -129,9 +131,11 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         names=tuple(parameters),
         calibrated=np.array([one["calibrated"] for one in parameters.values()]),
         linear=np.array([one["linear"] for one in parameters.values()]).T,
-        interval=np.array([one["interval"] for one in parameters.values()]).T,
-        known=tuple(one["known"] for one in parameters.values()),
-        pairs=tuple(PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"]),
+        interval=np.array(interval).T if is_trusted else np.full((2, len(parameters)), np.nan),
+        known=tuple(one["known"] if is_trusted else "unsure" for one in parameters.values()),
+        pairs=tuple(
+            PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"] if is_trusted
+        ),
         singular_values=arrays["singular_values"],
         null_directions=tuple(directions[len(directions) - n_null :]),
         n_determined_directions=local["n_determined_directions"],
@@ -143,7 +147,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         predictive=arrays["predictive"],
         share_predictive=tuple(one["share_within_predictive"] for one in numbers["outputs"].values()),
         n_effective=numbers["sample"]["n_effective"],
-        is_trusted=numbers["sample"]["is_trusted"],
+        is_trusted=is_trusted,
         mse=numbers["mse"],
         best_mse=numbers["sample"]["best_mse"],
         ledger=numbers["ledger"],
@@ -194,7 +198,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
     for kind, text in kinds:
         if names := r.called(kind):
             said.append(text.format(names=listed(names)))
-    if not r.called("determined"):
+    if r.is_trusted and not r.called("determined"):
         said.insert(1, "The data determine no parameter on its own.")
     said += [f"{pair.sentence}." for pair in r.pairs]
     for direction in r.null_directions:
@@ -226,7 +230,8 @@ def sample_sentence(record: UncertaintyRecord) -> str:
     )
     if not r.is_trusted:
         worth += (
-            " That is too few: the surrogate does not know the posterior yet. Do not trust intervals, bands "
-            "and what follows from them here; go on with more --max-calls."
+            " That is too few: the surrogate does not know the posterior yet, so no interval is told but the "
+            "linearised ones, and bands are not to be trusted; go on with more --max-calls, and see whether "
+            "a prior contradicts the data."
         )
     return worth

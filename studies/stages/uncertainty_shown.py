@@ -3,7 +3,7 @@
 from studies.console import Column
 from studies.physical_model import warn_failed
 from studies.report.uncertainty import HOW_KNOWN, sentences, uncertainty_record
-from studies.report.wording import count, percent
+from studies.report.wording import MISSING, count, percent
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.results import read_arrays
 from studies.stages.uncertainty_results import posterior_files
@@ -17,17 +17,18 @@ def show_uncertainty(study: Study, outcome: Outcome) -> None:
     others = f" ({count(record.n_fixed, 'parameter')} fixed)" if record.n_fixed else ""
     rows = []
     parameters = {one.name: one for one in study.case.parameter_space.parameters}
-    for (name, one), digits in zip(found["parameters"].items(), record.digits, strict=True):
+    told = zip(found["parameters"].items(), record.digits, record.interval.T, record.known, strict=True)
+    for (name, one), digits, (low, high), known in told:
         parameter = parameters[name]
         rows.append(
             [
                 parameter.name,
                 parameter.unit,
                 f"{one['calibrated']:.{digits}g}",
-                f"{one['interval'][0]:.{digits}g} to {one['interval'][1]:.{digits}g}",
+                f"{low:.{digits}g} to {high:.{digits}g}" if record.is_trusted else MISSING,
                 f"{one['linear'][0]:.{digits}g} to {one['linear'][1]:.{digits}g}",
                 f"{parameter.lower:.4g} to {parameter.upper:.4g}",
-                HOW_KNOWN[one["known"]],
+                HOW_KNOWN[known],
             ]
         )
     study.console.table(

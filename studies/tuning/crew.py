@@ -13,6 +13,7 @@ from multiprocessing.context import SpawnProcess
 from multiprocessing.synchronize import Event
 
 from simulation.errors import InputError, MachineError
+from simulation.workers.held_interrupts import ignore_interrupts, interrupts_masked
 from simulation.workers.parallel import exit_with_parent
 from studies.environment import explain
 from studies.paths import ProjectPaths
@@ -155,11 +156,11 @@ class Crew:
             theirs, self._paths, self._n_trials, self._stop, self._deadline_s, os.getpid(), self._n_jobs
         )  # fmt: skip
         process = self._context.Process(target=_work, args=arguments, name=f"tune-{len(self._workers)}")
-        with _one_thread():
+        with interrupts_masked(), _one_thread():
             process.start()
-        theirs.close()
-        ours.send(self._studies)
-        self._workers.append(_Worker(process, ours))
+            theirs.close()
+            ours.send(self._studies)
+            self._workers.append(_Worker(process, ours))
 
     def _replace(self, dead: _Worker) -> None:
         dead.process.join(GRACE_S)
@@ -193,7 +194,7 @@ def _work(
     n_jobs: int,
 ) -> None:
     """Train trials in a worker process until there is nothing left to begin."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    ignore_interrupts()
     exit_with_parent()
     from studies.tuning.trial_worker import Worker
 

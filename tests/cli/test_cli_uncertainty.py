@@ -21,7 +21,11 @@ from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
 from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
+from studies.report.figures_uncertainty import interval_figure
+from studies.report.uncertainty import sentences, uncertainty_record
+from studies.report.uncertainty_told import intervals_table
 from studies.stages.restriction import held_numbers, restriction_of
+from studies.stages.results import parameter_box, read_arrays
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
 FEW = ("--most-relevant", "3")
@@ -113,6 +117,25 @@ def test_it_says_how_sure_the_calibration_is(
     assert f"{calls['total']} model calls: {N_DIFFERENCES} differences" in told
     assert f"{calls['n_known']} simulations stored before taught it, too" in told
     assert results_of(project) == before
+
+
+@pytest.mark.parametrize("is_trusted", [True, False])
+def test_a_sample_that_is_worth_nothing_tells_no_interval(
+    undisturbed: Path, is_trusted: bool, tmp_path: Path
+) -> None:
+    folder = undisturbed / "mlruns" / "results" / "wall-quick"
+    numbers = json.loads((folder / "posterior-adaptive.json").read_text(encoding="utf-8"))
+    numbers["sample"]["is_trusted"] = is_trusted
+    record = uncertainty_record(numbers, read_arrays(folder / "posterior-adaptive.npz"))
+    said = sentences(record, ("degC", "W"))
+    assert ("The data determine" in " ".join(said)) == is_trusted
+    assert said[0].startswith("Noise model" if is_trusted else "The sample of")
+    assert np.isfinite(record.interval).all() == is_trusted
+    assert (set(record.known) == {"unsure"}) != is_trusted
+    box = parameter_box(load_case(undisturbed / "fmus" / "wall"))
+    table = intervals_table(box, record)
+    assert [row["known"] == "too few calls" for row in table.records()] == [not is_trusted] * 7
+    assert interval_figure(box, record, tmp_path / "intervals.png").stat().st_size > 10_000
 
 
 def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -210,6 +211,20 @@ def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     assert found["units of the data"].level == "warn"
     assert "TAmb" in found["units of the data"].found
     assert "ySupTAC" in found["series that never change"].found
+
+
+def test_values_that_no_sensor_meant_are_worth_a_look(project: Path) -> None:
+    case = load_case(project / "fmus" / "office")
+    measured = case.measurement
+    (samples,) = measured.samples
+    assert "values far from all others" not in {one.what for one in look_at_data(case)}
+    values = samples.values.copy()
+    values[[7, 9]] = -9999.0, 500.0
+    spoilt = replace(measured, samples=(replace(samples, values=values),))
+    found = {one.what: one for one in look_at_data(replace(case, measurement=spoilt))}
+    (told, level) = (found["values far from all others"].found, found["values far from all others"].level)
+    assert level == "warn"
+    assert told.startswith(f"TAir: -9999 degC at {samples.time[7]:.12g} s and 1 more; the others lie between")
 
 
 @pytest.mark.parametrize(("value", "said"), [("-5.0", "GOut = -5 (0 to ...)"), ("200.0", ""), ("0", "")])

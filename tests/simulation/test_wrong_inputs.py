@@ -261,7 +261,14 @@ WRONG: dict[str, tuple[Change, str]] = {
         r"inputs\[u\]: .*other\.csv covers -90000 to -3600 s, the window needs 21600 to 64800 s; "
         r"no moment is in both; correct the times of this file or of the first output's$",
     ),
-    "infinite cell": (csv(r"^3600,[^,]*,", "3600,inf,"), r"line 4, column T_degC: inf is not finite"),
+    "infinite cell": (
+        csv(r"^3600,[^,]*,", "3600,inf,"),
+        r"line 4, column T_degC: inf is no measured value; leave",
+    ),
+    "a sentinel": (
+        csv(r"^3600,[^,]*,", "3600,3.4e38,"),
+        r"line 4, column T_degC: 3\.4e38 is no measured value",
+    ),
     "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
     "blank line inside": (csv(r"^3600,.*$", ""), r"line 4 has 0 of the 3 cells up to column heating"),
     "text cell": (
