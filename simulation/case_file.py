@@ -1,12 +1,18 @@
 """The case file's schema: every key a case.toml may hold, and nothing else."""
 
+from datetime import date
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from simulation.case_parameter import ParameterTable
 from simulation.case_table import Finite, Name, Pair, Positive, Table
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
+
+
+def _as_text(value: object) -> object:
+    """Return a date of TOML's own as the text that it stands for."""
+    return value.isoformat() if isinstance(value, date) else value
 
 
 class TimeTable(Table):
@@ -23,7 +29,7 @@ class TimeTable(Table):
     start_s: Finite | None = None
     validation_d: Pair | None = None
     validation_s: Pair | None = None
-    zero: Name | None = None
+    zero: Annotated[Name, BeforeValidator(_as_text)] | None = None
     shared_warmup: bool = False
     communication_step_s: Positive
     output_step_s: Positive

@@ -3,6 +3,7 @@
 import difflib
 import re
 import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,13 @@ def read_case_file(path: Path) -> CaseFile:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a case is a folder with a case.toml") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        if zipfile.is_zipfile(path):
+            raise InputError(
+                f"{path}: is no case file but, it seems, an FMU; studies new makes a case of one"
+            ) from None
+        raise InputError(f"{path}: is not UTF-8 ({error.reason}); save it as UTF-8 text") from None
+    except OSError as error:
         raise InputError(f"{path}: cannot be read ({error}); give a text file") from None
     try:
         content = tomllib.loads(text)
@@ -95,6 +102,7 @@ _PLAIN = {
     "model_type": "is no table; write its keys as a table, like the other ones of the file",
     "dict_type": "is no table; write its keys as a table, like the other ones of the file",
     "list_type": "is no list of tables; write its name in two brackets, [[...]], over each of them",
+    "string_type": "is no text; write it in quotes",
     "string_pattern_mismatch": "a name has letters, digits, - and _ only",
 }
 """What to say of faults that the schema tells in words of Python."""

@@ -5,6 +5,8 @@ Neither this module nor those in `studies.commands` import anything heavy at the
 
 import argparse
 import importlib
+import io
+import os
 import shlex
 import sys
 import textwrap
@@ -12,8 +14,9 @@ import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
 from itertools import groupby
+from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from simulation.errors import InputError, MachineError
 from studies.commands import options
@@ -100,6 +103,7 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _make_writable()
     console = Console(as_json="--json" in arguments)
     try:
         chosen = _understand(arguments)
@@ -115,7 +119,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         except (Exception, KeyboardInterrupt) as error:
             if is_interrupt(error):
                 return _interrupted(console, arguments)
-            return _told(console, error)
+            try:
+                return _told(console, error)
+            except OSError:
+                # what was to be told of it cannot be written either
+                return FAILED
+
+
+def _make_writable() -> None:
+    """See to it that whatever is said can be written, where nobody listens and where signs are missing."""
+    sys.stdout, sys.stderr = sys.stdout or _nobody(), sys.stderr or _nobody()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and "utf" not in stream.encoding.lower():
+            stream.reconfigure(errors="replace")
+
+
+def _nobody() -> TextIO:
+    return Path(os.devnull).open("w", encoding="utf-8")
 
 
 def _told(console: Console, error: BaseException) -> int:

@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from rich import box
 from rich.cells import cell_len
@@ -19,6 +19,8 @@ from studies.interrupts import interrupt_heeded
 
 PLAIN_WIDTH = 160
 """Columns of a table that is written to a file or a pipe."""
+LEAST_WIDTH = 4
+"""Columns of a text that is folded; where there is less room, numbers are folded as well."""
 LOOKING = 9.0
 """Pause between two looks, as a multiple of what a look costs: looking takes a tenth of a core at most."""
 _STYLES = {"": "", "strong": "bold", "dim": "dim", "good": "green", "warn": "yellow", "bad": "red"}
@@ -74,9 +76,12 @@ def _drawn(block: Block, width: int) -> RenderableType:
         padding=(0, 1, 0, 0) if block.is_dense else (0, 1),
     )
     kept = _fitting(block, width)
+    widths = _folded(block, kept, width)
     for index in kept:
         column = block.columns[index]
-        table.add_column(column.title, justify="right" if column.is_number else "left", overflow="fold")
+        justify: Literal["right", "left"] = "right" if column.is_number else "left"
+        # A unit in brackets is no markup.
+        table.add_column(Text(column.title), justify=justify, overflow="fold", width=widths.get(index))
     for row in block.rows:
         table.add_row(*(_cell(row[index]) for index in kept))
     return _titled(block.title, table)
@@ -102,16 +107,39 @@ def _cell(content: object) -> Text:
 
 def _fitting(table: Table, width: int) -> list[int]:
     """Return the columns that fit beside each other, the most spare ones left out first."""
-    gap = 2 if table.is_dense else 3
-    columns = table.columns
-    widths = [
-        max(cell_len(text) for text in (column.title, *(str(row[i]) for row in table.rows)))
-        for i, column in enumerate(columns)
-    ]
+    columns, widths = table.columns, _widths(table)
     kept = list(range(len(columns)))
-    while sum(widths[i] + gap for i in kept) > width and any(columns[i].spare for i in kept):
+    while sum(widths[i] + _gap(table) for i in kept) > width and any(columns[i].spare for i in kept):
         kept.remove(max(kept, key=lambda i: columns[i].spare))
     return kept
+
+
+def _folded(table: Table, kept: Sequence[int], width: int) -> dict[int, int]:
+    """Return the widths of columns that do not fit unfolded: a number on two lines would be another one."""
+    found, gap = dict(zip(range(len(table.columns)), _widths(table), strict=True)), _gap(table)
+    if sum(found[i] + gap for i in kept) <= width:
+        return {}
+    texts = [i for i in kept if not table.columns[i].is_number]
+    for i in set(kept).difference(texts):
+        words = (*table.columns[i].title.split(), *(str(row[i]) for row in table.rows))
+        found[i] = max(cell_len(word) for word in words)
+    while sum(found[i] + gap for i in kept) > width:
+        widest = max(texts, key=lambda i: found[i], default=-1)
+        if widest < 0 or found[widest] <= LEAST_WIDTH:
+            return {}
+        found[widest] -= 1
+    return {i: found[i] for i in kept}
+
+
+def _widths(table: Table) -> list[int]:
+    return [
+        max(cell_len(text) for text in (column.title, *(str(row[i]) for row in table.rows)))
+        for i, column in enumerate(table.columns)
+    ]
+
+
+def _gap(table: Table) -> int:
+    return 2 if table.is_dense else 3
 
 
 def _cropped(blocks: Sequence[Block], screen: RichConsole) -> RenderableType:

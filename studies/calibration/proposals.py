@@ -128,10 +128,11 @@ def telling(
     ridge = max(variance / surroundings.radius**2, LEAST_CURVATURE * np.trace(favourite.hessian))
     ridge += np.finfo(float).tiny
     factor = np.linalg.cholesky(favourite.hessian + ridge * np.eye(p))
-    steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, N_PLACES))).T
+    n_places = max(N_PLACES, 2 * n)
+    steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, n_places))).T
     places = np.clip(asked[0] + steps, lower, upper)
     excess = surroundings.objectives(places) - favourite.value
-    n_least = max(n, N_PLACES // 10)
+    n_least = max(n, n_places // 10)
     places = places[excess <= max(MOST_SPREAD * objective, float(np.sort(excess)[n_least - 1]))]
     left = surroundings.process.covariance(np.concatenate([asked, places]))
     least = LEAST_VARIANCE * float(np.diag(left).max()) + np.finfo(float).tiny

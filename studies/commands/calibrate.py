@@ -106,11 +106,15 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.adaptive import adaptive_settings, adaptive_stage
-    from studies.stages.adaptive_shown import calls_to, judged_adaptive, show_adaptive, show_replaced
+    from studies.stages.adaptive_shown import (
+        calls_to,
+        judged_adaptive,
+        show_adaptive,
+        show_replaced,
+        stored_before,
+    )
     from studies.stages.guideline import guideline_numbers
-    from studies.stages.pipeline import read_json
     from studies.stages.restriction import calls_for_relevance, checked_size
-    from studies.stages.results import adaptive_files
 
     study = open_study(chosen, console)
     n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
@@ -122,7 +126,7 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         n_free=n_free,
         n_calls_before=0 if n_free is None else calls_for_relevance(study),
     )
-    before = read_json(adaptive_files(study, n_free).numbers)
+    before = stored_before(study, n_free)
     outcome = adaptive_stage(study, settings, n_free=n_free, again=chosen.again)
     show_adaptive(study, outcome)
     show_replaced(study, before, outcome)

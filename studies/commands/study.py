@@ -50,6 +50,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     from studies.keeping.rebuild import rebuild_mlflow
     from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
+    from studies.tuning.postgres import database
 
     declared, window = read_case_file(file), chosen.window
 
@@ -78,6 +79,9 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     # Before anything else: some stages take away what is no longer whole before they begin.
     refuse_other_case(study)
     if not given.get("dry_run"):
+        if paths.storage is not None and chosen.command != "check":
+            # Now, not after hours of work that cannot be told there.
+            database(paths.storage).rows("select 1")
         rebuild_mlflow(paths, console)
     return study
 

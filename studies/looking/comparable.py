@@ -140,7 +140,8 @@ def _of_calibration(project: Project, stage: StageLook) -> Comparable:
     results = {said: found[name] for name, said in SCREENED.items() if found.get(name) is not None}
     if math.isfinite(stage.mse):
         results["final MSE"] = stage.mse
-    inputs = {name: value for name, value in stage.manifest["inputs"].items() if name != "is_log"}
+    told_below = ("is_log", "restriction")
+    inputs = {name: value for name, value in stage.manifest["inputs"].items() if name not in told_below}
     return Comparable(
         name=stage.name,
         unit=squared(project.unit_of(stage.label)),
@@ -149,6 +150,7 @@ def _of_calibration(project: Project, stage: StageLook) -> Comparable:
             "method": found.get("method", "screen, then polish"),
             "n_train": found["n_train"],
             **_flat(inputs),
+            "calibrated parameters": len(found["theta"]) - len(stage.fixed),
             **{f"fixed: {name}": one.value for name, one in stage.fixed.items()},
             **_code(stage.manifest.get("environment") or stage.manifest.get("versions") or {}),
         },

@@ -8,8 +8,8 @@ from studies.report.wording import count, difference_unit, percent, quantity, sq
 from studies.stages.adaptive import DOUBT, adaptive_command
 from studies.stages.calibrated_values import show_parameters
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
-from studies.stages.knowledge import show_prior
-from studies.stages.pipeline import Outcome, Study, Summary
+from studies.stages.knowledge import is_of_this_density, show_prior
+from studies.stages.pipeline import Outcome, Study, Summary, read_json
 from studies.stages.restriction_shown import show_restriction
 from studies.stages.results import (
     ADAPTIVE,
@@ -52,7 +52,7 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
             reached = calls_to(study, known.mse, n_free)
             calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
             console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
-    show_parameters(study, found["theta"], how)
+    show_parameters(study, found, how)
     show_prior(study, found, how)
     show_restriction(study, found, how)
     show_validation(study, [outcome])
@@ -65,12 +65,20 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
 
 
+def stored_before(study: Study, n_free: int | None) -> Summary | None:
+    """Return the numbers of the calibration that is stored, None where none is, or of another question."""
+    numbers = read_json(adaptive_files(study, n_free).numbers)
+    manifest = read_json(study.results / f"calibrate-{ADAPTIVE}{restricted(n_free)}.json")
+    is_same = manifest is not None and is_of_this_density(manifest["inputs"], study.case)
+    return numbers if is_same else None
+
+
 def show_replaced(study: Study, before: Summary | None, outcome: Outcome) -> None:
     """Say that a worse calibration replaced a better one.
 
     Args:
         study: the study.
-        before: numbers of the calibration that was stored before this one, None where there was none.
+        before: what `stored_before` returned before it.
         outcome: this one.
     """
     found = outcome.summary

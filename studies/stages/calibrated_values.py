@@ -82,7 +82,7 @@ def show_values(study: Study, outcomes: list[Outcome]) -> None:
     if not finished:
         return
     best = min(finished, key=lambda summary: float(summary["mse_polished"]))
-    show_parameters(study, best["theta"], f"n_train = {best['n_train']}")
+    show_parameters(study, best, f"n_train = {best['n_train']}")
     show_prior(study, best, f"n_train = {best['n_train']}")
     show_restriction(study, best, f"n_train = {best['n_train']}")
     show_guideline(study, judged_values(study, best))
@@ -101,19 +101,21 @@ def judged_values(study: Study, found: Mapping[str, Any]) -> Periods:
     return judge_calibration(study.case, y, found) if np.isfinite(y).all() else {}
 
 
-def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
-    """Print calibrated parameters.
+def show_parameters(study: Study, numbers: Mapping[str, Any], how: str) -> None:
+    """Print calibrated parameters, and which of them were fixed.
 
     Args:
         study: the study.
-        found: values by name. [per parameter]
+        numbers: a calibration's numbers.
         how: how they were found, in a word.
     """
+    found, fixed = numbers["theta"], numbers.get("restriction", {}).get("fixed", {})
     space = study.case.parameter_space
     theta = np.array([found[name] for name in space.names])
     rows = []
     for parameter, value, u in zip(space.parameters, theta, space.to_unit(theta), strict=True):
         bound = bound_at(float(u))
+        note = "fixed" if parameter.name in fixed else f"at the {bound} bound: widen it?" if bound else ""
         rows.append(
             [
                 parameter.name,
@@ -121,7 +123,7 @@ def show_parameters(study: Study, found: Mapping[str, float], how: str) -> None:
                 "" if parameter.estimate is None else f"{parameter.estimate:.4g}",
                 f"{value:.6g}",
                 f"{parameter.lower:.4g} to {parameter.upper:.4g}",
-                f"at the {bound} bound: widen it?" if bound else "",
+                note,
             ]
         )
     study.console.table(

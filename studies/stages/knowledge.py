@@ -111,7 +111,7 @@ def show_prior(study: Study, found: Mapping[str, Any], how: str) -> None:
     """
     if "prior" not in found:
         return
-    told = found["prior"]
+    told, fixed = found["prior"], found.get("restriction", {}).get("fixed", {})
     space = study.case.parameter_space
     rows = []
     for parameter in space.parameters:
@@ -126,7 +126,7 @@ def show_prior(study: Study, found: Mapping[str, Any], how: str) -> None:
                 told_belief(one),
                 f"{found['theta'][parameter.name]:.6g}",
                 f"{moved:+.2f}",
-                "the data contradict it" if abs(moved) > FAR else "",
+                "fixed" if parameter.name in fixed else "the data contradict it" if abs(moved) > FAR else "",
             ]
         )
     columns = [Column("parameter"), Column("unit"), Column("known before", True), Column("calibrated", True)]

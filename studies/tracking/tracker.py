@@ -254,7 +254,7 @@ def open_tracker(paths: ProjectPaths) -> Tracker:
     require_mlflow_version(paths)
     try:
         tracker = PatientTracker(MlflowTracker(paths))
-    except OSError:
+    except (OSError, InputError):
         raise
     except Exception as error:
         line = hide_passwords(str(error).splitlines()[0] if str(error) else type(error).__name__)

@@ -4,6 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from studies.tuning.trial_store import RunningTrial, StudyEntry
 
 ENTRY_FILE = "study.json"
 RUNNING_FOLDER = "running"
+_GONE = ".surrogate"
 
 
 class FileTrials:
@@ -99,7 +101,15 @@ class FileTrials:
         source = self.folder / trial_name(index) / SURROGATE_FOLDER
         if not source.is_dir():
             return False
-        shutil.copytree(source, folder, dirs_exist_ok=True)
+        try:
+            shutil.copytree(source, folder, dirs_exist_ok=True)
+        except (FileNotFoundError, shutil.Error):
+            if source.is_dir():
+                raise
+            # Another process has found a better one meanwhile.
+            for copied in folder.iterdir():
+                copied.unlink()
+            return False
         return True
 
     def keep_only_best(self) -> None:
@@ -109,7 +119,12 @@ class FileTrials:
         best = best_record(records)
         for record in records:
             if record is not best:
-                shutil.rmtree(self.folder / trial_name(record.index) / SURROGATE_FOLDER, ignore_errors=True)
+                # At once: who copies it gets all of it or an error.
+                folder = self.folder / trial_name(record.index)
+                shutil.rmtree(folder / _GONE, ignore_errors=True)
+                with suppress(OSError):
+                    (folder / SURROGATE_FOLDER).rename(folder / _GONE)
+                shutil.rmtree(folder / _GONE, ignore_errors=True)
 
     def running(self) -> list[RunningTrial]:
         """Return the trials that have an owner."""

@@ -8,6 +8,9 @@ from studies.calibration.problem import Evaluation
 MOST_KNOWN, MOST_ROWS = 250, 400
 """Known rows that the process is fitted to, and rows in all; its cost grows with their third power."""
 
+N_BEST = 50
+"""So many of the most probable rows are among them, known or asked, however many were asked."""
+
 SAME_ROW = 1e-3
 """Rows nearer to a better one than this in the unit cube tell nothing new."""
 
@@ -16,7 +19,8 @@ def telling_rows(u: FloatArray, log_density: FloatArray, n_known: int | None = N
     """Return the rows that tell most, the most probable first, none that repeats a better one. Shape (r,).
 
     Of known rows these are the most probable ones. Rows that a sampler asked come before them: one that
-    turned out improbable is where the surrogate was wrong, and forgotten it would be asked again.
+    turned out improbable is where the surrogate was wrong, and forgotten it would be asked again. Only where
+    these leave no room, the best rows come first.
 
     Args:
         u: Points, those first that were known before. Shape (n, p). [1]
@@ -27,7 +31,10 @@ def telling_rows(u: FloatArray, log_density: FloatArray, n_known: int | None = N
     is_known = np.arange(len(u)) < n_known
     kept: list[int] = []
     n_best = 0
-    for row in np.lexsort((-log_density, is_known)):
+    is_best = np.zeros(len(u), dtype=np.bool_)
+    if len(u) - n_known > MOST_ROWS - N_BEST:
+        is_best[np.argsort(-log_density, kind="stable")[:N_BEST]] = True
+    for row in np.lexsort((-log_density, is_known & ~is_best)):
         if len(kept) == MOST_ROWS or n_best == MOST_KNOWN:
             break
         if not np.isfinite(log_density[row]):

@@ -27,6 +27,12 @@ def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
     return asked, telling(around, asked, favourite, N_MORE, rng)
 
 
+def test_more_points_may_be_asked_together_than_places_are_usually_drawn() -> None:
+    around, rng = surroundings(), np.random.default_rng(0)
+    asked, favourite = liked(around, 1, 0.1, rng)
+    assert telling(around, asked, favourite, 240, rng).shape == (240, 2)
+
+
 def test_the_favourite_is_the_lowest_expectation_in_the_trust_region() -> None:
     around = surroundings()
     asked, favourite = liked(around, 1, 0.0, np.random.default_rng(0))

@@ -14,7 +14,7 @@ import pytest
 from project_for_tests import REPOSITORY, Run
 
 from studies.cli import COMMANDS, EPILOG, build_parser, command_module, main
-from studies.console import Console, format_seconds
+from studies.console import Column, Console, format_seconds
 
 HEAVY = (
     "torch",
@@ -279,6 +279,54 @@ def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
     assert done.returncode == 141
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("how", "code", "err"),
+    [
+        ("--json >/dev/full", 1, "studies: error: No space left on device; free some space"),
+        (">/dev/full", 1, "studies: error: No space left on device; free some space"),
+        (">&-", 0, ""),
+        ("2>&-", 0, ""),
+        ("| tail -n 1", 0, ""),
+    ],
+)
+def test_where_nothing_can_be_written_there_is_no_traceback(
+    project: Path, how: str, code: int, err: str
+) -> None:
+    unknown_signs = {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
+    done = subprocess.run(
+        f"{shlex.quote(sys.executable)} -m studies check {how}",
+        shell=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)} | unknown_signs,
+        check=False,
+    )
+    assert done.returncode == code
+    said = [line for line in done.stderr.splitlines() if line.startswith("studies: error")]
+    assert "\n".join(said).startswith(err)
+    assert bool(said) == bool(err)
+    assert "Traceback" not in done.stderr
+
+
+def test_a_number_is_never_broken_and_a_unit_in_brackets_is_no_markup(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    columns = [
+        Column("parameter"), Column("calibrated", True), Column("upper bound", True),
+        Column("moved by [standard deviations]", True),
+    ]  # fmt: skip
+    for width in (120, 60, 50):
+        monkeypatch.setenv("COLUMNS", str(width))
+        Console().table("", columns, [["wall.layer[1].capacity", "2.58924e+06", "1.23457e+07", "-0.12"]])
+        said = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", capsys.readouterr().out)
+        for number in ("2.58924e+06", "1.23457e+07", "-0.12"):
+            assert f" {number} " in said.replace("\n", " \n")
+        assert "[standard" in said
+        assert max(map(len, said.splitlines())) <= width
 
 
 @pytest.mark.parametrize(

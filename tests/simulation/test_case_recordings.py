@@ -176,7 +176,10 @@ def test_the_model_s_time_zero_can_be_declared(decay_case: Path):
         decay_case,
         ("[time]\nwindow_d = [0.25, 0.75]", '[time]\nwindow_d = [51.25, 51.75]\nzero = "2018-01-01"'),
     )
+    quoted = load_case(decay_case)
+    edit(decay_case, ('zero = "2018-01-01"', "zero = 2018-01-01"))
     case = load_case(decay_case)
+    assert case.digest == quoted.digest
     assert case.scenario.time_communication[0] == 51.25 * DAY
     assert case.measurement.n_samples == 25
 

@@ -56,6 +56,14 @@ WRONG: dict[str, tuple[Change, str]] = {
         r"case\.toml: no such file; a case is a folder with a case\.toml",
     ),
     "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line .*; correct that line$"),
+    "an FMU": (
+        lambda folder: (folder / "case.toml").write_bytes((folder / "decay.fmu").read_bytes()),
+        r"is no case file but, it seems, an FMU; studies new makes a case of one",
+    ),
+    "another encoding": (
+        lambda folder: (folder / "case.toml").write_bytes("# Wärme".encode("cp1252")),
+        r"case\.toml: is not UTF-8 \(.*\); save it as UTF-8 text",
+    ),
     "a key that needs quotes": (
         toml("schema = 1", "schema = 1\ntank[2].h = 0.5  # [m]"),
         r'case\.toml: not valid TOML: .*line .*needs quotes; write "tank\[2\]\.h" = \.\.\.$',

@@ -1,9 +1,11 @@
 """The records of a study: the same promises from files and from PostgreSQL."""
 
+import shutil
 import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +113,28 @@ def test_only_the_best_keeps_its_surrogate(store: TrialStore, tmp_path: Path) ->
     store.keep_only_best()
     (tmp_path / "out").mkdir()
     assert [store.fetch_surrogate(index, tmp_path / "out") for index in range(3)] == [False, True, False]
+
+
+def test_a_surrogate_that_is_removed_while_it_is_copied_is_gone(
+    tmp_path: Path, make_spec: MakeSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = open_trials(ProjectPaths(tmp_path, None), make_spec())
+    for index, mae in enumerate([0.3, 0.1]):
+        store.write(a_record(index, mae), CURVES, some_weights(tmp_path / f"w{index}"))
+    copied: list[str] = []
+
+    def copy(source: str, target: str) -> None:
+        shutil.copy2(source, target)
+        copied.append(target)
+        store.keep_only_best()
+
+    monkeypatch.setattr(shutil, "copytree", partial(shutil.copytree, copy_function=copy))
+    (tmp_path / "out").mkdir()
+    assert not store.fetch_surrogate(0, tmp_path / "out")
+    assert len(copied) == 1
+    assert not list((tmp_path / "out").iterdir())
+    assert not list(tmp_path.rglob(".surrogate"))
+    assert store.fetch_surrogate(1, tmp_path / "out")
 
 
 def test_claims_tell_who_works_and_how_far(store: TrialStore, paths: ProjectPaths) -> None:

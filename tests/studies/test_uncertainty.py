@@ -458,6 +458,15 @@ def test_a_row_that_was_asked_is_not_forgotten_for_better_known_ones():
     assert np.array_equal(np.sort(density[rows][density[rows] > -50.0]), best_known)
 
 
+def test_the_best_rows_are_kept_however_many_were_asked():
+    rng = np.random.default_rng(0)
+    u = rng.random((30 + MOST_ROWS + 20, 23))
+    density = np.concatenate([-rng.random(30), -50.0 - rng.random(MOST_ROWS + 20)])
+    rows = telling_rows(u, density, 30)
+    assert len(rows) == MOST_ROWS
+    assert set(range(30)) <= set(rows.tolist())
+
+
 def test_a_row_beside_a_better_one_tells_nothing_new():
     u = np.array([[0.5, 0.5], [0.5, 0.5 + 1e-4], [0.1, 0.9]])
     assert telling_rows(u, np.array([-1.0, -0.5, -3.0])).tolist() == [1, 2]
