@@ -23,6 +23,7 @@ from typing import Any, Final
 
 from simulation.errors import InputError, MachineError
 from simulation.scratch import ScratchFolder
+from simulation.workers.memory_watch import OutOfMemoryWatch
 from simulation.workers.messages import (
     Ended,
     Hire,
@@ -106,7 +107,7 @@ class _Nursery:
         self._make_model = make_model
         self._limits = limits
         self._workers: dict[int, int] = {}
-        self._n_oom_kills = _oom_kills()
+        self._memory = OutOfMemoryWatch()
         self._scratch = ScratchFolder(SCRATCH_PREFIX)
         self._pipe = self._wake, wake = os.pipe()
         for end in self._pipe:
@@ -191,9 +192,8 @@ class _Nursery:
             folder = self._folder(worker)
             last_line = _last_line(folder / "log")
             shutil.rmtree(folder, ignore_errors=True)
-            n_oom_kills = _oom_kills()
-            out_of_memory = exit_code == -signal.SIGKILL and n_oom_kills > self._n_oom_kills
-            self._n_oom_kills = n_oom_kills
+            has_struck = self._memory.has_struck()
+            out_of_memory = exit_code == -signal.SIGKILL and has_struck
             self._control.send(Ended(worker, exit_code, last_line, out_of_memory))
 
     def _folder(self, worker: int) -> Path:
@@ -271,15 +271,6 @@ def _kill(pid: int) -> None:
     for kill in (os.killpg, os.kill):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             kill(pid, signal.SIGKILL)
-
-
-def _oom_kills() -> int:
-    """Count the processes that the system has killed for want of memory; 0 where it does not say."""
-    n = 0
-    for file in (Path("/proc/vmstat"), Path("/sys/fs/cgroup/memory.events")):
-        with contextlib.suppress(OSError, ValueError):
-            n += sum(int(line.split()[1]) for line in file.open() if line.startswith("oom_kill "))
-    return n
 
 
 def _last_line(log: Path) -> str:

@@ -16,7 +16,6 @@ from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
 from studies.tracking.tracker import cure_of
 
-ROLES = ("study", "trial", "calibration", "sensitivity", "uncertainty", "report", "overview")
 _TAGS = ("role", "trial_key", "study_key", "stage_key", "state", "whole", "owner", "label", "told")
 _PLACES = (
     ("experiments", "artifact_location"),

@@ -25,8 +25,6 @@ MANY = 16
 CLOSE_MSE, CLOSE_CALLS = 1.1, 2.0
 """Within these factors of the paper's a row counts as the same."""
 
-OWN = {"squared": "squared residuals (Table 2's words)", "log": "own scales"}
-
 COLUMNS = (
     ("row", "method", ""),
     ("objective", "objective", ""),

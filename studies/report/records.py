@@ -6,13 +6,14 @@ Shapes use t time steps, k outputs, p parameters, n parameter sets, h history en
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulation.measurement import Measurement, Samples
+from studies.calibration.ledger import Ledger
 from studies.report.records_restriction import RestrictionRecord
 
 Floats = NDArray[np.float64]
@@ -254,12 +255,16 @@ class CalibrationRecord:
     @property
     def calls_paper(self) -> int:
         """Model calls as the paper counts them: all that found the parameters."""
-        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive + self.n_relevance
+        return self._ledger.total_paper
 
     @property
     def calls_honest(self) -> int:
         """Every simulation that was asked of the physical model, validation and test sets included."""
-        return self.calls_paper + self.n_validation + self.n_test
+        return self._ledger.total_honest
+
+    @property
+    def _ledger(self) -> Ledger:
+        return Ledger(**{one.name: getattr(self, one.name) for one in fields(Ledger)})
 
     def calls_to(self, target: float) -> int | None:
         """Return the model calls (as the paper counts) until the best MSE was at most `target`, or None."""

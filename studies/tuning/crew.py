@@ -14,11 +14,11 @@ from multiprocessing.synchronize import Event
 
 from simulation.errors import InputError, MachineError
 from simulation.workers.held_interrupts import ignore_interrupts, interrupts_masked
+from simulation.workers.memory_watch import OutOfMemoryWatch
 from simulation.workers.parallel import exit_with_parent
 from studies.environment import explain
 from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
-from studies.tuning.memory_watch import OutOfMemoryWatch
 from studies.tuning.outage import StudyInterruptedError, wait_out
 from studies.tuning.slots import reap
 from studies.tuning.study_spec import StudySpec, TuneEvent
