@@ -199,7 +199,9 @@ class AdaptiveSearch:
     @property
     def _is_doubtful(self) -> bool:
         """Whether the best error is too large, and there may be a deeper valley."""
-        return self._is_too_large and self._n_excluded < EXCLUDED_LEGS
+        # Who names a target wants it, however little is expected.
+        is_excluded = self._n_excluded >= EXCLUDED_LEGS and self._settings.target_mse is None
+        return self._is_too_large and not is_excluded
 
     @property
     def _may_end(self) -> bool:

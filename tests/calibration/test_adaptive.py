@@ -123,6 +123,8 @@ def test_an_error_that_is_too_large_ends_a_search_once_nothing_deeper_can_be() -
     assert believed.n_calls < doubted.n_calls < 60
     assert doubted.mse <= believed.mse
     assert doubted.stop_reason.endswith("and nowhere 0.5 times the error")
+    wanted = replace(SHORT, doubtful_mse=1e-9, target_mse=1e-9).minimize(problem, seed=0)
+    assert wanted.n_calls == 60
 
 
 def test_an_error_that_is_too_large_is_no_end_where_valleys_may_hide() -> None:
