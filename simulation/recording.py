@@ -14,6 +14,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.time_unit import UNITS
 from simulation.timestamps import Clock, Timestamps
 
 TIME_COLUMN: Final = "time_s"
@@ -25,7 +26,10 @@ _WORDS: Final = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan
 }
 # Beyond, programs mark what was not measured; squares of it are no numbers any more.
 _MOST: Final = 1e30
-_SECONDS: Final = ("_s", "[s]", "(s)")
+# What the name of a column of durations ends with, and how long its unit is. [s]
+_DURATIONS: Final = {"_s": 1.0} | {
+    f"{left}{unit.symbol}{right}": unit.seconds for unit in UNITS.values() for left, right in ("[]", "()")
+}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 FIRST_LINE: Final = 2
 
@@ -75,7 +79,8 @@ def read_recording(
     """Read columns of a CSV file with a header line.
 
     Commas, semicolons or tabulators separate the cells; with the latter two, a decimal comma is read.
-    Times are seconds in a column whose name ends with `_s`, `[s]` or `(s)`, else timestamps.
+    Times are seconds in a column whose name ends with `_s`, `[s]` or `(s)`, another unit's where it ends with
+    `[min]`, `[h]` or `[d]`, else timestamps.
 
     Args:
         path: The file.
@@ -121,12 +126,12 @@ def read_recording(
     n_used = 1 + max(header.index(name) for name in (time_name, *asked.values()))
     _check_lengths(path, rows, n_used, delimiter)
     cells = {name: _cells(rows, header.index(name)) for name in (time_name, *asked.values())}
-    is_seconds = time_name.endswith(_SECONDS)
-    numbers = {name: cells[name] for name in cells if is_seconds or name != time_name}
+    unit_s = next((length for end, length in _DURATIONS.items() if time_name.endswith(end)), None)
+    numbers = {name: cells[name] for name in cells if unit_s is not None or name != time_name}
     has_commas = delimiter != "," and _has_decimal_commas(path, numbers)
     clock: Clock = "seconds"
-    if is_seconds:
-        time = _numbers(path, time_name, cells[time_name], has_commas=has_commas)
+    if unit_s is not None:
+        time = unit_s * _numbers(path, time_name, cells[time_name], has_commas=has_commas)
         for row in np.flatnonzero(np.isnan(time))[:1]:
             raise InputError(
                 f"{path}: line {row + FIRST_LINE}, column {time_name}: the time is missing; add it"
@@ -265,7 +270,7 @@ def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str], tim
         said = "repeats" if time[row + 1] == time[row] else "comes before"
         stamps = name if name == TIME_COLUMN else f"column {name}"
         hint = ""
-        if not name.endswith(_SECONDS) and 0 <= time[row] - time[row + 1] <= 3600.0:
+        if not name.endswith(tuple(_DURATIONS)) and 0 <= time[row] - time[row + 1] <= 3600.0:
             hint = (
                 f"; if this clock is never set forward or back, remove timezone = {timezone!r} from the case"
                 if timezone

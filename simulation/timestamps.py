@@ -72,7 +72,7 @@ class Timestamps:
                 raise InputError(f"{where}: the time is missing; add it, or remove the line") from None
             raise InputError(
                 f"{where}: {cell!r} is no timestamp; write 2018-02-21T00:30:00+01:00 or 21.02.2018 00:30, or "
-                "seconds in a column time_s"
+                "seconds in a column time_s, or a unit in its name, as in time [h]"
             ) from None
 
 

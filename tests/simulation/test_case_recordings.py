@@ -223,6 +223,16 @@ def test_what_a_clock_change_makes_of_a_clock_is_told(decay_case: Path):
         load_case(decay_case)
 
 
+@pytest.mark.parametrize(("unit", "length_s"), [("s", 1), ("min", 60), ("h", 3600), ("d", 86400)])
+def test_times_may_count_other_units_than_seconds(tmp_path: Path, unit: str, length_s: int):
+    file = tmp_path / "room.csv"
+    for name in (f"Zeit [{unit}]", f"Zeit ({unit})"):
+        file.write_text(f"{name};T\n0,5;20\n1,5;21\n2,5;22\n", encoding="utf-8")
+        found = read_recording(file, ["T"], time_column=name)
+        np.testing.assert_allclose(found.time, np.array([0.5, 1.5, 2.5]) * length_s)
+        assert found.clock == "seconds"
+
+
 def test_an_umlaut_may_be_one_character_or_two(decay_case: Path):
     before = load_case(decay_case)
     path = decay_case / "data" / "recording.csv"
