@@ -137,14 +137,16 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
     with drawing(path, title=title, height_in=0.9 + 0.42 * p, footnote=footnote) as figure:
         axes = figure.subplots()
         for j in range(p):
-            density, edges = np.histogram(u[:, j], bins=N_BINS, range=(0.0, 1.0))
-            heights = 0.78 * density / max(density.max(), 1)
-            axes.stairs(j - heights, edges, baseline=j, fill=True, color=TRAINING, zorder=1)
-            axes.plot([low[j], high[j]], [j, j], color=POLISHED, linewidth=4.0, zorder=3)
             axes.plot(
                 [linear_low[j], linear_high[j]], [j + 0.13] * 2, color=SCREENED, linewidth=1.2, zorder=3
             )
             axes.plot([point[j]], [j], marker="o", markersize=4.5, color=INK, zorder=4, clip_on=False)
+            if not record.is_trusted:
+                continue
+            density, edges = np.histogram(u[:, j], bins=N_BINS, range=(0.0, 1.0))
+            heights = 0.78 * density / max(density.max(), 1)
+            axes.stairs(j - heights, edges, baseline=j, fill=True, color=TRAINING, zorder=1)
+            axes.plot([low[j], high[j]], [j, j], color=POLISHED, linewidth=4.0, zorder=3)
         axes.set_yticks(range(p), [shortened(name, 14) for name in record.names])
         axes.tick_params(axis="y", length=0)
         axes.grid(visible=False, axis="y")
@@ -154,11 +156,12 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
         _name_lines(axes, record)
         right = axes.secondary_yaxis("right")
         units = (shown_unit(unit) for unit in box.units)
+        told = record.interval if record.is_trusted else record.linear
         right.set_yticks(
             range(p),
             [
                 f"{_short(a, b)} to {_short(b, a)} {unit}".strip()
-                for (a, b), unit in zip(record.interval.T, units, strict=True)
+                for (a, b), unit in zip(told.T, units, strict=True)
             ],
             fontsize=8,
         )
@@ -173,7 +176,7 @@ def _name_lines(axes: Axes, record: UncertaintyRecord) -> None:
         ("— linearised", SCREENED, 0.24),
         ("● calibrated", INK, 0.42),
     )
-    for text, color, place in words:
+    for text, color, place in words if record.is_trusted else words[1:]:
         axes.annotate(
             text, (place, 1.0), (0, 3), xycoords="axes fraction", textcoords="offset points", fontsize=8.5,
             color=color,
@@ -215,7 +218,9 @@ def pairs_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, fo
 
 
 def shown_pairs(record: UncertaintyRecord) -> list[tuple[int, int]]:
-    """Return the pairs to draw: those that compensate each other, else the most correlated one."""
+    """Return the pairs to draw: those that compensate each other, else the most correlated one, if any."""
+    if not record.is_trusted:
+        return []
     place = {name: i for i, name in enumerate(record.names)}
     named = [(place[pair.first], place[pair.second]) for pair in record.pairs[:MOST_PAIRS]]
     if named or len(record.names) < 2:

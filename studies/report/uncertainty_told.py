@@ -46,15 +46,21 @@ def band_caption(measured: MeasuredSeries, record: UncertaintyRecord) -> str:
         f"{percent(share)} of the measured values of {name}"
         for name, share in zip(measured.output_names, record.share_predictive, strict=True)
     ]
+    warning = "" if record.is_trusted else "Too few calls, not to be trusted yet. "
     return (
-        f"Dark: where {percent(record.level)} of the equally good parameter sets bring the simulation. "
-        f"Light: where {percent(record.level)} of the measured values should lie, noise included; "
+        f"{warning}Dark: where {percent(record.level)} of the equally good parameter sets bring the "
+        f"simulation. Light: where {percent(record.level)} of the measured values should lie, noise included; "
         f"{listed(parts)} do{_fixed(record)}."
     )
 
 
 def interval_caption(record: UncertaintyRecord) -> str:
     """Say how to read the intervals."""
+    if not record.is_trusted:
+        return (
+            f"Each from its lower to its upper bound: the linearised {percent(record.level)} interval and "
+            f"the calibrated value. Too few calls to say more{_fixed(record)}."
+        )
     parts = [f"{len(record.called(kind))} {word}" for kind, word in HOW_KNOWN.items() if record.called(kind)]
     return (
         f"Each from its lower to its upper bound: density and {percent(record.level)} interval of the "
