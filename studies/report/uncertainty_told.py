@@ -49,8 +49,8 @@ def band_caption(measured: MeasuredSeries, record: UncertaintyRecord) -> str:
     warning = "" if record.is_trusted else "Too few calls, not to be trusted yet. "
     return (
         f"{warning}Dark: where {percent(record.level)} of the equally good parameter sets bring the "
-        f"simulation. Light: where {percent(record.level)} of the measured values should lie, noise included; "
-        f"{listed(parts)} do{_fixed(record)}."
+        f"simulation. Light: where {percent(record.level)} of the measured values should lie, noise "
+        f"included; {listed(parts)} do{_fixed(record)}."
     )
 
 
