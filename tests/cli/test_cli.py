@@ -294,16 +294,19 @@ def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
 def test_where_nothing_can_be_written_there_is_no_traceback(
     project: Path, how: str, code: int, err: str
 ) -> None:
+    # What is told names the folder.
+    root = project.rename(project.with_name("Büro"))
     unknown_signs = {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
     done = subprocess.run(
-        f"{shlex.quote(sys.executable)} -m studies check {how}",
+        f"{shlex.quote(sys.executable)} -m studies status {how}",
         shell=True,
         capture_output=True,
         text=True,
-        env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)} | unknown_signs,
+        env=os.environ | {"STUDIES_ROOT": str(root), "PYTHONPATH": str(REPOSITORY)} | unknown_signs,
         check=False,
     )
     assert done.returncode == code
+    assert ("B??ro yet" in done.stdout) == (how in ("2>&-", "| tail -n 1"))
     said = [line for line in done.stderr.splitlines() if line.startswith("studies: error")]
     assert "\n".join(said).startswith(err)
     assert bool(said) == bool(err)

@@ -17,7 +17,7 @@ from simulation.toy import ToyRC
 
 ROOT = Path(__file__).parents[2]
 N_ROWS, N_MASTERS, N_WORKERS = 3000, 25, 25
-LIMIT_S = 120.0
+LIMIT_S = 240.0
 
 # Small blocks, so that many appends and merges are under way when the process dies.
 CAMPAIGN = """
