@@ -119,7 +119,8 @@ def calibration_to_judge(
             f"{study.label} has no calibration of {asked} with{most_relevant(n_free)}; {there}type: {make}"
         )
     if not fitting:
-        is_other = not stored and any(study.results.glob("calibration-*.json"))
+        is_there = any(study.results.glob("calibration-*.json"))
+        is_other = is_there and next(stored_calibrations(study), None) is None
         other = " (what is stored is of another window, measurement, scale or prior)" if is_other else ""
         raise InputError(f"{study.label} has no calibration of {asked}{other}; type: {make}")
     judge = f"studies uncertainty {study.command}{how}{most_relevant(n_free_of(fitting[0].numbers))}"
