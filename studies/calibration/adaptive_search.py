@@ -131,7 +131,7 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present horizon and begin a leg at the best."""
         self._judge()
-        self._first, self._n_elsewhere = 0, 0
+        self._first, self._n_elsewhere, self._n_excluded = 0, 0, 0
         self._leg, self._idle, self._dull = [], 0, 0
         self._radius = self._settings.radius
 
