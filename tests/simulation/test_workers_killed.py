@@ -4,6 +4,7 @@ import itertools
 import os
 import pickle
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -122,8 +123,19 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
     assert n_kills["worker"] >= 20
     _check_counts(tmp_path, rows, sum(n_kills.values()))
     assert not psutil.wait_procs(family, timeout=5)[1]
-    assert not list(temporary.iterdir())
+    assert not [file for file in temporary.iterdir() if not _is_of_a_moment(file)]
     assert not list((tmp_path / "spool").iterdir())
+
+
+def _is_of_a_moment(path: Path) -> bool:
+    """Tell whether only a process killed within some microseconds of its start leaves this.
+
+    Python's own trial of a temporary folder, which is nobody's to remove; or a folder that is not locked yet,
+    which whoever starts an hour later sweeps.
+    """
+    if path.is_dir():
+        return path.name.startswith(".") and {file.name for file in path.iterdir()} <= {".in-use"}
+    return re.fullmatch("[a-z0-9_]{8}", path.name) is not None and b"blat".startswith(path.read_bytes())
 
 
 def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
