@@ -11,7 +11,7 @@ class NeedsPackages(Protocol):
 
     @property
     def missing(self) -> list[str]:
-        """Packages that are not installed."""
+        """What it lacks."""
 
 
 def say(text: str) -> None:
@@ -24,5 +24,5 @@ def with_packages(names: Sequence[str], methods: Mapping[str, NeedsPackages]) ->
     for name in names:
         if methods[name].missing:
             missing = ", ".join(methods[name].missing)
-            say(f"without {name}: {missing} not installed: pip install -e '.[benchmark]'")
+            say(f"without {name}: no {missing} (pip install -e '.[benchmark]', or what its module says)")
     return [name for name in names if not methods[name].missing]

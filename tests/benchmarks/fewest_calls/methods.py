@@ -1,17 +1,14 @@
 """The methods that are compared, each at its best settings, none with an initial guess.
 
-Not here: ModestPy 0.1.1, its current release. It does not import with the packages that it asks for (no
-module pyDOE: PyDOE 1.x is named otherwise). With PyDOE 0.8 it does, and its estimation ends with "'DataFrame'
-object has no attribute 'append'" (pandas 2), its pattern search with "float() argument must be a string or
-a real number, not 'Series'" (FMPy 0.3.32). Nor the paper's own method: paper_method.py measures it, whole
-studies with their trainings.
+Not here: the paper's own method. paper_method.py measures it, whole studies with their trainings.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from fewest_calls import peers_bayesian, peers_least_squares, peers_scalar
+from fewest_calls import peers_bayesian, peers_least_squares, peers_modestpy, peers_scalar
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.problem import CalibrationProblem
 
@@ -28,6 +25,7 @@ class Method:
         max_calls: Budget of a run unless the command line says otherwise.
         seeds: Runs per problem unless the command line says otherwise: fewer where a run costs minutes.
         needs: Packages, as Python imports them.
+        variable: Environment variable without which it cannot run.
         is_ours: Whether it is this project's.
         at_once: Rows that it asks in a round; where more than one, rounds count beside calls.
     """
@@ -36,13 +34,17 @@ class Method:
     max_calls: int = 1000
     seeds: int = 10
     needs: tuple[str, ...] = ()
+    variable: str = ""
     is_ours: bool = False
     at_once: int = 1
 
     @property
     def missing(self) -> list[str]:
-        """Packages that are not installed."""
-        return [name for name in self.needs if find_spec(name) is None]
+        """Packages that are not installed, and the variable that is not set."""
+        missing = [name for name in self.needs if find_spec(name) is None]
+        if self.variable and self.variable not in os.environ:
+            missing.append(f"${self.variable}")
+        return missing
 
 
 def adaptive(**settings: int | float) -> Search:
@@ -75,6 +77,7 @@ METHODS: dict[str, Method] = {
         peers_bayesian.botorch_composite, max_calls=100, seeds=2, needs=("botorch", "gpytorch")
     ),
     "bobyqa": Method(peers_scalar.bobyqa, max_calls=1500, seeds=3, needs=("pybobyqa",)),
+    "modestpy": Method(peers_modestpy.modestpy, variable=peers_modestpy.PYTHON),
     "nelder-mead": Method(peers_scalar.nelder_mead, max_calls=5000),
     "cma-es": Method(peers_scalar.cma_es, max_calls=5000, needs=("cma",)),
     "differential evolution": Method(peers_scalar.differential_evolution, max_calls=5000),
