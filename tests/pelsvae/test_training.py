@@ -179,6 +179,14 @@ def test_shapes_that_do_not_fit_are_named() -> None:
         fit(theta, y, (theta, y[:, :-1]), config=SMALL, seed=0)
 
 
+@pytest.mark.parametrize("n", [1, 6])
+def test_rows_that_are_all_the_same_teach_no_process(n: int) -> None:
+    theta, y = rc_step(24, seed=1)
+    same, config = theta[:1].repeat(n, axis=0), VARIANTS["gaussian-process"]
+    with pytest.raises(ValueError, match=f"all {n} training rows have the same parameters"):
+        fit(same, y[:n], (theta, y), config=config, seed=0)
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="asks what happens where there is no CUDA device")
 def test_cuda_asked_for_where_there_is_none() -> None:
     with pytest.raises(ValueError, match="no CUDA device here"):
