@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,10 @@ from studies.report.wording import (
 
 UNCORRELATED = 0.9
 """Samples that are worth this share of their number are said not to follow each other."""
+DOUBTFUL = 2.0
+"""Errors above so many times the sensor's uncertainty are doubted to be noise."""
+FITS_BETTER = 0.99
+"""Share of a calibration's error below which another parameter set is told to fit better."""
 
 HOW_KNOWN = {
     "determined": "determined",
@@ -54,7 +59,7 @@ class UncertaintyRecord:
         known: A key of `HOW_KNOWN`, one per parameter.
         pairs: Which parameters compensate each other, the clearest first; none where it is not trusted.
         singular_values: Falling. Shape (p,). [first output's unit per range]
-        null_directions: Combinations that change no output at all, in words.
+        null_directions: Combinations that hardly change any output near the point, in words.
         n_determined_directions: Combinations that the data determine.
         particles: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
         sample: The sample that was simulated. Shape (n, p). [per parameter]
@@ -67,6 +72,7 @@ class UncertaintyRecord:
         is_trusted: Whether that is enough.
         mse: Error of the calibration. [first output's unit squared]
         best_mse: Lowest error of all rows that are known. [first output's unit squared]
+        sensor: Uncertainty of the first output's sensor, infinite where it is not known. [its unit]
         ledger: Calls by what they were for.
         n_fixed: Parameters that were not calibrated and are not judged.
         condition: On what fixed values everything rests, in words; "" where nothing was fixed.
@@ -95,6 +101,7 @@ class UncertaintyRecord:
     is_trusted: bool
     mse: float
     best_mse: float
+    sensor: float
     ledger: Mapping[str, int]
     n_fixed: int = 0
     condition: str = ""
@@ -137,7 +144,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
             PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"] if is_trusted
         ),
         singular_values=arrays["singular_values"],
-        null_directions=tuple(directions[len(directions) - n_null :]),
+        # Results of earlier versions say only how many of the last ones they are.
+        null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
         n_determined_directions=local["n_determined_directions"],
         particles=arrays["particles_theta"],
         sample=arrays["sample_theta"],
@@ -150,6 +158,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         is_trusted=is_trusted,
         mse=numbers["mse"],
         best_mse=numbers["sample"]["best_mse"],
+        # Results of earlier versions do not say.
+        sensor=numbers.get("sensor") or math.inf,
         ledger=numbers["ledger"],
         n_fixed=len(restriction["fixed"]),
         condition=restriction["in_words"],
@@ -189,6 +199,12 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
     """
     r, unit = record, difference_unit(units[0])
     said = [noise_sentence(r.noise, unit)]
+    rms = math.sqrt(r.best_mse)
+    if r.noise["kind"] != "sensor" and rms > DOUBTFUL * r.sensor:
+        said[0] += (
+            f" The best fit is off by {significant(rms / r.sensor)} times the sensor's uncertainty: rather a "
+            "failed fit, or a model that lacks something, than noise. All that follows takes it for noise."
+        )
     kinds = (
         ("determined", "The data determine {names}."),
         ("narrowed", "They narrow down {names}."),
@@ -201,12 +217,13 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
     if r.is_trusted and not r.called("determined"):
         said.insert(1, "The data determine no parameter on its own.")
     said += [f"{pair.sentence}." for pair in r.pairs]
-    for direction in r.null_directions:
-        said.append(
-            f"Moving all of these together changes no output at all: {direction} (shares of the ranges). No "
-            "measurement of these outputs tells their common size; only the bounds do."
-        )
-    if r.best_mse < 0.99 * r.mse:
+    if r.is_trusted:
+        said += [
+            f"Near the calibrated point moving these together hardly changes any output: {direction} (shares "
+            "of the ranges, rounded)."
+            for direction in r.null_directions
+        ]
+    if r.best_mse < FITS_BETTER * r.mse:
         said.append(
             f"A simulated set fits better than the calibration: MSE {significant(r.best_mse)} instead of "
             f"{significant(r.mse)} {squared(unit)}; calibrate with more calls."

@@ -16,6 +16,7 @@ from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
+from studies.report.uncertainty import FITS_BETTER
 from studies.report.wording import count
 from studies.stages.calibrate import write_arrays
 from studies.stages.knowledge import prior_inputs, sensor_inputs
@@ -177,6 +178,9 @@ def judge_calibration_point(
         noise = noise_of(settings.noise, case.measurement, y, n_parameters)
         known_theta = known_rows(physical.store, model, problem, Posterior(noise, prior))
         known = problem.judge(problem.space.to_unit(known_theta), model.simulate(known_theta))
+        if known.n and known.mse.min() < FITS_BETTER * float(case.measurement.mse(y[None])[0]):
+            # What a calibration that ended early has left over is not noise.
+            noise = noise_of(settings.noise, case.measurement, known.y[np.argmin(known.mse)], n_parameters)
         found = assess(
             problem,
             theta,
@@ -224,6 +228,7 @@ def _told(
         "seed": study.profile.seed,
         "level": LEVEL,
         "noise": noise.to_dict(),
+        "sensor": sensor if np.isfinite(sensor := float(measurement.uncertainty[0])) else None,
         "has_prior": problem.prior is not None,
         "parameters": {
             parameter: {

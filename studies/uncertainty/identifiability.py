@@ -14,6 +14,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import CountingModel
+from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from studies.calibration.prior import Prior
@@ -92,6 +93,7 @@ class Identifiability:
         n_samples: Residuals.
         n_independent: Independent samples that they are worth.
         n_calls: Rows asked of the model.
+        is_unknown: Which parameters could not be moved, their differences having failed. Shape (p,).
         null: Share of the largest singular value below which the others are none. [1]
     """
 
@@ -109,6 +111,7 @@ class Identifiability:
     n_samples: int
     n_independent: float
     n_calls: int
+    is_unknown: BoolArray
     null: float = NULL
 
     @property
@@ -124,8 +127,15 @@ class Identifiability:
 
     @property
     def n_null_directions(self) -> int:
-        """Combinations of parameters that change no output at all, whatever is measured."""
-        return int(np.sum(self.singular_values <= self.null * self.singular_values[0]))
+        """Combinations of parameters that change no output at all near the point, whatever is measured."""
+        return len(self._null_ranks)
+
+    @property
+    def _null_ranks(self) -> list[int]:
+        are_none = np.flatnonzero(self.singular_values <= self.null * self.singular_values[0])
+        # What could not be moved has no slope, but is not known to change nothing.
+        unknown = np.sum(self.directions[:, self.is_unknown] ** 2, axis=1)
+        return [int(rank) for rank in are_none if unknown[rank] < 0.5]
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -161,6 +171,7 @@ class Identifiability:
             "singular_values": self.singular_values.tolist(),
             "n_null_directions": self.n_null_directions,
             "noise": self.noise,
+            "null_directions": [self.direction_in_words(k) for k in self._null_ranks],
             "directions": [self.direction_in_words(k) for k in range(len(self.names))],
             "pairs": [pair.to_dict() for pair in self.pairs],
             "n_samples": self.n_samples,
@@ -179,11 +190,16 @@ def identifiability(model: ForwardModel, measurement: Measurement, theta: FloatA
 
     Returns:
         Singular values, correlations and spreads; a parameter that fails on both sides moves nothing.
+
+    Raises:
+        InputError: The model fails at the point.
     """
     counter = CountingModel(model)
     problem = CalibrationProblem(counter, measurement)
     u = np.clip(problem.space.to_unit(theta), 0.0, 1.0)
     answer = problem.evaluate(difference_rows(u, STEP))
+    if answer.failures[0]:
+        raise InputError(f"nothing is known of the model around a point that fails: {answer.failures[0]}")
     noise = noise_of("correlated", measurement, answer.y[0], len(u))
     found = judged(problem.space.names, answer, noise.raised, noise.n_independent, STEP)
     return replace(found, theta=np.array(theta, dtype=np.float64))
@@ -249,6 +265,7 @@ def judged(
         n_samples=m,
         n_independent=n_independent,
         n_calls=len(answer.u),
+        is_unknown=np.array([all(answer.failures[row] for row in (j + 1, j + 1 + p)) for j in range(p)]),
         null=null,
     )
 

@@ -1,10 +1,11 @@
 """A sample of equally good parameter sets: drawn on a surrogate, simulated by the model, reweighted by it.
 
 Rounds: a Gaussian process of the residuals is fitted to all rows known near the optimum, particles sample the
-density that it predicts, and a batch of them is simulated. Where the model disagrees with the prediction by
-too much, the batch teaches the process and the next round begins; where it agrees, more of the same particles
-are simulated until the sample is large enough. Each of its members then weighs as much as the model's density
-exceeds the predicted one (importance sampling): so the sample is the model's.
+density that it predicts, less where simulations failed, and a batch of them is simulated. Where the model
+disagrees with the prediction by too much, the batch teaches the process and the next round begins; where it
+agrees, more of the same particles are simulated until the sample is large enough. Each of its members then
+weighs as much as the model's density exceeds the predicted one (importance sampling): so the sample is the
+model's.
 
 Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
 goes on where it stopped.
@@ -23,6 +24,7 @@ from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.annealing import Particles, Reference, sample_density
 from studies.uncertainty.density import Posterior, Predicted
 from studies.uncertainty.rows import joined, telling_rows
+from studies.uncertainty.succeeding import Succeeding
 from studies.uncertainty.weights import effective_size, normalized
 
 DECIMALS, STEPS_PER_DEVIATION = 5, 5.0
@@ -90,11 +92,12 @@ class PosteriorSample:
 
     @property
     def n_effective(self) -> float:
-        """Members of equal weight that the sample is worth."""
-        return effective_size(self.weights)
+        """Members of equal weight that the sample is worth, none where no simulation succeeded."""
+        return effective_size(self.weights) if np.isfinite(self.log_ratios).any() else 0.0
 
 
 OnCalls = Callable[[int], None]
+LogDensity = Callable[[FloatArray], FloatArray]
 
 
 class PosteriorSampler:
@@ -134,8 +137,8 @@ class PosteriorSampler:
         """Sample the posterior."""
         with threadpool_limits(limits=1, user_api="blas"):
             while True:
-                predicted, particles = self._round(self._settings.n_drawn_from)
-                drawn, ratios, is_good = self._simulate(predicted, particles)
+                expected, particles = self._round(self._settings.n_drawn_from)
+                drawn, ratios, is_good = self._simulate(expected, particles)
                 if is_good or not self._has_another_round:
                     break
             _, last = self._round(self._settings.n_particles)
@@ -153,7 +156,7 @@ class PosteriorSampler:
             best_mse=float(self._mse[best]),
         )
 
-    def _round(self, n_particles: int) -> tuple[Predicted, Particles]:
+    def _round(self, n_particles: int) -> tuple[LogDensity, Particles]:
         """Fit the process to what is known and sample the density that it predicts by so many particles."""
         density = self._posterior.at(self._u, self._mse)
         rows = telling_rows(self._u, density, self._n_known)
@@ -163,10 +166,15 @@ class PosteriorSampler:
         narrowest = self._posterior.precision(predicted, self._u[rows[:1]], wider=1.0)
         self._decimals = decimals_for(float(np.sqrt(np.diagonal(narrowest[0]).max())))
         good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
+        succeeding = Succeeding(self._u, ~np.isfinite(self._mse), narrowest[0])
+
+        def expected(u: FloatArray) -> FloatArray:
+            value: FloatArray = self._posterior.by(predicted, u) + succeeding.log_probability(u)
+            return value
 
         def sampled(reference: Reference) -> Particles:
             return sample_density(
-                lambda u: self._posterior.by(predicted, u),
+                expected,
                 reference,
                 seed=int(self._rng.integers(2**31)),
                 n_particles=n_particles,
@@ -176,18 +184,18 @@ class PosteriorSampler:
         anywhere = sampled(Reference.even(self._u.shape[1])).u[:MOST_CENTRES]
         centres = np.concatenate([good, anywhere])
         precision = self._posterior.precision(predicted, centres, wider=WIDER)
-        return predicted, sampled(Reference(centres, np.linalg.cholesky(np.linalg.inv(precision))))
+        return expected, sampled(Reference(centres, np.linalg.cholesky(np.linalg.inv(precision))))
 
     @property
     def _has_another_round(self) -> bool:
         """Whether the calls that are left allow a sample of two batches."""
         return self._settings.max_calls - self.n_calls >= 2 * self._settings.n_batch
 
-    def _simulate(self, predicted: Predicted, particles: Particles) -> tuple[Evaluation, FloatArray, bool]:
+    def _simulate(self, expected: LogDensity, particles: Particles) -> tuple[Evaluation, FloatArray, bool]:
         """Simulate particles as long as the model agrees.
 
         Args:
-            predicted: What the surrogate predicts.
+            expected: Logarithm of the density that is expected of points.
             particles: A sample of it.
 
         Returns:
@@ -203,7 +211,7 @@ class PosteriorSampler:
             u = np.round(particles.u[len(ratios) : len(ratios) + n], self._decimals)
             answer = self._ask(u)
             parts.append(answer)
-            new = self._posterior.at(u, answer.mse) - self._posterior.by(predicted, u)
+            new = self._posterior.at(u, answer.mse) - expected(u)
             ratios = np.append(ratios, new)
             if self._has_another_round and not self._agrees(ratios):
                 break

@@ -119,6 +119,25 @@ def test_it_says_how_sure_the_calibration_is(
     assert results_of(project) == before
 
 
+def test_what_a_calibration_that_ended_early_left_over_is_no_noise(project: Path, studies: Run) -> None:
+    early = studies("calibrate", "wall", "--jobs", "1", "--target", "0.05", "--max-calls", "24", "--again")
+    assert early.code == 0, early.err
+    stage = studies(*JUDGE, "--json").stage
+    # The store holds a better row, from the calibration before.
+    assert stage["sample"]["best_mse"] < 0.5 * stage["mse"]
+    assert stage["noise"]["deviation"] ** 2 < 0.5 * stage["mse"]
+
+
+def test_an_error_beyond_the_sensors_is_not_told_as_noise(undisturbed: Path) -> None:
+    numbers = results_of(undisturbed)
+    arrays = read_arrays(undisturbed / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.npz")
+    said = sentences(uncertainty_record(numbers, arrays), ("degC", "W"))
+    assert "failed fit" not in said[0]
+    numbers["sensor"] = 0.1 * np.sqrt(numbers["sample"]["best_mse"])
+    said = sentences(uncertainty_record(numbers, arrays), ("degC", "W"))
+    assert "The best fit is off by 10.0 times the sensor's uncertainty: rather a failed fit" in said[0]
+
+
 @pytest.mark.parametrize("is_trusted", [True, False])
 def test_a_sample_that_is_worth_nothing_tells_no_interval(
     undisturbed: Path, is_trusted: bool, tmp_path: Path

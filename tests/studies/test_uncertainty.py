@@ -19,7 +19,7 @@ from studies.uncertainty.assess import Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Predicted
 from studies.uncertainty.findings import compensations, knowledge
-from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.identifiability import difference_rows, identifiability, judged
 from studies.uncertainty.noise import Noise, noise_of
 from studies.uncertainty.rows import MOST_KNOWN, MOST_ROWS, telling_rows
 from studies.uncertainty.weights import effective_size, normalized, quantiles
@@ -427,6 +427,39 @@ def test_a_parameter_that_fails_on_one_side_is_judged_by_the_other():
     cut = replace(whole, f=lambda theta, t: np.where(theta[0] > 0.31, np.nan, theta[0] + theta[1] * t))
     assert around(cut, [0.3, -0.4]).spread == pytest.approx(around(whole, [0.3, -0.4]).spread)
     assert around(cut, [0.3, -0.4]).n_null_directions == 0
+
+
+def test_a_parameter_that_fails_on_both_sides_is_not_said_to_change_nothing():
+    cut = replace(
+        line(), f=lambda theta, t: np.where(abs(theta[0] - 0.3) < 1e-6, theta[0] + theta[1] * t, np.nan)
+    )
+    found = around(cut, [0.3, -0.4])
+    assert found.is_unknown.tolist() == [True, False]
+    assert found.n_null_directions == 0
+    assert found.to_dict()["null_directions"] == []
+
+
+def test_around_a_point_that_fails_nothing_is_known():
+    model = line()
+    broken = replace(model, f=lambda theta, t: np.nan * (theta[0] + t))
+    with pytest.raises(InputError, match="nothing is known of the model around a point that fails"):
+        identifiability(broken, posed(model, [0.3, -0.4]).measurement, np.array([0.3, -0.4]))
+
+
+def test_where_simulations_fail_few_are_asked():
+    # The best offset is 0.503, and above 0.5 every simulation fails.
+    cut = replace(line(), f=lambda theta, t: np.where(theta[0] <= 0.5, theta[0] + theta[1] * t, np.nan))
+    problem = replace(posed(line(), [0.503, 0.5]), model=CountingModel(cut))
+    found = assessed(problem, np.array([0.5, 0.5]))
+    assert found.sample.n_effective >= 0.3 * found.sample.drawn.n
+    failed = np.isinf(found.sample.drawn.mse)
+    assert failed.mean() < 0.6
+
+
+def test_a_sample_without_a_success_is_worth_nothing():
+    found = assessed(posed(line(), [0.3, -0.4]), np.array([0.3, -0.4]))
+    lost = replace(found.sample, log_ratios=np.full(found.sample.drawn.n, -np.inf))
+    assert lost.n_effective == 0.0
 
 
 def test_where_nothing_moves_an_output_every_direction_is_null():
