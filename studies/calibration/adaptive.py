@@ -93,14 +93,22 @@ class Adaptive:
 
     def __post_init__(self) -> None:
         """Refuse settings that no search can run with."""
-        for name in ("max_calls", "n_descents", "n_parallel", "patience"):
-            if getattr(self, name) < 1:
-                raise InputError(f"adaptive calibration: {name} is {getattr(self, name)}; give at least 1")
-        if self.n_start is not None and self.n_start < 2:
-            raise InputError(f"adaptive calibration: n_start is {self.n_start}; give at least 2")
+        counts = {"max_calls": 1, "n_descents": 1, "n_parallel": 1, "patience": 1, "stall_rounds": 1}
+        for name, least in (counts | {"n_elsewhere": 0, "n_start": 2}).items():
+            value = getattr(self, name)
+            if value is None and name == "n_start":
+                continue
+            if not isinstance(value, int | np.integer) or value < least:
+                raise InputError(
+                    f"adaptive calibration: {name} is {value}; give a whole number of at least {least}"
+                )
+        for name in ("ftol", "stall_gain", "target_mse", "doubtful_mse"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0.0:
+                raise InputError(f"adaptive calibration: {name} is {value}; give at least 0")
         if not 0.0 <= self.margin < 0.5:
             raise InputError(f"adaptive calibration: margin is {self.margin}; give a value in [0, 0.5)")
-        if self.caution < 0.0:
+        if not self.caution >= 0.0:
             raise InputError(f"adaptive calibration: caution is {self.caution}; give at least 0")
         if not 0.0 < self.least_radius <= self.radius <= 1.0:
             raise InputError(
@@ -127,7 +135,14 @@ class Adaptive:
 
         Returns:
             The best point seen; never raises for a failed simulation or a spent budget.
+
+        Raises:
+            InputError: If it is given something else than a problem.
         """
+        if not isinstance(problem, CalibrationProblem):
+            raise InputError(
+                f"a calibration needs CalibrationProblem(model, measurement), not {type(problem).__name__}"
+            )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
         search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed))
         converged = False
@@ -140,6 +155,8 @@ class Adaptive:
             reason = str(end)
         best = recorder.best
         assert best is not None, "a budget of at least one row lets the first design be asked"
+        if best.failures[0]:
+            reason = f"no simulation succeeded, the first one: {best.failures[0]}; {reason}"
         return AdaptiveResult(
             u=best.u[0],
             theta=best.theta[0],

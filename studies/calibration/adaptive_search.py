@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least_excluded
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.first_design import latin_hypercube
@@ -36,6 +36,8 @@ DULL, DULL_IN_A_BEGINNING, DULL_ROUNDS = 1e-4, 0.1, 2
 AT_HOME = 0.1
 # So many legs in a row that begin where everything is excluded end the doubt: there is no deeper valley.
 EXCLUDED_LEGS = 2
+# A row so many times worse than most of the first design tells of a simulation that has diverged.
+ABSURD = 1e6
 # A search whose best error falls by this factor within so many rounds is not lost.
 FALLING, FALLING_ROUNDS = 0.5, 3
 
@@ -258,7 +260,7 @@ class AdaptiveSearch:
         self._judge()
 
     def _fit(self) -> ProcessGroups:
-        good = np.isfinite(self._objective)
+        good = self._is_sane
         process = ProcessGroups.fit(
             self._features,
             self._u[good],
@@ -269,6 +271,15 @@ class AdaptiveSearch:
         )
         self._hyper = process.hyper
         return process
+
+    @property
+    def _is_sane(self) -> BoolArray:
+        """Which rows a surrogate learns from: beside diverged simulations all others would be alike."""
+        finite = np.isfinite(self._objective)
+        design = self._objective[: self._settings.design_size(self._p)]
+        design = design[np.isfinite(design)]
+        sane = finite & (self._objective <= ABSURD * np.quantile(design, 0.25)) if design.size else finite
+        return sane if sane.sum() >= 2 else finite
 
     def _expand(self, process: ProcessGroups, u: FloatArray, caution: float) -> Expansion:
         return expected_objective(process, self._prior, u, caution)

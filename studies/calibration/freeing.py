@@ -1,5 +1,6 @@
 """What fixed parameters may have cost: by differences at the optimum, what their freedom would gain."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +22,9 @@ class Freeing:
     """What would be gained, by differences, were fixed parameters free.
 
     Attributes:
-        gain: Part of the objective that freeing all of them would take away. [1]
-        gain_alone: The same for each of the p parameters with the free ones; 0 for those. Shape (p,). [1]
+        gain: Part of the objective that freeing all of them would take away; NaN where the optimum fails. [1]
+        gain_alone: The same for each of the p parameters with the free ones; 0 for those, NaN where it or the
+            optimum fails. Shape (p,). [1]
         n_calls: Rows asked of the model.
     """
 
@@ -35,7 +37,7 @@ def freeing(problem: CalibrationProblem, u: FloatArray, is_free: BoolArray) -> F
     """Say what fixing has cost, as far as straight lines through the optimum tell.
 
     It costs a row per parameter and one more. Each fixed parameter may move by `REACH` of its range, the free
-    ones with it. A parameter whose difference fails gains nothing.
+    ones with it; one whose difference fails stays where it is.
 
     Args:
         problem: The problem of all p parameters, posed to the physical model.
@@ -47,8 +49,11 @@ def freeing(problem: CalibrationProblem, u: FloatArray, is_free: BoolArray) -> F
     answer = problem.on(counter).evaluate(np.vstack([u, u + np.diag(steps)]))
     m = answer.residuals.shape[1]
     here = answer.residuals[0]
+    if answer.failures[0]:
+        return Freeing(math.nan, np.where(is_free, 0.0, math.nan), counter.n_calls)
     slopes = (answer.residuals[1:] - here) / steps[:, None]
-    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
+    fails = ~np.isfinite(slopes).all(axis=1)
+    slopes[fails] = 0.0
     jacobian = slopes.T
     if problem.prior is not None:
         here = np.concatenate([here, problem.prior.rows(u[None], m)[0]])
@@ -68,6 +73,7 @@ def freeing(problem: CalibrationProblem, u: FloatArray, is_free: BoolArray) -> F
     # What the free ones alone would still gain is the optimum's own roughness, and not the fixing's.
     rough = gain(is_free)
     alone = np.zeros(len(u))
-    for j in np.flatnonzero(~is_free):
+    alone[fails & ~is_free] = math.nan
+    for j in np.flatnonzero(~is_free & ~fails):
         alone[j] = max(gain(is_free | (np.arange(len(u)) == j)) - rough, 0.0)
     return Freeing(max(gain(np.ones_like(is_free)) - rough, 0.0), alone, counter.n_calls)

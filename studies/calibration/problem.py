@@ -73,7 +73,10 @@ class CalibrationProblem:
     prior: Prior | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a measurement that the model cannot be compared with."""
+        """Refuse what is no model, and a measurement that it cannot be compared with."""
+        for name in ("parameter_space", "output_names", "time", "simulate"):
+            if not hasattr(self.model, name):
+                raise InputError(f"a model needs {name}, and {type(self.model).__name__} has none")
         if tuple(self.model.output_names) != tuple(self.measurement.output_names):
             raise InputError(
                 f"the model's outputs {tuple(self.model.output_names)} are not the measured ones "
@@ -134,9 +137,11 @@ class CalibrationProblem:
         residuals = self.measurement.compared(trajectories.y)
         failed = trajectories.failed | ~np.all(np.isfinite(residuals), axis=1)
         mse = np.full(len(u), np.inf)
-        mse[~failed] = np.mean(residuals[~failed] ** 2, axis=1)
+        with np.errstate(over="ignore"):
+            mse[~failed] = np.mean(residuals[~failed] ** 2, axis=1)
+        failed |= np.isinf(mse)
         failures = tuple(
-            reason or ("the simulated values are not finite" if bad else "")
+            reason or ("the simulated values are not finite, or too large to square" if bad else "")
             for reason, bad in zip(trajectories.failures, failed, strict=True)
         )
         objective = mse

@@ -1,9 +1,9 @@
 """ASHRAE guideline 14 (2014): how far a calibrated building model may be off, and whether one is.
 
 CV(RMSE), the root mean square difference over the size of the mean measured value, and NMBE, the mean
-difference over it, are limited for energy and power by the interval at which they were measured. The
-guideline divides by n - 1, here it is n. Samples closer than an hour are judged as they are by the hourly
-limits: means differ less.
+difference over it, are limited for energy and power by the interval at which they were measured; both sums
+are divided by n - 1. Samples closer than an hour are judged by the hourly limits as far as that is safe:
+their hourly means differ less, and by the same in the mean.
 """
 
 from __future__ import annotations
@@ -125,11 +125,12 @@ def relative(
         output: Position of the output.
         unit: Unit of the output.
     """
+    values = measurement.samples[output].values
     # Of what is negative where it is taken out, as cooling is, the size counts.
-    mean = abs(float(np.mean(measurement.samples[output].values)))
-    if _is_temperature(unit) or mean == 0.0:
+    n, mean = len(values), abs(float(np.mean(values)))
+    if _is_temperature(unit) or mean == 0.0 or n == 1:
         return None, None
-    return rmse / mean, bias / mean
+    return rmse / mean * math.sqrt(n / (n - 1)), bias / mean * n / (n - 1)
 
 
 def judged(
@@ -145,17 +146,26 @@ def judged(
         nmbe: NMBE, None likewise. [1]
     """
     name, time = measurement.output_names[output], measurement.samples[output].time
-    step_s = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
     if _is_temperature(unit):
         reason = "the zero of a temperature is a convention, so a share of its mean says nothing"
         return Judged(name, None, None, None, reason)
+    if len(time) == 1:
+        return Judged(name, None, None, None, "a single value says nothing")
     if cv_rmse is None or nmbe is None:
         return Judged(name, None, None, None, "the mean measured value is zero, of which nothing is a share")
+    step_s = float(np.median(np.diff(time)))
     if not _is_energy_or_power(unit):
         reason = f"they are for energy and power, and its unit is {unit or '1'}"
         return Judged(name, cv_rmse, nmbe, None, reason)
     if step_s <= HOUR_S * ON_TIME:
-        return Judged(name, cv_rmse, nmbe, HOURLY)
+        found = Judged(name, cv_rmse, nmbe, HOURLY)
+        if found.is_met or abs(nmbe) > HOURLY.nmbe or step_s > HOUR_S / ON_TIME:
+            return found
+        reason = (
+            f"a value is measured every {step_s / 60.0:.3g} min with CV(RMSE) {_tenths(cv_rmse)}, and hourly "
+            "means may keep the hourly ones"
+        )
+        return Judged(name, cv_rmse, nmbe, None, reason)
     if 28.0 * DAY_S / ON_TIME <= step_s <= 31.0 * DAY_S * ON_TIME:
         return Judged(name, cv_rmse, nmbe, MONTHLY)
     reason = f"they are for hourly and monthly values, and a value is measured every {step_s / HOUR_S:.3g} h"

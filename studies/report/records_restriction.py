@@ -19,7 +19,8 @@ class RestrictionRecord:
         n_calls: Calls for that, made first of all.
         n_calls_before: Calls that stored Sobol indices had cost before.
         gain: Part of the error that freeing all others would take away; None where not checked. [1]
-        gain_alone: The same for each of them alone, by name; empty where not checked. [1]
+        gain_alone: The same for each of them alone, by name; None where its simulation failed, empty where
+            not checked. [1]
         n_check: Calls of that check.
     """
 
@@ -30,7 +31,7 @@ class RestrictionRecord:
     n_calls: int = 0
     n_calls_before: int = 0
     gain: float | None = None
-    gain_alone: Mapping[str, float] = field(default_factory=dict)
+    gain_alone: Mapping[str, float | None] = field(default_factory=dict)
     n_check: int = 0
 
     @property

@@ -73,6 +73,8 @@ def _cost_sentence(
             f"freed, they would gain {percent(r.gain)} of the error within a tenth of their ranges, "
             f"by differences at the optimum ({count(r.n_check, 'call')}, counted)"
         )
+    elif r.n_check:
+        parts.append("what freeing them would gain is not known, the optimum failed when simulated again")
     return f"What the fixing cost: {'; '.join(parts) or 'not known, the budget held no check of it'}."
 
 

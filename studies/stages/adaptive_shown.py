@@ -39,14 +39,7 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:
-        told = (
-            "the surrogate expects no deeper valley in the box: the model lacks something, or a bound is "
-            "in the way"
-            if found["converged"]
-            else "there may be a deeper valley, or the model lacks something; try more --max-calls, another "
-            "--seed, or studies run"
-        )
-        console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {told}")
+        console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {_doubt(found)}")
     for known in study.case.references:
         if known.is_target:
             reached = calls_to(study, known.mse, n_free)
@@ -63,6 +56,22 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(f"How sure it is: studies uncertainty {study.command}{most_relevant(n_free)}")
     if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
+
+
+def _doubt(found: Summary) -> str:
+    """Say what an error that is too large may come from."""
+    target = found["settings"]["target_mse"]
+    if target is not None and found["mse"] <= target:
+        return "the search ended at its target; without --target it goes on"
+    if found["converged"]:
+        return (
+            "the surrogate expects no deeper valley in the box: the model lacks something, or a bound is in "
+            "the way"
+        )
+    return (
+        "there may be a deeper valley, or the model lacks something; try more --max-calls, another --seed, "
+        "or studies run"
+    )
 
 
 def stored_before(study: Study, n_free: int | None) -> Summary | None:

@@ -198,14 +198,18 @@ def restriction_numbers(
         with open_physical_model(study) as physical:
             problem = CalibrationProblem(physical, study.case.measurement, prior_of(study.case))
             found = freeing(problem, space.to_unit(theta), is_free)
-        alone = dict(zip(space.names, found.gain_alone.tolist(), strict=True))
+        alone = dict(zip(space.names, map(_known, found.gain_alone), strict=True))
         check = {
-            "gain": found.gain,
+            "gain": _known(found.gain),
             "gain_alone": {name: alone[name] for name in restriction.fixed},
             "n_calls": found.n_calls,
         }
     content = {**restriction.to_dict(), "check": check}
     return {"restriction": content}, 0 if check is None else check["n_calls"]
+
+
+def _known(gain: float) -> float | None:
+    return float(gain) if np.isfinite(gain) else None
 
 
 def free_space(case: Case, restriction: Restriction | None) -> ParameterSpace:

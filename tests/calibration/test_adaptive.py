@@ -1,6 +1,7 @@
 """Adaptive calibration: few calls, exact counts, repeats, failures, and the process it rests on."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.optimize import approx_fprime
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.forward_model import WrappedModel
 from simulation.toy import ToyRC
+from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.box_newton import descend
 from studies.calibration.expected_objective import Surrogate
@@ -49,6 +52,20 @@ def test_needs_fewer_calls_than_differences_would() -> None:
     best = problem.mse(problem.space.to_unit(TRUE_RC))[0]
     calls = [SHORT.minimize(problem, seed=seed).history.calls_to(1.05 * best) for seed in range(5)]
     assert all(n is not None and n <= 20 for n in calls), calls
+
+
+class Diverges(WrappedModel):
+    """A model whose simulations blow up for most values of its first parameter."""
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        answer = self._model.simulate(theta)
+        return replace(answer, y=np.where(theta[:, :1, None] > 2.0, 1e7, 1.0) * answer.y)
+
+
+def test_simulations_that_have_diverged_do_not_hide_the_others() -> None:
+    found = SHORT.minimize(rc_problem().on(Diverges(ToyRC())), seed=0)
+    np.testing.assert_allclose(found.theta, TRUE_RC, rtol=1e-2)
+    assert found.mse < 1e-4
 
 
 @pytest.mark.parametrize("n_parallel", [1, 3])
@@ -163,8 +180,13 @@ def test_reports_progress_that_agrees_with_the_result() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"max_calls": 0}, "max_calls is 0; give at least 1"),
-        ({"n_start": 1}, "n_start is 1; give at least 2"),
+        ({"max_calls": 0}, "max_calls is 0; give a whole number of at least 1"),
+        ({"max_calls": 10.5}, "max_calls is 10.5; give a whole number of at least 1"),
+        ({"n_elsewhere": -1}, "n_elsewhere is -1; give a whole number of at least 0"),
+        ({"n_start": 1}, "n_start is 1; give a whole number of at least 2"),
+        ({"ftol": math.nan}, "ftol is nan; give at least 0"),
+        ({"target_mse": -1.0}, "target_mse is -1.0; give at least 0"),
+        ({"caution": math.nan}, "caution is nan; give at least 0"),
         ({"margin": 0.5}, r"margin is 0\.5"),
         ({"caution": -1.0}, r"caution is -1\.0"),
         ({"radius": 0.01}, r"radius 0\.01; give 0 < least_radius <= radius <= 1"),
@@ -173,6 +195,21 @@ def test_reports_progress_that_agrees_with_the_result() -> None:
 def test_useless_settings_are_refused(settings: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Adaptive(**settings)  # type: ignore[arg-type]
+
+
+def test_where_nothing_succeeds_the_first_failure_is_told() -> None:
+    found = SHORT.minimize(rc_problem().on(ToyRC(fails_above_r=0.0)), seed=0)
+    assert found.mse == math.inf
+    assert re.fullmatch(
+        "no simulation succeeded, the first one: R = .* K/W is above 0; the budget .*", found.stop_reason
+    )
+
+
+def test_what_is_no_problem_is_refused() -> None:
+    with pytest.raises(InputError, match=r"needs CalibrationProblem\(model, measurement\), not ToyRC"):
+        SHORT.minimize(ToyRC(), seed=0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="a model needs parameter_space, and Measurement has none"):
+        CalibrationProblem(rc_problem().measurement, rc_problem().measurement)  # type: ignore[arg-type]
 
 
 def test_the_process_passes_through_its_rows_and_knows_it() -> None:

@@ -8,9 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems_for_tests import TRUE_RC, TwoOutputs, problem_on, rc_problem
 
+from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.forward_model import WrappedModel
 from simulation.measurement import Measurement
 from simulation.toy import ProductToy, ToyRC
+from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem
 
 
@@ -68,6 +71,22 @@ def test_several_outputs_are_weighted_by_their_uncertainty() -> None:
     np.testing.assert_allclose(problem.measurement.scales, [1.0, 0.01])
     fine, coarse = problem.residuals(np.array([0.8, 0.7])).reshape(5, 2).T
     np.testing.assert_allclose(fine, coarse)
+
+
+class TooLarge(WrappedModel):
+    """A model whose values are finite, and their squares not."""
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        answer = self._model.simulate(theta)
+        return replace(answer, y=np.where(theta[:, :1, None] > 2.0, 1e200, answer.y))
+
+
+def test_values_too_large_to_square_are_a_failure_with_words() -> None:
+    problem = rc_problem()
+    answer = problem.on(TooLarge(problem.model)).evaluate(np.array([[0.1, 0.5], [0.9, 0.5]]))
+    assert answer.failures == ("", "the simulated values are not finite, or too large to square")
+    assert np.isfinite(answer.mse[0])
+    assert answer.mse[1] == np.inf
 
 
 def test_the_same_problem_is_posed_to_another_model() -> None:

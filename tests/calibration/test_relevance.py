@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from problems_for_tests import Diary, problem_on
+from problems_for_tests import Diary, FailsInBand, problem_on
 
 from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel
@@ -103,6 +103,19 @@ def test_fixing_what_matters_costs_and_the_check_says_so() -> None:
     assert found.n_calls == 4
     nothing = freeing(held({}), np.array([*free.u[:1], 0.1, *free.u[2:]]), np.array([True, False, True]))
     assert nothing.gain == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_could_not_be_simulated_is_not_told_to_gain_nothing() -> None:
+    problem, u, is_free = held({}), np.array([0.25, 0.5, 0.8]), np.array([False, False, True])
+    both = freeing(problem, u, is_free)
+    # The first parameter's difference fails; the optimum itself still succeeds.
+    one_fails = freeing(problem.on(FailsInBand(problem.model, 0.255, 1.0)), u, is_free)
+    assert np.isnan(one_fails.gain_alone[0])
+    assert one_fails.gain_alone[1:].tolist() == both.gain_alone[1:].tolist()
+    assert one_fails.gain < 0.1 < both.gain
+    all_fails = freeing(problem.on(FailsInBand(problem.model, 0.0, 1.0)), u, is_free)
+    assert np.isnan(all_fails.gain)
+    assert np.array_equal(np.isnan(all_fails.gain_alone), ~is_free)
 
 
 def test_a_prior_keeps_freed_parameters_back() -> None:

@@ -152,6 +152,7 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     answer = studies(*arguments)
     assert answer.code == 0, answer.err
     assert "it ended because the target is reached" in answer.out
+    assert "deeper valley" not in answer.out
     stage = studies(*arguments, "--json").stage
     assert stage["mse"] <= 0.1
     assert stage["n_rounds"] == math.ceil(14 / 4) + (stage["ledger"]["n_adaptive"] - 14) / 4

@@ -21,27 +21,29 @@ def judged(step_s: float, unit: str, off: list[float], values: list[float] | Non
 
 def test_the_measures_are_shares_of_the_mean() -> None:
     found = judged(HOUR_S, "W", [30.0, -10.0, 10.0, 10.0])
-    assert found.cv_rmse == pytest.approx(np.sqrt(300.0) / 100.0)
-    assert found.nmbe == pytest.approx(0.10)
+    assert found.cv_rmse == pytest.approx(np.sqrt(1200.0 / 3.0) / 100.0)
+    assert found.nmbe == pytest.approx(40.0 / 3.0 / 100.0)
     assert found.limits is HOURLY
-    assert found.is_met
+    assert not found.is_met
 
 
 def test_of_negative_values_too_high_is_positive_as_well() -> None:
-    found = judged(HOUR_S, "W", [5.0] * 4, [-80.0, -120.0, -100.0, -100.0])
-    assert (found.cv_rmse, found.nmbe) == (pytest.approx(0.05), pytest.approx(0.05))
+    found = judged(HOUR_S, "W", [6.0] * 4, [-80.0, -120.0, -100.0, -100.0])
+    assert (found.cv_rmse, found.nmbe) == (pytest.approx(0.12 / np.sqrt(3.0)), pytest.approx(0.08))
 
 
 @pytest.mark.parametrize(
     ("step_s", "off", "limits", "is_met"),
     [
-        (HOUR_S, [29.0, -29.0, 29.0, -29.0], HOURLY, True),
-        (HOUR_S, [31.0, -31.0, 31.0, -31.0], HOURLY, False),
-        (HOUR_S, [-11.0] * 4, HOURLY, False),
-        (600.0, [29.0, -29.0, 29.0, -29.0], HOURLY, True),
-        (30.4 * 24 * HOUR_S, [14.0, -14.0, 14.0, -14.0], MONTHLY, True),
-        (30.4 * 24 * HOUR_S, [16.0, -16.0, 16.0, -16.0], MONTHLY, False),
-        (28 * 24 * HOUR_S, [6.0] * 4, MONTHLY, False),
+        (HOUR_S, [25.0, -25.0, 25.0, -25.0], HOURLY, True),
+        (HOUR_S, [27.0, -27.0, 27.0, -27.0], HOURLY, False),
+        (HOUR_S, [-7.0] * 4, HOURLY, True),
+        (HOUR_S, [-8.0] * 4, HOURLY, False),
+        (600.0, [25.0, -25.0, 25.0, -25.0], HOURLY, True),
+        (600.0, [-8.0] * 4, HOURLY, False),
+        (30.4 * 24 * HOUR_S, [12.0, -12.0, 12.0, -12.0], MONTHLY, True),
+        (30.4 * 24 * HOUR_S, [14.0, -14.0, 14.0, -14.0], MONTHLY, False),
+        (28 * 24 * HOUR_S, [4.0] * 4, MONTHLY, False),
     ],
 )
 def test_limits_follow_the_interval(step_s: float, off: list[float], limits: object, is_met: bool) -> None:
@@ -68,6 +70,20 @@ def test_where_there_is_no_limit_the_reason_is_told(
     assert found.is_met is None
     assert reason in guideline_sentence([found])
     assert found.to_dict()["is_met"] is None
+
+
+def test_closer_than_an_hour_only_hourly_means_could_miss_the_limits() -> None:
+    found = judged(300.0, "W", [45.0, -45.0, 45.0, -45.0])
+    assert found.is_met is None
+    assert found.cv_rmse == pytest.approx(0.9 / np.sqrt(3.0))
+    assert "a value is measured every 5 min with CV(RMSE) 52.0 %" in found.sentence
+    assert "hourly means may keep the hourly ones" in found.sentence
+
+
+def test_a_single_value_is_not_judged() -> None:
+    found = judged(HOUR_S, "W", [1.0], [100.0])
+    assert (found.cv_rmse, found.nmbe, found.is_met) == (None, None, None)
+    assert found.sentence == "QRoom: no limits, a single value says nothing"
 
 
 @pytest.mark.parametrize("unit", ["J", "kWh", "W/m2", "kWh/m2", "GJ"])
