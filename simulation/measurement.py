@@ -72,6 +72,11 @@ class Measurement:
                 f"{len(self.samples)} series of samples, uncertainty {self.uncertainty.shape} and weights "
                 f"{self.weights.shape} do not fit {n_outputs} outputs"
             )
+        # An uncertainty that is not known is infinite or NaN.
+        if (self.uncertainty <= 0.0).any():
+            raise ValueError(f"uncertainty is {self.uncertainty}; every output's has to be positive")
+        if not (np.isfinite(self.weights) & (self.weights > 0.0)).all():
+            raise ValueError(f"weights are {self.weights}; every output's has to be positive")
         for one in self.samples:
             _place(self.time, one.time)
 

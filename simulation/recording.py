@@ -154,7 +154,8 @@ def _rows(path: Path) -> tuple[list[list[str]], str]:
             raise InputError(f"{path}: is a workbook, no CSV file; save its sheet as CSV")
         text = _decoded(content)
         first = text.partition("\n")[0]
-        delimiter = next((sign for sign in ";\t" if sign in first), ",")
+        bare = re.sub('"[^"]*"', "", first)
+        delimiter = next((sign for sign in ";\t" if sign in bare), ",")
         if first.startswith("sep="):
             raise InputError(f"{path}: line 1, {first.strip()!r}, is for a spreadsheet alone; remove it")
         return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)), delimiter
@@ -271,8 +272,12 @@ def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str], tim
         stamps = name if name == TIME_COLUMN else f"column {name}"
         hint = ""
         if not name.endswith(tuple(_DURATIONS)) and 0 <= time[row] - time[row + 1] <= 3600.0:
-            hint = (
+            never_set = (
                 f"; if this clock is never set forward or back, remove timezone = {timezone!r} from the case"
+            )
+            hint = (
+                # Of a clock in a time zone, the same time twice is a row twice.
+                never_set * (cells[row] != cells[row + 1])
                 if timezone
                 else "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
             )

@@ -9,6 +9,7 @@ from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
 
+from simulation.errors import InputError
 from simulation.workers.arena import Arena
 from simulation.workers.campaign import Campaign
 from simulation.workers.execution import ExecutionPolicy
@@ -45,6 +46,11 @@ class ParallelModel(SpooledModel):
             spool: Folder in which finished rows survive the death of this process, see SpooledModel.
             on_warning: Told, in one line, what a user should know at once; None for the log.
         """
+        if not callable(make_model):
+            raise InputError(
+                "processes need a recipe for the model, as case.make_model, not a "
+                f"{type(make_model).__name__}"
+            )
         if n_workers is not None and n_workers < 1:
             raise ValueError(f"n_workers is {n_workers}; at least one process has to work")
         super().__init__(make_model, policy=policy, spool=spool)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import ParameterSpace
@@ -19,6 +19,8 @@ LIKE_KELVIN = (200.0, 400.0)
 """Values in degC that all lie in between are rather in kelvin."""
 FEW, FAR = 200, 10.0
 """One value of so many may be far from the others: farther than so many times their own span."""
+MANY = 0.2
+"""Share of the values that may be one and the same far value, which stands for no value."""
 LONGEST = 4
 """Names told in one line."""
 
@@ -88,11 +90,10 @@ def _far_from_others(case: Case) -> Iterator[Finding]:
     """Look for single values that no sensor can have meant, as -9999 where nothing was measured."""
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
         values = samples.values
-        n_most = max(1, len(values) // FEW)
-        others = np.sort(values)[n_most:-n_most]
-        low, high = (others[0], others[-1]) if len(others) else (0.0, 0.0)
-        far = np.flatnonzero(np.maximum(low - values, values - high) > FAR * (high - low))
-        if low < high and len(far):
+        is_far = _is_far(values)
+        far = np.flatnonzero(is_far)
+        if len(far):
+            low, high = values[~is_far].min(), values[~is_far].max()
             more = f" and {len(far) - 1} more" if len(far) > 1 else ""
             unit = f" {output.unit}" if output.unit else ""
             yield Finding(
@@ -102,6 +103,21 @@ def _far_from_others(case: Case) -> Iterator[Finding]:
                 f"others lie between {low:.4g} and {high:.4g}{unit}",
                 "leave the cell empty where nothing was measured",
             )
+
+
+def _is_far(values: FloatArray) -> BoolArray:
+    """Tell which values lie far from all others: a few, or more that are all the same. Shape (n,)."""
+    n_most = max(1, len(values) // FEW)
+    others = np.sort(values)[n_most:-n_most]
+    far = np.zeros(len(values), dtype=np.bool_)
+    if len(others) and others[0] < others[-1]:
+        span = float(others[-1] - others[0])
+        far = np.maximum(others[0] - values, values - others[-1]) > FAR * span
+    for end in (values.min(), values.max()):
+        same, rest = values == end, values[(values != end) & ~far]
+        if 0 < same.sum() <= MANY * len(values) and len(rest) and np.ptp(rest) > 0.0:
+            far |= same & (np.maximum(rest.min() - values, values - rest.max()) > FAR * np.ptp(rest))
+    return far
 
 
 def _names(case: Case) -> Finding:
@@ -269,7 +285,7 @@ def _data_in_wrong_unit(case: Case, inputs: dict[str, FloatArray]) -> Iterator[F
         doubt = temperature_doubt(values, case.fmu.variables[name].unit)
         doubts += [f"{name}: {doubt}"] if doubt else []
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
-        doubt = temperature_doubt(samples.values, output.unit)
+        doubt = temperature_doubt(samples.values[~_is_far(samples.values)], output.unit)
         doubts += [f"measured {output.name}: {doubt}"] if doubt else []
     if doubts:
         yield Finding(

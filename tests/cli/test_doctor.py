@@ -227,6 +227,19 @@ def test_values_that_no_sensor_meant_are_worth_a_look(project: Path) -> None:
     assert told.startswith(f"TAir: -9999 degC at {samples.time[7]:.12g} s and 1 more; the others lie between")
 
 
+def test_many_of_one_value_that_no_sensor_meant_do_not_hide_each_other(project: Path) -> None:
+    case = load_case(project / "fmus" / "office")
+    (samples,) = case.measurement.samples
+    values = samples.values.copy()
+    values[20:60] = -9999.0
+    spoilt = replace(case.measurement, samples=(replace(samples, values=values),))
+    found = {one.what: one for one in look_at_data(replace(case, measurement=spoilt))}
+    first = f"TAir: -9999 degC at {samples.time[20]:.12g} s and 39 more; the others lie between"
+    assert found["values far from all others"].found.startswith(first)
+    # A wrong unit is not what is wrong with it.
+    assert "units of the data" not in found
+
+
 @pytest.mark.parametrize(("value", "said"), [("-5.0", "GOut = -5 (0 to ...)"), ("200.0", ""), ("0", "")])
 def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
     tmp_path: Path, value: str, said: str

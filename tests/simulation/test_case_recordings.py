@@ -221,6 +221,10 @@ def test_what_a_clock_change_makes_of_a_clock_is_told(decay_case: Path):
     stamped(decay_case, shifted[:1] + never_shifted[1:])
     with pytest.raises(InputError, match=r"never set forward or back, remove timezone = "):
         load_case(decay_case)
+    # A row twice is no clock's fault.
+    stamped(decay_case, [*shifted[:5], *shifted[4:-1]])
+    with pytest.raises(InputError, match=r"repeats the line above .* sort the rows and drop duplicates$"):
+        load_case(decay_case)
 
 
 @pytest.mark.parametrize(("unit", "length_s"), [("s", 1), ("min", 60), ("h", 3600), ("d", 86400)])
@@ -331,6 +335,11 @@ def test_files_with_different_clocks_are_refused(decay_case: Path):
         InputError, match=r"recording\.csv counts seconds and .*room\.csv has timestamps without"
     ):
         load_case(decay_case)
+
+
+def test_a_quoted_semicolon_in_a_header_separates_nothing(decay_case: Path):
+    own_file(decay_case, [f"{t},1,x" for t in range(0, DAY + 1, 1800)], 'time_s,T_degC,"note; by hand"')
+    assert len(load_case(decay_case).measurement.samples[0].values)
 
 
 @pytest.mark.parametrize(

@@ -155,6 +155,8 @@ def test_the_digest_sees_values_times_weights_and_names():
         (lambda: _grid(np.full((6, 1), np.inf)), "not finite"),
         (lambda: _grid(np.zeros((6, 2)), SIGMA), "do not fit 2 outputs"),
         (lambda: _grid(np.zeros((6, 1)), weights=np.ones(2)), "do not fit 1 outputs"),
+        (lambda: _grid(np.zeros((6, 1)), np.zeros(1)), r"uncertainty is \[0\.\]; .* has to be positive"),
+        (lambda: _grid(np.zeros((6, 1)), weights=np.zeros(1)), r"weights are \[0\.\]; .* has to be positive"),
         (lambda: Samples(np.array([1.0, 1.0]), np.zeros(2)), "do not rise"),
         (lambda: Samples(np.array([1.0]), np.zeros(2)), "do not fit"),
         (

@@ -200,3 +200,8 @@ def test_no_worker_and_no_file_outlives_its_parent(how: signal.Signals, tmp_path
         # The batch would have taken 100 s; "within a second" is what it takes on an idle machine.
         assert time.monotonic() - started < 5
     assert not list(temporary.iterdir())
+
+
+def test_a_model_instead_of_its_recipe_is_refused():
+    with pytest.raises(InputError, match=r"a recipe for the model, as case\.make_model, not a ToyRC"):
+        ParallelModel(ToyRC(), 2)
