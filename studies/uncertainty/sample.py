@@ -5,7 +5,8 @@ density that it predicts, less where simulations failed, and a batch of them is 
 disagrees with the prediction by too much, the batch teaches the process and the next round begins; where it
 agrees, more of the same particles are simulated until the sample is large enough. Each of its members then
 weighs as much as the model's density exceeds the predicted one (importance sampling): so the sample is the
-model's.
+model's. Before, batches are asked farther than the density is expected, as long as that finds more of it: what
+no member is near to no weight can tell.
 
 Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
 goes on where it stopped.
@@ -14,6 +15,7 @@ goes on where it stopped.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -40,6 +42,13 @@ LOST = 0.4
 NEAR_BEST, MOST_CENTRES = 10.0, 50
 """Particles also begin around known rows whose logarithmic density lacks no more than the first to the best
 one, around so many at most."""
+
+FARTHER = 0.25, 0.1
+"""Before a sample is drawn, rows are asked where the density would be with these parts of the doubt."""
+
+MORE, SURPRISE = 5.0, 1.0
+"""They find more if one's logarithmic density lacks no more than the first to the best one, and is greater
+than expected by the second."""
 
 WIDER = 3.0
 """And that much wider than the surrogate expects the density to be there."""
@@ -130,6 +139,8 @@ class PosteriorSampler:
         self._u, self._mse, self._residuals = known.u, known.mse, known.residuals
         self._hyper: FloatArray | None = None
         self._decimals = DECIMALS
+        self._is_bounded = False
+        self._farther = np.empty((0, known.u.shape[1]))
         self._n_known = known.n
         self.n_calls = 0
 
@@ -138,6 +149,8 @@ class PosteriorSampler:
         with threadpool_limits(limits=1, user_api="blas"):
             while True:
                 expected, particles = self._round(self._settings.n_drawn_from)
+                if self._finds_more(expected):
+                    continue
                 drawn, ratios, is_good = self._simulate(expected, particles)
                 if is_good or not self._has_another_round:
                     break
@@ -168,13 +181,13 @@ class PosteriorSampler:
         good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
         succeeding = Succeeding(self._u, ~np.isfinite(self._mse), narrowest[0])
 
-        def expected(u: FloatArray) -> FloatArray:
-            value: FloatArray = self._posterior.by(predicted, u) + succeeding.log_probability(u)
-            return value
+        def expected(u: FloatArray, doubt: float = 1.0) -> FloatArray:
+            value: FloatArray = self._posterior.by(predicted, u, doubt=doubt)
+            return value + succeeding.log_probability(u)
 
-        def sampled(reference: Reference) -> Particles:
+        def sampled(reference: Reference, doubt: float = 1.0) -> Particles:
             return sample_density(
-                expected,
+                partial(expected, doubt=doubt),
                 reference,
                 seed=int(self._rng.integers(2**31)),
                 n_particles=n_particles,
@@ -184,7 +197,21 @@ class PosteriorSampler:
         anywhere = sampled(Reference.even(self._u.shape[1])).u[:MOST_CENTRES]
         centres = np.concatenate([good, anywhere])
         precision = self._posterior.precision(predicted, centres, wider=WIDER)
-        return expected, sampled(Reference(centres, np.linalg.cholesky(np.linalg.inv(precision))))
+        around = Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
+        if not self._is_bounded:
+            n_each = self._settings.n_batch // len(FARTHER)
+            self._farther = np.concatenate([sampled(around, doubt).u[:n_each] for doubt in FARTHER])
+        return expected, sampled(around)
+
+    def _finds_more(self, expected: LogDensity) -> bool:
+        """Whether rows that are less sure turn out well where it was not expected; once not, never again."""
+        if self._is_bounded or self._settings.max_calls - self.n_calls < 3 * self._settings.n_batch:
+            return False
+        u = np.round(self._farther, self._decimals)
+        before, best = expected(u), float(self._posterior.at(self._u, self._mse).max())
+        found = self._posterior.at(u, self._ask(u).mse)
+        self._is_bounded = not bool(np.any((found > best - MORE) & (found > before + SURPRISE)))
+        return not self._is_bounded
 
     @property
     def _has_another_round(self) -> bool:
