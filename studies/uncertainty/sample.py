@@ -5,8 +5,8 @@ density that it predicts, less where simulations failed, and a batch of them is 
 disagrees with the prediction by too much, the batch teaches the process and the next round begins; where it
 agrees, more of the same particles are simulated until the sample is large enough. Each of its members then
 weighs as much as the model's density exceeds the predicted one (importance sampling): so the sample is the
-model's. Before, batches are asked farther than the density is expected, as long as that finds more of it: what
-no member is near to no weight can tell.
+model's. Before, batches are asked farther than the density is expected, as long as that finds more of it:
+what no member is near to no weight can tell.
 
 Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
 goes on where it stopped.
