@@ -80,15 +80,15 @@ def fit(
         The surrogate and its history.
 
     Raises:
-        ValueError: Shapes do not fit, values are not finite (drop failed rows first), or a process has
-            no two training rows that differ in theta.
+        ValueError: Shapes do not fit, values are not finite (drop failed rows first), or several rows
+            that a process shall learn from have the same theta.
         TrainingDiverged: The loss or the validation error became NaN or infinite.
     """
     started = time.perf_counter()
     theta, y = _checked(theta, y, "training")
     theta_validation, y_validation = _checked(*validation, "validation")
-    if config.regressor == "gaussian-process" and (theta == theta[0]).all():
-        raise ValueError(f"all {len(theta)} training rows have the same parameters; a process needs two")
+    if config.regressor == "gaussian-process" and len(theta) > 1 and (theta == theta[0]).all():
+        raise ValueError(f"all {len(theta)} training rows have the same parameters; a process learns nothing")
     if theta.shape[1:] != theta_validation.shape[1:] or y.shape[1:] != y_validation.shape[1:]:
         raise ValueError(
             f"validation has shapes {theta_validation.shape} and {y_validation.shape}, "

@@ -179,9 +179,11 @@ class Campaign:
     def _ended_between_rows(self, how: str) -> None:
         self._n_idle_deaths += 1
         if self._n_idle_deaths >= _MAX_IDLE_DEATHS:
+            timeout_s = self._policy.timeout_s
+            raise_it = "" if timeout_s is None else f"timeout_s = {timeout_s:g} may be too short, or "
             raise CampaignStopped(
                 f"a process that should simulate {how}, {self._n_idle_deaths} times in a row without "
-                "finishing a row; try the model in another FMI tool"
+                f"finishing a row; {raise_it}try the model in another FMI tool"
             )
 
     # The clock

@@ -202,7 +202,7 @@ def _parameter(variable: FmuVariable) -> str:
 def _bounds_note(bounds: Bounds) -> str:
     if bounds.is_guess:
         return f"{EDIT}: {bounds.why}"
-    return f"{bounds.why}; wide enough that the answer lies inside"
+    return f"{bounds.why}; set them so that the answer surely lies inside"
 
 
 def _told(variable: FmuVariable) -> str:

@@ -72,6 +72,7 @@ class UncertaintyRecord:
         is_trusted: Whether that is enough.
         mse: Error of the calibration. [first output's unit squared]
         best_mse: Lowest error of all rows that are known. [first output's unit squared]
+        has_prior: Whether anything was known beforehand.
         sensor: Uncertainty of the first output's sensor, infinite where it is not known. [its unit]
         ledger: Calls by what they were for.
         n_fixed: Parameters that were not calibrated and are not judged.
@@ -101,6 +102,7 @@ class UncertaintyRecord:
     is_trusted: bool
     mse: float
     best_mse: float
+    has_prior: bool
     sensor: float
     ledger: Mapping[str, int]
     n_fixed: int = 0
@@ -158,6 +160,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         is_trusted=is_trusted,
         mse=numbers["mse"],
         best_mse=numbers["sample"]["best_mse"],
+        has_prior=numbers.get("has_prior", False),
         # Results of earlier versions do not say.
         sensor=numbers.get("sensor") or math.inf,
         ledger=numbers["ledger"],
@@ -223,6 +226,13 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
             "of the ranges, rounded)."
             for direction in r.null_directions
         ]
+    outside = (r.calibrated < r.interval[0]) | (r.calibrated > r.interval[1])
+    if r.has_prior and r.noise["kind"] != "sensor" and outside.any():
+        which = listed(name for name, is_out in zip(r.names, outside, strict=True) if is_out)
+        said.append(
+            f"The calibrated {which} may lie outside: a calibration weighs priors by the sensor's "
+            "uncertainty, and here the noise is as large as the residuals; --noise sensor weighs both alike."
+        )
     if r.best_mse < FITS_BETTER * r.mse:
         said.append(
             f"A simulated set fits better than the calibration: MSE {significant(r.best_mse)} instead of "

@@ -138,6 +138,18 @@ def test_an_error_beyond_the_sensors_is_not_told_as_noise(undisturbed: Path) -> 
     assert "The best fit is off by 10.0 times the sensor's uncertainty: rather a failed fit" in said[0]
 
 
+def test_priors_that_a_calibration_weighed_otherwise_are_told(undisturbed: Path) -> None:
+    numbers = results_of(undisturbed)
+    arrays = read_arrays(undisturbed / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.npz")
+    numbers["sample"]["is_trusted"] = True
+    numbers["parameters"]["G12"]["calibrated"] = 2.0 * numbers["parameters"]["G12"]["interval"][1]
+    told = "The calibrated G12 may lie outside: a calibration weighs priors by the sensor's uncertainty"
+    for has_prior in (False, True):
+        numbers["has_prior"] = has_prior
+        said = sentences(uncertainty_record(numbers, arrays), ("degC", "W"))
+        assert any(one.startswith(told) for one in said) is has_prior
+
+
 @pytest.mark.parametrize("is_trusted", [True, False])
 def test_a_sample_that_is_worth_nothing_tells_no_interval(
     undisturbed: Path, is_trusted: bool, tmp_path: Path
