@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from studies.calibration.doubt import doubtful_mse
 from studies.report.records import Floats
 from studies.report.wording import (
     count,
@@ -21,8 +22,6 @@ from studies.report.wording import (
 
 UNCORRELATED = 0.9
 """Samples that are worth this share of their number are said not to follow each other."""
-DOUBTFUL = 2.0
-"""Errors above so many times the sensor's uncertainty are doubted to be noise."""
 FITS_BETTER = 0.99
 """Share of a calibration's error below which another parameter set is told to fit better."""
 
@@ -203,7 +202,8 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
     r, unit = record, difference_unit(units[0])
     said = [noise_sentence(r.noise, unit)]
     rms = math.sqrt(r.best_mse)
-    if r.noise["kind"] != "sensor" and rms > DOUBTFUL * r.sensor:
+    doubtful = doubtful_mse(r.sensor)
+    if r.noise["kind"] != "sensor" and doubtful is not None and r.best_mse > doubtful:
         said[0] += (
             f" The best fit is off by {significant(rms / r.sensor)} times the sensor's uncertainty: rather a "
             "failed fit, or a model that lacks something, than noise. All that follows takes it for noise."

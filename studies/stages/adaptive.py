@@ -14,6 +14,7 @@ from simulation.case import Case
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.doubt import doubtful_mse
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.recorder import Progress
@@ -50,8 +51,6 @@ MAX_CALLS = 100
 STAGE = f"calibrate-{ADAPTIVE}"
 # Where none of the first rows can be simulated, more of them are a waste.
 N_HOPELESS = 20
-# A root mean square error of more than so many sensor uncertainties is no answer while calls are left.
-DOUBT = 2.0
 # A line for those who read a log instead of watching a bar. [s]
 NEWS_EVERY_S = 30.0
 
@@ -78,14 +77,13 @@ def adaptive_settings(
     Raises:
         InputError: the budget does not hold the first design.
     """
-    # Where every output is off by its own sensor's uncertainty, the MSE is the first one's squared.
-    sensor = float(case.measurement.uncertainty[0])
     settings = Adaptive(
         max_calls=MAX_CALLS if max_calls is None else max_calls,
         n_parallel=n_parallel or 1,
         # Who names an error wants it: small gains are no reason to stop before.
         ftol=Adaptive.ftol if target_mse is None else 0.0,
-        doubtful_mse=(DOUBT * sensor) ** 2 if np.isfinite(sensor) else None,
+        # Where every output is off by its own sensor's uncertainty, the MSE is the first one's squared.
+        doubtful_mse=doubtful_mse(float(case.measurement.uncertainty[0])),
         target_mse=target_mse,
     )
     n_parameters = n_free or case.parameter_space.n_parameters

@@ -1,11 +1,12 @@
 """What the terminal says of an adaptive calibration."""
 
 from simulation.time_unit import told_period
+from studies.calibration.doubt import DOUBT
 from studies.calibration.recorder import History
 from studies.console import format_seconds
 from studies.physical_model import warn_failed
 from studies.report.wording import count, difference_unit, percent, quantity, squared
-from studies.stages.adaptive import DOUBT, adaptive_command
+from studies.stages.adaptive import adaptive_command
 from studies.stages.calibrated_values import show_parameters
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import is_of_this_density, show_prior

@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -109,6 +110,13 @@ OnCalls = Callable[[int], None]
 LogDensity = Callable[[FloatArray], FloatArray]
 
 
+class Expected(Protocol):
+    """Logarithms of the density that is expected of points."""
+
+    def __call__(self, u: FloatArray, doubt: float = 1.0) -> FloatArray:
+        """Return them at points (n, p), with a part of the surrogate's doubt. Shape (n,)."""
+
+
 class PosteriorSampler:
     """The rows of one sampling."""
 
@@ -140,21 +148,23 @@ class PosteriorSampler:
         self._hyper: FloatArray | None = None
         self._decimals = DECIMALS
         self._is_bounded = False
-        self._farther = np.empty((0, known.u.shape[1]))
         self._n_known = known.n
         self.n_calls = 0
 
     def sample(self) -> PosteriorSample:
         """Sample the posterior."""
         with threadpool_limits(limits=1, user_api="blas"):
+            n_teaching = self._settings.n_drawn_from
             while True:
-                expected, particles = self._round(self._settings.n_drawn_from)
-                if self._finds_more(expected):
+                expected, around = self._learn(n_teaching)
+                if self._finds_more(expected, around):
                     continue
+                particles = self._particles(expected, around, n_teaching)
                 drawn, ratios, is_good = self._simulate(expected, particles)
                 if is_good or not self._has_another_round:
                     break
-            _, last = self._round(self._settings.n_particles)
+            n_last = self._settings.n_particles
+            last = self._particles(*self._learn(n_last), n_last)
         density = self._posterior.at(self._u, self._mse)
         best = int(np.argmax(density))
         return PosteriorSample(
@@ -169,8 +179,15 @@ class PosteriorSampler:
             best_mse=float(self._mse[best]),
         )
 
-    def _round(self, n_particles: int) -> tuple[LogDensity, Particles]:
-        """Fit the process to what is known and sample the density that it predicts by so many particles."""
+    def _learn(self, n_particles: int) -> tuple[Expected, Reference]:
+        """Fit the process to what is known.
+
+        Args:
+            n_particles: As many look for regions that are not known yet.
+
+        Returns:
+            The density that it expects, and where a sample of it begins.
+        """
         density = self._posterior.at(self._u, self._mse)
         rows = telling_rows(self._u, density, self._n_known)
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
@@ -185,29 +202,25 @@ class PosteriorSampler:
             value: FloatArray = self._posterior.by(predicted, u, doubt=doubt)
             return value + succeeding.log_probability(u)
 
-        def sampled(reference: Reference, doubt: float = 1.0) -> Particles:
-            return sample_density(
-                partial(expected, doubt=doubt),
-                reference,
-                seed=int(self._rng.integers(2**31)),
-                n_particles=n_particles,
-            )
-
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
-        anywhere = sampled(Reference.even(self._u.shape[1])).u[:MOST_CENTRES]
-        centres = np.concatenate([good, anywhere])
+        anywhere = self._particles(expected, Reference.even(self._u.shape[1]), n_particles)
+        centres = np.concatenate([good, anywhere.u[:MOST_CENTRES]])
         precision = self._posterior.precision(predicted, centres, wider=WIDER)
-        around = Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
-        if not self._is_bounded:
-            n_each = self._settings.n_batch // len(FARTHER)
-            self._farther = np.concatenate([sampled(around, doubt).u[:n_each] for doubt in FARTHER])
-        return expected, sampled(around)
+        return expected, Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
 
-    def _finds_more(self, expected: LogDensity) -> bool:
+    def _particles(self, expected: LogDensity, around: Reference, n_particles: int) -> Particles:
+        """Sample a density by so many particles, with a seed of their own."""
+        seed = int(self._rng.integers(2**31))
+        return sample_density(expected, around, seed=seed, n_particles=n_particles)
+
+    def _finds_more(self, expected: Expected, around: Reference) -> bool:
         """Whether rows that are less sure turn out well where it was not expected; once not, never again."""
         if self._is_bounded or self._settings.max_calls - self.n_calls < 3 * self._settings.n_batch:
             return False
-        u = np.round(self._farther, self._decimals)
+        n_each = self._settings.n_batch // len(FARTHER)
+        n = self._settings.n_drawn_from
+        doubted = [self._particles(partial(expected, doubt=doubt), around, n) for doubt in FARTHER]
+        u = np.round(np.concatenate([particles.u[:n_each] for particles in doubted]), self._decimals)
         before, best = expected(u), float(self._posterior.at(self._u, self._mse).max())
         found = self._posterior.at(u, self._ask(u).mse)
         self._is_bounded = not bool(np.any((found > best - MORE) & (found > before + SURPRISE)))
