@@ -69,7 +69,9 @@ class Catalog:
     def theta(self) -> FloatArray:
         """Return the parameters of all rows, in the order in which they lie. Shape (n, p)."""
         keys = self._index.all().keys
-        return np.frombuffer(keys.tobytes(), dtype="<f8").reshape(len(keys), -1)
+        return np.frombuffer(keys.tobytes(), dtype="<f8").reshape(
+            len(keys), len(self._layout.parameter_names)
+        )
 
     def read(self, theta: FloatArray, found: Entries) -> Trajectories | None:
         """Read rows from where they lie.

@@ -15,7 +15,7 @@ from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
 from studies.calibration.adaptive_search import AdaptiveSearch
-from studies.calibration.problem import CalibrationProblem
+from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress, Recorder
 
 
@@ -121,30 +121,45 @@ class Adaptive:
         return self.n_start or max(n_parameters, 4)
 
     def minimize(
-        self, problem: CalibrationProblem, *, seed: int, on_progress: OnProgress | None = None
+        self,
+        problem: CalibrationProblem,
+        *,
+        seed: int,
+        known: Evaluation | None = None,
+        on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.
 
-        The rows follow from problem, settings and seed alone: repeated over stored simulations, a calibration
-        goes on where it stopped.
+        The rows follow from problem, settings, known rows and seed alone: repeated over stored simulations, a
+        calibration goes on where it stopped.
 
         Args:
             problem: The problem, posed to the physical model.
             seed: Seed of the first design and all draws.
+            known: Rows of this problem that were simulated before; they cost nothing and are the first design
+                as far as they fill it.
             on_progress: Called after each round.
 
         Returns:
             The best point seen; never raises for a failed simulation or a spent budget.
 
         Raises:
-            InputError: If it is given something else than a problem.
+            InputError: If it is given something else than a problem, or rows of another one.
         """
         if not isinstance(problem, CalibrationProblem):
             raise InputError(
                 f"a calibration needs CalibrationProblem(model, measurement), not {type(problem).__name__}"
             )
+        shape = (problem.measurement.n_samples, problem.space.n_parameters)
+        if known is not None and (
+            not isinstance(known, Evaluation) or (known.residuals.shape[1], known.u.shape[1]) != shape
+        ):
+            raise InputError(
+                "known rows are what problem.evaluate(u) or problem.judge(u, trajectories) returns, of the "
+                f"same problem: {shape[1]} parameters and {shape[0]} residuals"
+            )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed))
+        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known)
         converged = False
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.

@@ -11,7 +11,8 @@ from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
-from studies.calibration.problem import CalibrationProblem
+from studies.calibration.known_rows import n_apart
+from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, liked, telling
 from studies.calibration.recorder import Recorder
@@ -46,15 +47,21 @@ class AdaptiveSearch:
     """The rows of one calibration and its trust region."""
 
     def __init__(
-        self, settings: "Adaptive", problem: CalibrationProblem, recorder: Recorder, rng: np.random.Generator
+        self,
+        settings: "Adaptive",
+        problem: CalibrationProblem,
+        recorder: Recorder,
+        rng: np.random.Generator,
+        known: Evaluation | None = None,
     ) -> None:
-        """Begin with nothing known.
+        """Begin with what is known.
 
         Args:
             settings: How to search.
             problem: The parameters and what is known about them.
             recorder: Asks the model and counts.
             rng: Source of the first design and all draws.
+            known: Rows that somebody else has paid for, None for none.
         """
         self._settings = settings
         self._p = p = problem.space.n_parameters
@@ -80,6 +87,15 @@ class AdaptiveSearch:
         self._is_far = False
         self.n_rounds = 0
         self.expected_gain = np.inf
+        self._n_known, self._n_design = 0, settings.design_size(p)
+        if known is not None and known.n:
+            recorder.know(known)
+            self._keep(known)
+            self._n_known = known.n
+            self._n_design = max(self._n_design - n_apart(known.u[np.isfinite(known.objective)]), 0)
+            if not self._n_design:
+                # What others have asked all over the box may tell of a better valley than its best row's.
+                self._radius = 1.0
 
     def run(self) -> str:
         """Ask rows until target or tolerance; return why it ended.
@@ -88,8 +104,9 @@ class AdaptiveSearch:
             BudgetExceeded: The budget is spent.
         """
         settings = self._settings
-        design = latin_hypercube(settings.design_size(self._p), self._p, self._rng)
-        self._ask(settings.margin + (1.0 - 2.0 * settings.margin) * design)
+        if self._n_design:
+            design = latin_hypercube(self._n_design, self._p, self._rng)
+            self._ask(settings.margin + (1.0 - 2.0 * settings.margin) * design)
         while True:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return "the target is reached"
@@ -109,7 +126,7 @@ class AdaptiveSearch:
 
     def _look_as_far_as_understood(self) -> None:
         """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
-        n_judged = 2 * self._settings.design_size(self._p)
+        n_judged = self._n_known + self._n_design + self._settings.design_size(self._p)
         if not self._is_judged and self._objective.size >= n_judged and not self._is_falling:
             self._is_judged = True
             self._was_lost = self._unexplained > LOST
@@ -250,6 +267,10 @@ class AdaptiveSearch:
         u = np.round(u, DECIMALS)
         answer = self._recorder.evaluate(u[: max(left, 1)])
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
+        self._keep(answer)
+
+    def _keep(self, answer: Evaluation) -> None:
+        """Take rows among those that the search learns from."""
         self._u = np.concatenate([self._u, answer.u])
         earlier = self._residuals.reshape(self._penalty.size, answer.residuals.shape[1])
         self._residuals = np.concatenate([earlier, answer.residuals])
@@ -276,7 +297,7 @@ class AdaptiveSearch:
     def _is_sane(self) -> BoolArray:
         """Which rows a surrogate learns from: beside diverged simulations all others would be alike."""
         finite = np.isfinite(self._objective)
-        design = self._objective[: self._settings.design_size(self._p)]
+        design = self._objective[: self._n_known + self._n_design]
         design = design[np.isfinite(design)]
         sane = finite & (self._objective <= ABSURD * np.quantile(design, 0.25)) if design.size else finite
         return sane if sane.sum() >= 2 else finite

@@ -16,6 +16,11 @@ that error or then. Every simulation is stored at once: interrupted, even killed
 and goes on. --parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
 mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
 
+--from-stored begins with what is stored of this model, 250 simulations at most, whatever they were made for:
+training sets, an earlier calibration, other data, weights, priors or bounds. They cost nothing, and after
+such a change some three calls are often enough. The result says how many they were. With --again it begins
+with what has been stored since.
+
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
 searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and
 polished from there by LS-TRF. Needs the champion folder alone. Lands in calibration-n<size>.json and .npz.
@@ -32,6 +37,7 @@ examples:
   studies calibrate                        the office, 100 FMU calls at most
   studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
   studies calibrate my-case --target 0.0121 --json
+  studies calibrate my-case --from-stored  after a change of data, weights, priors or bounds: a few calls
   studies calibrate my-case --most-relevant 6   of 14: 60 of the 100 calls say which six, 15 what that cost
   studies calibrate --n-train 64           from the surrogate that 64 simulations taught
   studies calibrate --n-train 64 --again   once more: the same numbers
@@ -54,6 +60,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="Q",
         help="adaptive: simulations side by side; default: 1",
     )
+    command.add_argument(
+        "--from-stored",
+        action="store_true",
+        help="adaptive: begin with the simulations of this model that are stored",
+    )
     options.add_most_relevant(
         command,
         "calibrate the K most relevant parameters, fix the others at prior, estimate or middle; without "
@@ -74,8 +85,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
             "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
         )
     is_paper = chosen.method == "paper" or bool(chosen.n_train)
-    if is_paper and chosen.parallel is not None:
-        raise InputError("--parallel belongs to --method adaptive; leave it or --n-train and --method away")
+    only_adaptive = {"--parallel": chosen.parallel is not None, "--from-stored": chosen.from_stored}
+    for option, is_given in only_adaptive.items():
+        if is_paper and is_given:
+            raise InputError(
+                f"{option} belongs to --method adaptive; leave it or --n-train and --method away"
+            )
     return _from_surrogates(chosen, console) if is_paper else _adaptively(chosen, console)
 
 
@@ -125,9 +140,12 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         target_mse=chosen.target,
         n_free=n_free,
         n_calls_before=0 if n_free is None else calls_for_relevance(study),
+        from_stored=chosen.from_stored,
     )
     before = stored_before(study, n_free)
-    outcome = adaptive_stage(study, settings, n_free=n_free, again=chosen.again)
+    outcome = adaptive_stage(
+        study, settings, n_free=n_free, from_stored=chosen.from_stored, again=chosen.again
+    )
     show_adaptive(study, outcome)
     show_replaced(study, before, outcome)
     targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}

@@ -181,6 +181,7 @@ def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] 
                 "mse": calibration.mse,
                 "unit": squared(project.unit_of(calibration.label)),
                 "n_calls_paper": calibration.n_calls,
+                "n_known": calibration.n_known,
                 "theta": dict(calibration.summary["theta"]),
                 "fixed": fixed_values(calibration),
             }
@@ -268,6 +269,8 @@ def _how_to_load(model: BestModel) -> list[Block]:
 def _calibration(project: Project, stage: StageLook) -> list[Block]:
     unit = squared(project.unit_of(stage.label))
     how = count(stage.n_calls, "model call") + (" in the paper's count" if stage.has_paper_count else "")
+    if stage.n_known:
+        how += f", begun with {count(stage.n_known, 'stored simulation')}"
     theta = stage.summary["theta"]
     rows = [
         [name, shown_unit(stage.units.get(name, "")), f"{value:.6g}"]

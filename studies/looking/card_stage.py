@@ -81,6 +81,8 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
     calls = count(found["ledger"]["total_honest"])
     if stage.has_paper_count:
         calls = f"{count(stage.n_calls)} in the paper's count, {calls} in all"
+    if stage.n_known:
+        calls += f", begun with {count(stage.n_known, 'stored simulation')}"
     surrogate = found.get("surrogate") or {}
     origin = f"{surrogate['study']}/t{surrogate['trial']:03d}" if surrogate else "none: the adaptive method"
     gap = found.get("screening_gap")

@@ -158,6 +158,7 @@ def _of_calibration(project: Project, stage: StageLook) -> Comparable:
             **results,
             "calls (paper)": ledger["total_paper"],
             "calls (all)": ledger["total_honest"],
+            **({"stored before": stage.n_known} if stage.n_known else {}),
             "took [s]": float(stage.manifest.get("wall_s", 0.0)),
             **{f"theta {name}": value for name, value in found["theta"].items() if name not in stage.fixed},
         },

@@ -188,6 +188,11 @@ class StageLook:
         return int(self.summary["ledger"]["total_paper"])
 
     @property
+    def n_known(self) -> int:
+        """Stored simulations that a calibration began with, which are none of its calls."""
+        return int(self.summary.get("n_known", 0))
+
+    @property
     def has_paper_count(self) -> bool:
         """Whether the paper counts otherwise: it leaves validation and test sets out."""
         return self.n_calls != int(self.summary["ledger"]["total_honest"])

@@ -66,6 +66,7 @@ def status_document(project: Project, which: str | None) -> dict[str, Any]:
                 "mse": stage.mse if math.isfinite(stage.mse) else None,
                 "n_calls_paper": stage.n_calls,
                 "n_calls_all": stage.summary["ledger"]["total_honest"],
+                "n_known": stage.n_known,
                 "finished": stage.manifest.get("finished"),
             }
             for stage in project.calibrations
@@ -239,7 +240,7 @@ def calibrations_table(project: Project, stages: Sequence[StageLook]) -> Table:
             [
                 stage.name,
                 Said(mse, "strong" if is_best else ""),
-                stage.n_calls,
+                f"{stage.n_calls} + {stage.n_known} stored" if stage.n_known else stage.n_calls,
                 stage.summary["ledger"]["total_honest"],
                 reason,
                 str(stage.manifest.get("finished", ""))[:16].replace("T", " "),

@@ -121,7 +121,9 @@ def _cards(data: ReportData) -> list[Card]:
     screened = "" if c.is_adaptive else f", {quantity(c.mse_screened, mse_unit)} as screened"
     cards = [Card(quantity(c.mse_polished, mse_unit), f"final MSE ({c.shown_name}){screened}")]
     if c.is_adaptive:
-        cards += [Card(count(c.calls_honest), "model calls, which are all that was simulated for it")]
+        beside = f"beside {count(c.n_known, 'simulation')} stored before"
+        all_of_them = beside if c.n_known else "which are all that was simulated for it"
+        cards += [Card(count(c.calls_honest), f"model calls, {all_of_them}")]
     else:
         cards += [
             Card(count(c.calls_paper), "model calls: training, screening check and polish"),

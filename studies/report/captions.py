@@ -49,7 +49,11 @@ def headline_sentence(data: ReportData) -> str:
     relevance = f"{count(c.n_relevance)} to find and check what matters, " if c.n_relevance else ""
     if c.is_adaptive:
         each = "the others each" if relevance else "each"
-        made = f"{each} where those before it let the lowest error be expected, with no training set"
+        before = (
+            f"{count(c.n_known, 'stored simulation')} and those before it" if c.n_known else "those before it"
+        )
+        with_no = "" if c.n_known else ", with no training set"
+        made = f"{each} where {before} let the lowest error be expected{with_no}"
     else:
         made = (
             f"{count(c.n_train)} for training, {count(c.n_screen_checks)} to check the screened point, "
@@ -143,9 +147,13 @@ def convergence_caption(calibration: CalibrationRecord, unit: str) -> str:
     n_start, start = int(c.history_calls[0]), float(c.history_mse[0])
     ended = f"; it ended because {c.stop_reason}" if c.stop_reason else ""
     found = f"found {quantity(start, unit)}" if math.isfinite(start) else "could not be simulated"
+    if c.n_known:
+        found = f"held {quantity(start, unit)}"
     before = f"The first design of {count(n_start, 'simulation')}"
     if c.n_free is not None:
         before = f"The first {count(n_start, 'simulation')}, the search for relevant parameters included,"
+    if c.n_known:
+        before = f"The {count(c.n_known, 'stored simulation')} that it began with"
     n_after = int(c.history_calls[-1]) - n_start
     end = quantity(c.mse_polished, unit)
     return f"{before} {found}; {count(n_after, 'call')} after it ended at {end}{ended}."

@@ -46,13 +46,16 @@ def convergence_figure(
     """
     final, calls, best = calibration.mse_polished, calibration.history_calls, calibration.history_mse
     n_start, last = int(calls[0]), int(calls[-1])
-    n_design = count(n_start - calibration.n_before)
-    n_free = calibration.n_free
+    n_free, n_known = calibration.n_free, calibration.n_known
     start = "from no initial guess" if n_free is None else f"with {count(n_free, 'parameter')}"
+    came_from = f"{count(n_start - calibration.n_before)} rows that fill the box"
+    if n_known:
+        start = came_from = count(n_known, "stored simulation")
+        start = f"after {start}"
     title = f"{count(last, 'model call')} reach an MSE of {quantity(final, mse_unit)} {start}"
     with drawing(path, title=title, height_in=3.7, footnote=footnote) as figure:
         axes = figure.subplots()
-        axes.set_xlim(0.0, 1.01 * last)
+        axes.set_xlim(0.0, 1.01 * max(last, 1))
         decimal_log(
             axes, *log_limits(np.append(best[np.isfinite(best)], [final, *(r.mse for r in references)]))
         )
@@ -63,7 +66,7 @@ def convergence_figure(
         if math.isfinite(best[0]):
             axes.plot(n_start, best[0], marker="o", markersize=4.5, color=POLISHED, zorder=4)
             axes.annotate(
-                f"{significant(float(best[0]))}, the best of {n_design} rows that fill the box",
+                f"{significant(float(best[0]))}, the best of {came_from}",
                 (n_start, float(best[0])),
                 (8, 3),
                 textcoords="offset points",

@@ -169,6 +169,7 @@ class CalibrationRecord:
         surrogate: Which surrogate it was (trial, alias, folder), in words.
         method: How it was calibrated.
         n_adaptive: Calls of an adaptive calibration.
+        n_known: Stored simulations that it began with, which are none of its calls.
         restriction: What was fixed; None where all parameters were calibrated.
         knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
     """
@@ -194,6 +195,7 @@ class CalibrationRecord:
     surrogate: str = ""
     method: Method = "paper"
     n_adaptive: int = 0
+    n_known: int = 0
     restriction: RestrictionRecord | None = None
     knowledge: tuple[str, ...] = ()
 

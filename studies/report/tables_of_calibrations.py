@@ -61,10 +61,11 @@ def calibrations_table(data: ReportData) -> Table:
 
 def _adaptive_table(data: ReportData, targets: list[Reference]) -> Table:
     """Tabulate calibrations that know no training set."""
-    p = len(data.parameters.names)
+    p, is_known = len(data.parameters.names), any(c.n_known for c in data.by_size)
     columns = (
         Column("method", "method"),
         Column("n_free", "parameters calibrated", "", count),
+        *([Column("n_known", "stored before", "", count)] if is_known else []),
         Column("calls_honest", "model calls", "", count),
         *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
         Column("mse_polished", "final MSE", squared(difference_unit(data.measurement.units[0]))),
@@ -72,12 +73,14 @@ def _adaptive_table(data: ReportData, targets: list[Reference]) -> Table:
     )
     rows = tuple(
         (
-            c.method, c.n_free or p, c.calls_honest, *(c.calls_to(target.mse) for target in targets),
+            c.method, c.n_free or p, *([c.n_known] if is_known else []), c.calls_honest,
+            *(c.calls_to(target.mse) for target in targets),
             c.mse_polished, c.wall_s,
         )
         for c in data.by_size
     )  # fmt: skip
-    return Table("calibrations", "Calibrations; every simulation counts", columns, rows)
+    title = "Calibrations; every simulation counts" + (" that was not stored before" if is_known else "")
+    return Table("calibrations", title, columns, rows)
 
 
 def _two(value: float) -> str:

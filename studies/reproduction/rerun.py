@@ -172,7 +172,10 @@ def _adaptive(rebuilt: Rebuilt) -> Made:
 
     recipe = rebuilt.recorded.recipe
     settings = Adaptive(**recipe["settings"])
-    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, restriction_of(recipe))
+    known = rebuilt.recorded.arrays.get("known_theta")
+    numbers, arrays, _ = calibrate_adaptively(
+        rebuilt.study, settings, restriction_of(recipe), None if known is None else lambda *_: known
+    )
     return numbers, arrays
 
 

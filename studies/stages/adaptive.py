@@ -12,11 +12,14 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.partly_fixed import PartlyFixedModel
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.doubt import doubtful_mse
+from studies.calibration.known_rows import best_and_far
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
+from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import Progress
 from studies.console import OnBar
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
@@ -24,6 +27,7 @@ from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, mse_text, quantity, squared
 from studies.stages.calibrate import write_arrays
 from studies.stages.knowledge import prior_inputs, prior_numbers
+from studies.stages.known_rows import ChooseRows, KnownRows, fitting_theta
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.restriction import (
     Restriction,
@@ -63,6 +67,7 @@ def adaptive_settings(
     target_mse: float | None,
     n_free: int | None = None,
     n_calls_before: int = 0,
+    from_stored: bool = False,
 ) -> Adaptive:
     """Return what the command line asks for.
 
@@ -73,6 +78,7 @@ def adaptive_settings(
         target_mse: error to stop at, or None. [first output's unit squared]
         n_free: parameters that are calibrated, None for all.
         n_calls_before: simulations of the budget that are spent before the search begins.
+        from_stored: whether it begins with what is stored, which may be a first design or most of one.
 
     Raises:
         InputError: the budget does not hold the first design.
@@ -87,14 +93,15 @@ def adaptive_settings(
         target_mse=target_mse,
     )
     n_parameters = n_free or case.parameter_space.n_parameters
-    n_start = settings.design_size(n_parameters)
+    n_start = 1 if from_stored else settings.design_size(n_parameters)
     if settings.max_calls < n_calls_before + n_start:
         before = (
             f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""
         )
+        start = f"the first design of {n_start} simulations for {count(n_parameters, 'parameter')}"
         raise InputError(
-            f"--max-calls {settings.max_calls} does not hold {before}the first design of {n_start} "
-            f"simulations for {count(n_parameters, 'parameter')}; give {n_calls_before + 2 * n_start} or more"
+            f"--max-calls {settings.max_calls} does not hold {before}{'one more' if from_stored else start}; "
+            f"give {n_calls_before + 2 * n_start} or more"
         )
     return settings
 
@@ -107,11 +114,18 @@ def adaptive_command(study: Study, numbers: Mapping[str, Any]) -> str:
         words += f" --parallel {settings['n_parallel']}"
     if settings["target_mse"] is not None:
         words += f" --target {settings['target_mse']}"
+    if "n_known" in numbers:
+        words += " --from-stored"
     return words + most_relevant(n_free_of(numbers))
 
 
 def adaptive_stage(
-    study: Study, settings: Adaptive, *, n_free: int | None = None, again: bool = False
+    study: Study,
+    settings: Adaptive,
+    *,
+    n_free: int | None = None,
+    from_stored: bool = False,
+    again: bool = False,
 ) -> Outcome:
     """Calibrate with the physical model alone.
 
@@ -122,7 +136,8 @@ def adaptive_stage(
         study: the study.
         settings: how to search.
         n_free: how many of the parameters are calibrated, the most relevant; None for all.
-        again: calibrate though it is finished.
+        from_stored: whether to begin with the simulations that are stored, whatever they were made for.
+        again: calibrate though it is finished, with what is stored now.
     """
     case = study.case
     inputs = {
@@ -134,15 +149,17 @@ def adaptive_stage(
         **validation_inputs(case),
         **prior_inputs(case),
         **restriction_inputs(study, n_free),
+        **({"from_stored": True} if from_stored else {}),
     }
     files = adaptive_files(study, n_free)
+    known_rows = KnownRows(files.rows, digest_of(inputs), best_and_far, anew=again) if from_stored else None
     stage = STAGE + restricted(n_free)
 
     @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         restriction = None if n_free is None else find_restriction(study, n_free)
-        numbers, arrays, n_simulated = calibrate_adaptively(study, settings, restriction)
+        numbers, arrays, n_simulated = calibrate_adaptively(study, settings, restriction, known_rows)
         recipe = recipe_of(
             study,
             "adaptive",
@@ -162,7 +179,7 @@ def adaptive_stage(
             started_s=started_s,
             wall_s=wall_s,
         )
-        return summary, [files.numbers, files.arrays]
+        return summary, [files.numbers, files.arrays, *([files.rows] if from_stored else [])]
 
     return run_stage(
         study,
@@ -176,7 +193,10 @@ def adaptive_stage(
 
 
 def calibrate_adaptively(
-    study: Study, settings: Adaptive, restriction: Restriction | None = None
+    study: Study,
+    settings: Adaptive,
+    restriction: Restriction | None = None,
+    known_rows: ChooseRows | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Calibrate and keep nothing but the simulations.
 
@@ -184,27 +204,30 @@ def calibrate_adaptively(
         study: the study.
         settings: how to search; the budget is of everything, finding the relevant parameters included.
         restriction: which parameters are held at what, None for none.
+        known_rows: which simulations are known beforehand, None for none.
 
     Returns:
         The numbers, the arrays and how many rows were not stored before.
     """
-    from studies.calibration.problem import CalibrationProblem
-
     case, seed = study.case, study.profile.seed
     n_before = 0 if restriction is None else restriction.n_calls
     with open_physical_model(study) as physical, study.console.bars() as bars:
         model = parts_of(physical, restriction)
         prior = Prior.of(model.parameter_space, case.measurement)
         n_kept = n_before + calls_for_check(case, settings, restriction)
+        problem = CalibrationProblem(model, case.measurement, prior)
+        known = None if known_rows is None else _known(study, problem, physical, model, known_rows)
+        n_read = physical.n_reused
         result = replace(settings, max_calls=settings.max_calls - n_kept).minimize(
-            CalibrationProblem(model, case.measurement, prior),
+            problem,
             seed=seed,
-            on_progress=_teller(study, physical, bars),
+            known=known,
+            on_progress=_teller(study, physical, model, bars, is_new=known is None),
         )
     theta = model.complete(result.theta)
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)
-    say_reused(study, STAGE, physical)
+    say_reused(study, STAGE, physical, n_repeated=n_read)
     n_left = settings.max_calls - n_before - result.n_calls
     told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
     validated, simulated = validate_calibration(study, {"calibrated": theta})
@@ -218,6 +241,7 @@ def calibrate_adaptively(
         "n_train": ledger.n_train,
         "seed": seed,
         "settings": asdict(settings),
+        **({} if known is None else {"n_known": known.n}),
         "theta": dict(zip(case.parameter_space.names, theta.tolist(), strict=True)),
         "mse": result.mse,
         "outputs": _outputs(case, result.y),
@@ -231,8 +255,24 @@ def calibrate_adaptively(
         **prior_numbers(case, theta),
         **told,
     }
-    arrays = _arrays(case, result, theta, n_before)
+    arrays = _arrays(case, result, theta, n_before) | ({} if known is None else {"known_theta": known.theta})
     return numbers, arrays | simulated, physical.n_simulated
+
+
+def _known(
+    study: Study,
+    problem: CalibrationProblem,
+    physical: StoredModel,
+    model: PartlyFixedModel,
+    known_rows: ChooseRows,
+) -> Evaluation:
+    """Return what is known beforehand, and say how much that is."""
+    theta = known_rows(physical.store, model, problem, lambda found: -found.objective)
+    if not len(theta):
+        study.console.say("no simulation of this model within the bounds is stored: it begins with none")
+    else:
+        study.console.say(f"begins with {count(len(theta), 'stored simulation')} of this model")
+    return problem.judge(problem.space.to_unit(theta), model.simulate(theta))
 
 
 def _arrays(case: Case, result: AdaptiveResult, theta: FloatArray, n_calls_before: int) -> dict[str, Any]:
@@ -261,15 +301,31 @@ def _outputs(case: Case, y: FloatArray) -> dict[str, dict[str, float | None]]:
     return found
 
 
-def _teller(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
-    """Return what tells the user of every round, on a bar or now and then in a line."""
+def _teller(
+    study: Study, physical: StoredModel, model: PartlyFixedModel, bars: OnBar, *, is_new: bool
+) -> Callable[[Progress], None]:
+    """Return what tells the user of every round, on a bar or now and then in a line.
+
+    Args:
+        study: the study.
+        physical: the model that is asked.
+        model: which of its parameters are free.
+        bars: the bars.
+        is_new: whether the calibration begins with no stored simulation.
+    """
+    n_stored = len(fitting_theta(physical.store, model)) if is_new else 0
     unit = squared(difference_unit(study.case.outputs[0].unit))
     last_said = time.monotonic()
 
     def tell(now: Progress) -> None:
-        nonlocal last_said
+        nonlocal last_said, n_stored
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
             raise _hopeless(study, physical)
+        if n_stored:
+            if not physical.n_reused:
+                stored = count(n_stored, "stored simulation")
+                study.console.say(f"{stored} of this model could be begun with: --from-stored")
+            n_stored = 0
         best = f"best MSE {quantity(now.best_mse, unit)}"
         bars("adaptive", now.n_done, now.n_total or now.n_done, f", {count(now.n_done, 'call')}, {best}")
         if not study.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:

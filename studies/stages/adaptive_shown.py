@@ -32,8 +32,11 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     how = ADAPTIVE + restricted(n_free)
     is_parallel = found["settings"]["n_parallel"] > 1
     rounds = "" if not is_parallel else f" in {count(found['n_rounds'], 'round')}"
+    n_known = found.get("n_known")
+    begun = f", begun with {count(n_known, 'stored simulation')}" if n_known else ""
+    cost = f"{count(n_calls, 'model call')}{rounds}{begun}"
     console.result(
-        f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {count(n_calls, 'model call')}{rounds} "
+        f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {cost} "
         f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
     )
     warn_failed(study, found)

@@ -43,6 +43,11 @@ class CalibrationFiles:
     numbers: Path
     arrays: Path
 
+    @property
+    def rows(self) -> Path:
+        """Where it is noted which stored simulations it began with."""
+        return self.numbers.with_name(f"{self.numbers.stem}-rows.npz")
+
 
 @dataclass(frozen=True)
 class StoredCalibration:
@@ -219,6 +224,7 @@ def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
         stop_reason=numbers["stop_reason"],
         method="adaptive",
         n_adaptive=numbers["ledger"]["n_adaptive"],
+        n_known=numbers.get("n_known", 0),
     )
 
 

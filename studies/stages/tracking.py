@@ -89,7 +89,11 @@ def log_adaptive(
         name=f"{stored.name} calibration",
         key=digest,
         params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
-        metrics={"mse/calibrated": numbers["mse"], "calls/rounds": numbers["n_rounds"]},
+        metrics={
+            "mse/calibrated": numbers["mse"],
+            "calls/rounds": numbers["n_rounds"],
+            **({"calls/known": numbers["n_known"]} if "n_known" in numbers else {}),
+        },
         tags={"method": "adaptive", "stop_reason": numbers["stop_reason"]},
         started_s=started_s,
         wall_s=wall_s,

@@ -1,0 +1,43 @@
+"""Which rows that were simulated before tell a calibration most, and whether they fill the box."""
+
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
+
+N_BEST, N_FAR = 200, 50
+"""The best rows say where the optimum is, some far from all others where it is not. The surrogate's cost
+grows with the third power of their number."""
+
+SAME_ROW = 1e-3
+"""Rows nearer to a better one than this in the unit cube tell nothing new."""
+
+APART = 0.1
+"""Rows so far from each other, in one parameter at least, count as a design."""
+
+
+def best_and_far(u: FloatArray, worth: FloatArray) -> IntArray:
+    """Return the rows that tell most, the best first, then those farthest from all before them. Shape (r,).
+
+    Args:
+        u: Points. Shape (n, p). [1]
+        worth: How good they are; minus infinity where a simulation failed. Shape (n,).
+    """
+    left = np.flatnonzero(np.isfinite(worth))
+    left = left[np.argsort(-worth[left], kind="stable")]
+    kept: list[int] = []
+    distance = np.full(len(left), np.inf)
+    while len(kept) < N_BEST + N_FAR and (distance > SAME_ROW).any():
+        is_new = distance > SAME_ROW
+        place = int(np.argmax(is_new if len(kept) < N_BEST else distance))
+        kept.append(int(left[place]))
+        distance = np.minimum(distance, np.abs(u[left] - u[left[place]]).max(axis=1))
+    return np.array(kept, dtype=np.int64)
+
+
+def n_apart(u: FloatArray) -> int:
+    """Return how many of points (n, p) lie apart from each other, taken one after the other."""
+    kept = np.empty((0, u.shape[1]))
+    for point in u:
+        if (np.abs(kept - point).max(axis=1) > APART).all():
+            kept = np.vstack([kept, point])
+    return len(kept)

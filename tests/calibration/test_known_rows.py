@@ -1,0 +1,134 @@
+"""Calibrations that begin with rows somebody else has paid for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.known_rows import N_BEST, N_FAR, SAME_ROW, best_and_far, n_apart
+from studies.calibration.problem import CalibrationProblem, Evaluation
+
+SHORT = Adaptive(max_calls=60)
+
+
+def with_other_data(problem: CalibrationProblem) -> CalibrationProblem:
+    """The same model measured anew: what was measured before was a tenth too low."""
+    measurement = problem.measurement
+    samples = tuple(replace(one, values=1.1 * one.values) for one in measurement.samples)
+    return replace(problem, measurement=replace(measurement, samples=samples))
+
+
+def rows_of(problem: CalibrationProblem, seed: int) -> FloatArray:
+    """The rows that a calibration from nothing asks."""
+    diary = Diary(problem.model)
+    SHORT.minimize(problem.on(diary), seed=seed)
+    return problem.space.to_unit(diary.rows)
+
+
+def evaluated(problem: CalibrationProblem, n: int, seed: int = 0) -> Evaluation:
+    return problem.evaluate(np.random.default_rng(seed).random((n, problem.space.n_parameters)))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_calibration_to_changed_data_costs_a_few_calls(seed: int) -> None:
+    problem = rc_problem(noise=0.05)
+    other = with_other_data(problem)
+    best = min(SHORT.minimize(other, seed=s).mse for s in range(3))
+    known = other.evaluate(rows_of(problem, seed))
+    calls = SHORT.minimize(other, seed=seed, known=known).history.calls_to(1.02 * best)
+    from_nothing = SHORT.minimize(other, seed=seed).history.calls_to(1.02 * best)
+    assert calls is not None
+    assert from_nothing is not None
+    assert calls <= 3
+    assert from_nothing > 3 * max(calls, 1)
+
+
+def test_known_rows_are_no_calls_and_the_first_entry_of_the_history() -> None:
+    problem = rc_problem(noise=0.05)
+    known = evaluated(problem, 20)
+    diary = Diary(problem.model)
+    found = SHORT.minimize(problem.on(diary), seed=0, known=known)
+    assert found.n_calls == len(diary.rows) == found.history.n_calls[-1]
+    assert found.history.n_calls[0] == 0
+    assert found.history.best_mse[0] == known.mse.min()
+    # They are a design: from the first call on a single row is asked.
+    assert len(diary.batches[0]) == 1
+
+
+def test_rows_of_one_spot_are_no_design() -> None:
+    problem = rc_problem(noise=0.05)
+    spot = problem.space.to_unit(TRUE_RC * 1.5)
+    known = problem.evaluate(spot + 0.01 * np.random.default_rng(0).random((20, 2)))
+    diary = Diary(problem.model)
+    SHORT.minimize(problem.on(diary), seed=0, known=known)
+    assert len(diary.batches[0]) == SHORT.design_size(2) - 1
+
+
+def test_no_known_rows_are_the_same_as_none() -> None:
+    problem = rc_problem(noise=0.05)
+    nothing = problem.evaluate(np.empty((0, 2)))
+    found, expected = SHORT.minimize(problem, seed=3, known=nothing), SHORT.minimize(problem, seed=3)
+    np.testing.assert_array_equal(found.theta, expected.theta)
+    assert found.n_calls == expected.n_calls
+
+
+def test_a_target_that_a_known_row_has_reached_costs_nothing() -> None:
+    problem = rc_problem(noise=0.05)
+    known = evaluated(problem, 30)
+    best = int(np.argmin(known.mse))
+    found = replace(SHORT, target_mse=1.01 * known.mse[best]).minimize(problem, seed=0, known=known)
+    assert found.n_calls == found.n_rounds == 0
+    assert found.converged
+    np.testing.assert_array_equal(found.theta, known.theta[best])
+    np.testing.assert_array_equal(found.y, known.y[best])
+
+
+def test_known_failures_are_survived() -> None:
+    problem = rc_problem().on(FailsInBand(rc_problem().model, 3.0, 6.0))
+    known = evaluated(problem, 40)
+    assert 0 < np.isinf(known.mse).sum() < 40
+    found = SHORT.minimize(problem, seed=0, known=known)
+    np.testing.assert_allclose(found.theta, TRUE_RC, rtol=1e-2)
+    failed = problem.judge(
+        known.u[np.isinf(known.mse)], problem.model.simulate(known.theta[np.isinf(known.mse)])
+    )
+    np.testing.assert_allclose(SHORT.minimize(problem, seed=0, known=failed).theta, TRUE_RC, rtol=1e-2)
+
+
+def test_rows_of_another_problem_are_refused() -> None:
+    problem = rc_problem()
+    known = evaluated(problem, 5)
+    for other in (replace(known, residuals=known.residuals[:, 1:]), known.theta):
+        with pytest.raises(InputError, match="of the same problem: 2 parameters and 25 residuals"):
+            SHORT.minimize(problem, seed=0, known=other)  # type: ignore[arg-type]
+
+
+def test_the_best_rows_come_first_then_the_farthest_and_none_twice() -> None:
+    rng = np.random.default_rng(0)
+    near, far = 0.5 + 0.1 * rng.random((N_BEST + 300, 3)), np.array([[0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
+    u = np.concatenate([near, near[:50] + 0.1 * SAME_ROW, far])
+    worth = -np.linalg.norm(u - 0.55, axis=1)
+    worth[0] = -np.inf
+    rows = best_and_far(u, worth)
+    assert len(rows) == len(set(rows)) == N_BEST + N_FAR
+    assert 0 not in rows
+    assert (np.diff(worth[rows[:N_BEST]]) <= 0.0).all()
+    assert set(rows[N_BEST : N_BEST + 2]) == {len(u) - 2, len(u) - 1}
+    gaps = np.abs(u[rows][:, None] - u[rows]).max(axis=2) + np.eye(len(rows))
+    assert gaps.min() > SAME_ROW
+
+
+def test_few_rows_are_all_taken() -> None:
+    u = np.random.default_rng(1).random((7, 2))
+    worth = np.arange(7.0)
+    np.testing.assert_array_equal(best_and_far(u, worth), np.arange(7)[::-1])
+    assert not len(best_and_far(u[:0], worth[:0]))
+
+
+def test_points_apart_are_counted_one_after_the_other() -> None:
+    assert n_apart(np.empty((0, 3))) == 0
+    assert n_apart(np.array([[0.0, 0.0], [0.05, 0.05], [0.0, 0.2], [0.0, 0.25], [0.5, 0.0]])) == 3

@@ -1,0 +1,121 @@
+"""`studies calibrate --from-stored`: what was simulated before is not simulated for nothing."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from project_for_tests import REPOSITORY, Run, copy_of, make_project
+
+from studies.cli import main
+
+WALL = ("calibrate", "wall", "--jobs", "1")
+N_BEFORE = 18
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in which the wall has been calibrated, not quite to the end."""
+    root = make_project(tmp_path_factory.mktemp("calibrated") / "project")
+    shutil.copytree(REPOSITORY / "fmus" / "wall", root / "fmus" / "wall")
+    (root / "data" / "wall").mkdir()
+    for file in (REPOSITORY / "data" / "wall").glob("*.csv"):
+        shutil.copy(file, root / "data" / "wall" / file.name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        assert main([*WALL, "--max-calls", str(N_BEFORE), "--quiet"]) == 0
+    return root
+
+
+@pytest.fixture
+def project(calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return copy_of(calibrated, tmp_path / "project", monkeypatch)
+
+
+def results_of(project: Path) -> dict[str, Any]:
+    file = project / "mlruns" / "results" / "wall-quick" / "calibration-adaptive.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    return content
+
+
+def change_the_data(project: Path) -> None:
+    """Say that the masonry's sensor showed a third of a kelvin too much."""
+    file = project / "data" / "wall" / "measured.csv"
+    header, *lines = file.read_text(encoding="utf-8").splitlines()
+    column = header.split(",").index("TMasonry_degC")
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        if row[column]:
+            row[column] = f"{float(row[column]) - 0.3:.6f}"
+    file.write_text("\n".join([header, *map(",".join, rows), ""]), encoding="utf-8")
+
+
+def test_after_a_change_of_the_data_it_takes_a_few_calls(project: Path, studies: Run) -> None:
+    change_the_data(project)
+    answer = studies(*WALL, "--from-stored", "--max-calls", "6")
+    assert answer.code == 0, answer.err
+    assert f"begins with {N_BEFORE} stored simulations of this model" in answer.err
+    assert f"after 6 model calls, begun with {N_BEFORE} stored simulations" in answer.out
+    found = results_of(project)
+    assert found["n_known"] == N_BEFORE
+    assert found["ledger"]["total_paper"] == 6
+    from_nothing = studies(*WALL, "--seed", "1", "--max-calls", str(N_BEFORE), "--json").stage
+    assert found["mse"] < from_nothing["mse"]
+
+
+def test_it_goes_on_with_the_rows_that_it_began_with_and_again_with_all(project: Path, studies: Run) -> None:
+    command = (*WALL, "--from-stored", "--max-calls", "4", "--json")
+    first = studies(*command).stage
+    told = results_of(project)
+    assert (first["n_known"], first["n_simulated"]) == (N_BEFORE, 4)
+    assert studies(*command).stage["finished_before"]
+    # As after a kill in the last moment: rows and what it began with are there, its result is not.
+    (project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json").unlink()
+    resumed = studies(*command).stage
+    assert (resumed["n_known"], resumed["n_simulated"]) == (N_BEFORE, 0)
+    assert results_of(project) == told
+    again = studies(*command, "--again").stage
+    assert N_BEFORE < again["n_known"] <= N_BEFORE + 4
+    assert again["n_simulated"] == 4
+    assert again["mse"] <= first["mse"]
+
+
+def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, studies: Run) -> None:
+    assert studies(*WALL, "--from-stored", "--max-calls", "3").code == 0
+    name, words = "wall-quick/calibrate-adaptive", f"begun with {N_BEFORE} stored simulations"
+    assert f"3 model calls, {words}" in studies("best").out
+    assert studies("best", "--json").document["calibrations"][0]["n_known"] == N_BEFORE
+    assert f"3 + {N_BEFORE} stored" in studies("status").out
+    assert f"3, {words}" in studies("show", name).out
+    page = studies("report", "wall", "--json")
+    assert page.code == 0, page.err
+    text = Path(project / page.document["stages"][0]["index"]).read_text(encoding="utf-8")
+    assert f"The {N_BEFORE} stored simulations that it began with held" in text
+    assert "--max-calls 3 --from-stored" in text
+    again = studies("reproduce", name)
+    assert again.code == 0, again.err
+    assert "to the last digit" in again.out
+
+
+def test_who_begins_anew_is_told_what_is_stored(project: Path, studies: Run) -> None:
+    told = f"{N_BEFORE} stored simulations of this model could be begun with: --from-stored"
+    assert told in studies(*WALL, "--seed", "1", "--max-calls", "8").err
+    # Who goes on is not.
+    assert "could be begun with" not in studies(*WALL, "--max-calls", str(N_BEFORE + 1)).err
+
+
+def test_where_nothing_is_stored_it_begins_with_nothing(project: Path, studies: Run) -> None:
+    shutil.rmtree(project / "data" / "wall" / "generated")
+    answer = studies(*WALL, "--from-stored", "--max-calls", "8")
+    assert answer.code == 0, answer.err
+    assert "no simulation of this model within the bounds is stored: it begins with none" in answer.err
+    assert results_of(project)["n_known"] == 0
+
+
+def test_it_belongs_to_the_adaptive_method(project: Path, studies: Run) -> None:
+    answer = studies("calibrate", "wall", "--from-stored", "--n-train", "64")
+    assert answer.code == 2
+    assert answer.err.startswith("studies: error: --from-stored belongs to --method adaptive")
+    assert len(answer.err.splitlines()) == 1
