@@ -7,9 +7,10 @@ from typing import Any
 
 from studies.console import Block, Column, Said, Table
 from studies.looking.card_stage import fixed_tables, fixed_values
+from studies.looking.changed import changed_since
 from studies.looking.project import Project, StageLook, StudyLook
 from studies.looking.wording import error
-from studies.report.wording import MISSING, count, percent, quantity, setting, shown_unit, squared
+from studies.report.wording import MISSING, count, listed, percent, quantity, setting, shown_unit, squared
 from studies.stages.pipeline import read_json
 from studies.tuning.trial_record import TrialRecord, trial_name
 
@@ -182,6 +183,7 @@ def best_document(project: Project, labels: Sequence[str], sizes: Sequence[int] 
                 "unit": squared(project.unit_of(calibration.label)),
                 "n_calls_paper": calibration.n_calls,
                 "n_known": calibration.n_known,
+                "changed_since": list(changed_since(project, calibration)),
                 "theta": dict(calibration.summary["theta"]),
                 "fixed": fixed_values(calibration),
             }
@@ -271,6 +273,7 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
     how = count(stage.n_calls, "model call") + (" in the paper's count" if stage.has_paper_count else "")
     if stage.n_known:
         how += f", begun with {count(stage.n_known, 'stored simulation')}"
+    changed = listed(changed_since(project, stage))
     theta = stage.summary["theta"]
     rows = [
         [name, shown_unit(stage.units.get(name, "")), f"{value:.6g}"]
@@ -283,6 +286,7 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
             f"\n{project.case_of(stage.label) or stage.label}: best calibration: "
             f"MSE {quantity(stage.mse, unit, 4)}, {how}"
         ),
+        *([Said(f"made before {changed} changed", "warn")] if changed else []),
         Table(stage.name, columns, rows, is_dense=True),
         *fixed_tables(stage),
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from simulation.store.row_set import RowSet
 from studies.console import Block, Column, Facts, Said, Table, Tone, format_seconds
 from studies.looking.card import environment_facts, mlflow_text
+from studies.looking.changed import changed_since
 from studies.looking.curve import plot
 from studies.looking.mlflow_runs import find_runs
 from studies.looking.project import Project, StageLook
@@ -94,6 +95,7 @@ def _calibration(project: Project, stage: StageLook) -> list[Block]:
         ("ended because", found.get("polish_stop_reason", found.get("stop_reason", ""))),
         ("surrogate", origin),
         ("digests", f"case {target[0]}, measurement {target[1]}"),
+        ("changed since", Said(", ".join(changed_since(project, stage)), "warn")),
         ("note", found.get("note", "")),
     ]
     drawn = _convergence(project, stage, unit)

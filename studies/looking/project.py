@@ -152,11 +152,16 @@ class StageLook:
         return self.file.with_name(f"calibration-{self.stage.removeprefix('calibrate-')}.json")
 
     @cached_property
+    def recipe(self) -> Mapping[str, Any]:
+        """What a calibration was made from, empty where that is lost."""
+        recipe: Mapping[str, Any] = (read_json(self.result_file) or {}).get("recipe", {})
+        return recipe
+
+    @cached_property
     def case_file(self) -> Mapping[str, Any]:
         """What the case file of a calibration declared, empty where its recipe is lost."""
-        recipe = (read_json(self.result_file) or {}).get("recipe", {})
         try:
-            return tomllib.loads(recipe["case"]["text"])
+            return tomllib.loads(self.recipe["case"]["text"])
         except (KeyError, tomllib.TOMLDecodeError):
             return {}
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from studies.console import Block, Column, Said, Table, Tone, format_seconds
+from studies.looking.changed import changed_since
 from studies.looking.names import chosen_labels
 from studies.looking.pace import Pace, pace_of
 from studies.looking.project import Project, StageLook, StudyLook
@@ -67,6 +68,7 @@ def status_document(project: Project, which: str | None) -> dict[str, Any]:
                 "n_calls_paper": stage.n_calls,
                 "n_calls_all": stage.summary["ledger"]["total_honest"],
                 "n_known": stage.n_known,
+                "changed_since": list(changed_since(project, stage)),
                 "finished": stage.manifest.get("finished"),
             }
             for stage in project.calibrations
@@ -229,6 +231,9 @@ def calibrations_table(project: Project, stages: Sequence[StageLook]) -> Table:
         Column("ended because", spare=3),
         Column("finished", True, 1),
     ]
+    changed = {stage.name: ", ".join(changed_since(project, stage)) for stage in stages}
+    if any(changed.values()):
+        columns.append(Column("changed since"))
     least = {label: min(s.mse for s in stages if s.label == label) for label in {s.label for s in stages}}
     rows = []
     for stage in stages:
@@ -244,6 +249,7 @@ def calibrations_table(project: Project, stages: Sequence[StageLook]) -> Table:
                 stage.summary["ledger"]["total_honest"],
                 reason,
                 str(stage.manifest.get("finished", ""))[:16].replace("T", " "),
+                *([Said(changed[stage.name], "warn")] if any(changed.values()) else []),
             ]
         )
     return Table("", columns, rows, is_dense=True)

@@ -119,3 +119,23 @@ def test_it_belongs_to_the_adaptive_method(project: Path, studies: Run) -> None:
     assert answer.code == 2
     assert answer.err.startswith("studies: error: --from-stored belongs to --method adaptive")
     assert len(answer.err.splitlines()) == 1
+
+
+def test_files_that_have_changed_since_are_named(project: Path, studies: Run) -> None:
+    name = "wall-quick/calibrate-adaptive"
+    looks = (("status",), ("best",), ("show", name))
+    assert all("change" not in studies(*look).out for look in looks)
+    change_the_data(project)
+    case = project / "fmus" / "wall" / "case.toml"
+    case.write_text(case.read_text(encoding="utf-8") + "# another thought\n", encoding="utf-8")
+    status, best, shown = (studies(*look).out for look in looks)
+    assert "changed since" in status
+    assert "case.toml, measured.csv" in status
+    assert "made before case.toml and measured.csv changed" in best
+    assert "changed since" in shown
+    both = ["case.toml", "measured.csv"]
+    assert studies("best", "--json").document["calibrations"][0]["changed_since"] == both
+    assert studies("status", "--json").document["calibrations"][0]["changed_since"] == both
+    # Where the file is not, as after an import, nothing is known of it.
+    case.unlink()
+    assert "made before measured.csv changed" in studies("best").out

@@ -1,0 +1,145 @@
+"""What stored simulations save a calibration: those of an earlier one, or of a training set.
+
+Run `python tests/benchmarks/known_rows_saving.py [--problems NAME ...] [--seeds 5] [--sizes 64 256]
+[--change 0.1]`. The earlier calibration was made to other data: the same measurement and a slow wave of
+`--change` times its standard deviation, whose period and phase are drawn. Every calibration ends by itself,
+or after 200 calls. Errors are compared with the best that `data/benchmarks/fewest_calls.json` knows. Prints a
+table of medians (and the worst) and gates nothing.
+"""
+
+import argparse
+import statistics
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).parent)]
+
+from fewest_calls.kept import Kept  # noqa: E402
+from fewest_calls.problems import posed, problems  # noqa: E402
+
+from simulation.arrays import FloatArray  # noqa: E402
+from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
+from simulation.trajectories import Trajectories  # noqa: E402
+from studies.calibration.adaptive import Adaptive  # noqa: E402
+from studies.calibration.doubt import doubtful_mse  # noqa: E402
+from studies.calibration.known_rows import best_and_far  # noqa: E402
+from studies.calibration.problem import CalibrationProblem  # noqa: E402
+
+PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
+NEVER = float("inf")
+
+
+class Diary(WrappedModel):
+    """A model that remembers which rows it was asked."""
+
+    def __init__(self, model: ForwardModel) -> None:
+        super().__init__(model)
+        self.rows: list[FloatArray] = []
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Answer and take note."""
+        self.rows.append(theta)
+        return self._model.simulate(theta)
+
+
+def with_wave(problem: CalibrationProblem, size: float, seed: int) -> CalibrationProblem:
+    """Return the problem with a slow wave upon its measurement."""
+    rng, measurement = np.random.default_rng([seed, 1]), problem.measurement
+    phase, n_waves = rng.random(), rng.uniform(0.5, 2.0)
+    waved = tuple(
+        replace(
+            one,
+            values=one.values
+            + size
+            * one.values.std()
+            * np.sin(2.0 * np.pi * (phase + n_waves * one.time / measurement.time[-1])),
+        )
+        for one in measurement.samples
+    )
+    return replace(problem, measurement=replace(measurement, samples=waved))
+
+
+def settings_for(problem: CalibrationProblem) -> Adaptive:
+    """Return those of `studies calibrate --max-calls 200`."""
+    return Adaptive(max_calls=200, doubtful_mse=doubtful_mse(float(problem.measurement.uncertainty[0])))
+
+
+def nothing(problem: CalibrationProblem, seed: int) -> FloatArray:
+    """Know no rows."""
+    return np.empty((0, problem.space.n_parameters))
+
+
+def earlier(change: float) -> Callable[[CalibrationProblem, int], FloatArray]:
+    """Know the rows of a calibration to other data."""
+
+    def rows(problem: CalibrationProblem, seed: int) -> FloatArray:
+        other = with_wave(problem, change, seed)
+        diary = Diary(problem.model)
+        settings_for(other).minimize(other.on(diary), seed=seed + 1000)
+        return problem.space.to_unit(np.concatenate(diary.rows))
+
+    return rows
+
+
+def training_set(n: int) -> Callable[[CalibrationProblem, int], FloatArray]:
+    """Know rows drawn evenly from the box."""
+
+    def rows(problem: CalibrationProblem, seed: int) -> FloatArray:
+        return np.random.default_rng([seed, 2]).random((n, problem.space.n_parameters))
+
+    return rows
+
+
+def told(values: list[float]) -> str:
+    """Say median and worst."""
+    median, worst = statistics.median(values), max(values)
+    n_never = sum(value == NEVER for value in values)
+    end = f"never {n_never} of {len(values)}" if n_never else f"{worst:g}"
+    return f"never {n_never} of {len(values)}" if median == NEVER else f"{median:g} ({end})"
+
+
+def main() -> None:
+    """Run what is asked for and print a line per problem and beginning."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--problems", nargs="+", default=list(PROBLEMS))
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--sizes", type=int, nargs="*", default=[64, 256])
+    parser.add_argument("--change", type=float, default=0.1)
+    options = parser.parse_args()
+    kept = Kept(ROOT / "data" / "benchmarks" / "fewest_calls.json")
+    beginnings = {"nothing": nothing, "an earlier calibration": earlier(options.change)}
+    beginnings |= {f"{n} training rows": training_set(n) for n in options.sizes}
+    print(
+        "| problem | begins with | calls to 1.17 times | to 1.02 times | in all |\n|---|---|---:|---:|---:|"
+    )
+    for entry in problems([]):
+        if entry.name not in options.problems:
+            continue
+        best = kept.problems[entry.name].best
+        with posed(entry.make().case) as problem:
+            for name, rows_of in beginnings.items():
+                results = []
+                for seed in range(options.seeds):
+                    known = problem.evaluate(rows_of(problem, seed))
+                    known = problem.evaluate(known.u[best_and_far(known.u, -known.objective)])
+                    results.append(settings_for(problem).minimize(problem, seed=seed, known=known))
+                reached = [
+                    [
+                        NEVER if (n := found.history.calls_to(factor * best)) is None else n
+                        for found in results
+                    ]
+                    for factor in (1.17, 1.02)
+                ]
+                cells = [told(values) for values in (*reached, [found.n_calls for found in results])]
+                print(f"| {entry.name} | {name} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
