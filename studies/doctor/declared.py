@@ -89,20 +89,34 @@ def temperature_doubt(values: FloatArray, unit: str) -> str:
 def _far_from_others(case: Case) -> Iterator[Finding]:
     """Look for single values that no sensor can have meant, as -9999 where nothing was measured."""
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
-        values = samples.values
-        is_far = _is_far(values)
-        far = np.flatnonzero(is_far)
-        if len(far):
-            low, high = values[~is_far].min(), values[~is_far].max()
-            more = f" and {len(far) - 1} more" if len(far) > 1 else ""
-            unit = f" {output.unit}" if output.unit else ""
-            yield Finding(
-                "values far from all others",
-                "warn",
-                f"{output.name}: {values[far[0]]:.6g}{unit} at {samples.time[far[0]]:.12g} s{more}; the "
-                f"others lie between {low:.4g} and {high:.4g}{unit}",
-                "leave the cell empty where nothing was measured",
-            )
+        is_far = _is_far(samples.values)
+        yield from _far(output.name, output.unit, samples.time, samples.values, is_far)
+    scenario, variables = case.scenario, case.fmu.variables
+    for name, values in zip(scenario.input_names, scenario.inputs.T, strict=True):
+        unit = variables[name].unit
+        yield from _far(name, unit, scenario.time_communication, values, _is_far_below(values))
+
+
+def _far(name: str, unit: str, time: FloatArray, values: FloatArray, is_far: BoolArray) -> Iterator[Finding]:
+    """Tell of the first of the values that are far from the others."""
+    far, unit = np.flatnonzero(is_far), f" {unit}" if unit else ""
+    if len(far):
+        low, high = values[~is_far].min(), values[~is_far].max()
+        more = f" and {len(far) - 1} more" if len(far) > 1 else ""
+        yield Finding(
+            "values far from all others",
+            "warn",
+            f"{name}: {values[far[0]]:.6g}{unit} at {time[far[0]]:.12g} s{more}; the others lie between "
+            f"{low:.4g} and {high:.4g}{unit}",
+            "leave the cell empty where nothing was measured",
+        )
+
+
+def _is_far_below(values: FloatArray) -> BoolArray:
+    """Tell which of an input's values lie far below all others: far above, rain or a tap may. Shape (n,)."""
+    is_far = _is_far(values)
+    below: BoolArray = is_far & (values < values[~is_far].min())
+    return below
 
 
 def _is_far(values: FloatArray) -> BoolArray:
@@ -282,7 +296,7 @@ def _is_temperature(variable: FmuVariable) -> bool:
 def _data_in_wrong_unit(case: Case, inputs: dict[str, FloatArray]) -> Iterator[Finding]:
     doubts = []
     for name, values in inputs.items():
-        doubt = temperature_doubt(values, case.fmu.variables[name].unit)
+        doubt = temperature_doubt(values[~_is_far_below(values)], case.fmu.variables[name].unit)
         doubts += [f"{name}: {doubt}"] if doubt else []
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
         doubt = temperature_doubt(samples.values[~_is_far(samples.values)], output.unit)

@@ -240,6 +240,24 @@ def test_many_of_one_value_that_no_sensor_meant_do_not_hide_each_other(project: 
     assert "units of the data" not in found
 
 
+def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(project: Path) -> None:
+    case = load_case(project / "fmus" / "office")
+    scenario = case.scenario
+    ambient = scenario.input_names.index("TAmb")
+
+    def looked_at(value: float) -> dict[str, str]:
+        inputs = scenario.inputs.copy()
+        inputs[[30, 31], ambient] = value
+        spoilt = replace(case, scenario=replace(scenario, inputs=inputs))
+        return {one.what: one.found for one in look_at_data(spoilt)}
+
+    found = looked_at(-9999.0)
+    first = f"TAmb: -9999 K at {scenario.time_communication[30]:.12g} s and 1 more; the others lie between"
+    assert found["values far from all others"].startswith(first)
+    assert "units of the data" not in found
+    assert "values far from all others" not in looked_at(9999.0)
+
+
 @pytest.mark.parametrize(("value", "said"), [("-5.0", "GOut = -5 (0 to ...)"), ("200.0", ""), ("0", "")])
 def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
     tmp_path: Path, value: str, said: str
