@@ -289,6 +289,8 @@ class AdaptiveSearch:
             self._hyper,
             # Who is lost has to understand what is large first.
             balance=not self._was_lost,
+            # Beside hundreds of rows from all over the box, errors near the best row would pass for noise.
+            n_doubted=int(good[: self._n_known].sum()) if self._n_known else None,
         )
         self._hyper = process.hyper
         return process

@@ -4,7 +4,7 @@ The components that vary most, far from the measurement, say little of what move
 calibration ends: one kernel for all follows the former. Components are orthogonal, so that errors add up.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -46,6 +46,7 @@ class ProcessGroups:
         first_guess: tuple[FloatArray, ...] = (),
         *,
         balance: bool = False,
+        n_doubted: int | None = None,
     ) -> Self:
         """Fit the processes to rows that were simulated.
 
@@ -55,8 +56,14 @@ class ProcessGroups:
             residuals: Their residuals, finite. Shape (n, m). [unit]
             first_guess: Hyperparameters of an earlier fit to start from.
             balance: Whether lengths are to suit small components of the residuals as well as large ones.
+            n_doubted: So many rows, the first ones, have noise by their errors, the others all as little as
+                the best row; None for all.
         """
         x, components = features.at(u), Components.of(residuals, NOISE_POWER)
+        if n_doubted is not None:
+            looseness = components.looseness
+            is_doubted = np.arange(len(u)) < n_doubted
+            components = replace(components, looseness=np.where(is_doubted, looseness, looseness.min()))
         belief = Belief.of(x.shape[1], NOISE_PRIOR)
 
         def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:

@@ -1,18 +1,21 @@
 """Calibrations that begin with rows somebody else has paid for."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
 
 from simulation.arrays import FloatArray
+from simulation.case import load_case
 from simulation.errors import InputError
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.known_rows import N_BEST, N_FAR, SAME_ROW, best_and_far, n_apart
 from studies.calibration.problem import CalibrationProblem, Evaluation
 
 SHORT = Adaptive(max_calls=60)
+REPOSITORY = Path(__file__).parents[2]
 
 
 def with_other_data(problem: CalibrationProblem) -> CalibrationProblem:
@@ -132,3 +135,18 @@ def test_few_rows_are_all_taken() -> None:
 def test_points_apart_are_counted_one_after_the_other() -> None:
     assert n_apart(np.empty((0, 3))) == 0
     assert n_apart(np.array([[0.0, 0.0], [0.05, 0.05], [0.0, 0.2], [0.0, 0.25], [0.5, 0.0]])) == 3
+
+
+def test_what_the_model_denies_is_not_asked_again_and_again() -> None:
+    # All over the box an oscillator's rows pass for noise, and with them those beside the best one.
+    case = load_case(REPOSITORY / "fmus" / "vanderpol" / "case.toml")
+    with case.open_model() as model:
+        problem = CalibrationProblem(model, case.measurement)
+        training = problem.evaluate(np.random.default_rng([3, 2]).random((256, 4)))
+        known = problem.evaluate(training.u[best_and_far(training.u, -training.objective)])
+        diary = Diary(model)
+        Adaptive(max_calls=20).minimize(problem.on(diary), seed=3, known=known)
+        asked = problem.evaluate(problem.space.to_unit(diary.rows))
+    near = np.abs(asked.u[:, None] - asked.u).max(axis=2) + np.tri(asked.n) < 0.01
+    again = near.any(axis=0) & (asked.mse > 5.0 * min(asked.mse.min(), known.mse.min()))
+    assert again.sum() <= 2
