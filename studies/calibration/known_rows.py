@@ -24,13 +24,13 @@ def best_and_far(u: FloatArray, worth: FloatArray) -> IntArray:
     """
     left = np.flatnonzero(np.isfinite(worth))
     left = left[np.argsort(-worth[left], kind="stable")]
-    kept: list[int] = []
+    points, kept = u[left], list[int]()
     distance = np.full(len(left), np.inf)
     while len(kept) < N_BEST + N_FAR and (distance > SAME_ROW).any():
         is_new = distance > SAME_ROW
         place = int(np.argmax(is_new if len(kept) < N_BEST else distance))
         kept.append(int(left[place]))
-        distance = np.minimum(distance, np.abs(u[left] - u[left[place]]).max(axis=1))
+        distance = np.minimum(distance, np.abs(points - points[place]).max(axis=1))
     return np.array(kept, dtype=np.int64)
 
 
