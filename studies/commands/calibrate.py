@@ -18,8 +18,8 @@ mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with s
 
 --from-stored begins with what is stored of this model, 250 simulations at most, whatever they were made for:
 training sets, an earlier calibration, other data, weights, priors or bounds. They cost nothing, and after
-such a change some three calls are often enough. The result says how many they were. With --again it begins
-with what has been stored since.
+such a change the optimum is often found in one to three calls. The result says how many they were. With
+--again it begins with what has been stored since.
 
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
 searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and
