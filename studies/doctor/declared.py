@@ -89,34 +89,44 @@ def temperature_doubt(values: FloatArray, unit: str) -> str:
 def _far_from_others(case: Case) -> Iterator[Finding]:
     """Look for single values that no sensor can have meant, as -9999 where nothing was measured."""
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
-        is_far = _is_far(samples.values)
-        yield from _far(output.name, output.unit, samples.time, samples.values, is_far)
-    scenario, variables = case.scenario, case.fmu.variables
+        values = samples.values
+        is_far = _is_far(values)
+        far = np.flatnonzero(is_far)
+        if len(far):
+            low, high = values[~is_far].min(), values[~is_far].max()
+            more = f" and {len(far) - 1} more" if len(far) > 1 else ""
+            unit = f" {output.unit}" if output.unit else ""
+            yield Finding(
+                "values far from all others",
+                "warn",
+                f"{output.name}: {values[far[0]]:.6g}{unit} at {samples.time[far[0]]:.12g} s{more}; the "
+                f"others lie between {low:.4g} and {high:.4g}{unit}",
+                "leave the cell empty where nothing was measured",
+            )
+    scenario, below = case.scenario, []
     for name, values in zip(scenario.input_names, scenario.inputs.T, strict=True):
-        unit = variables[name].unit
-        yield from _far(name, unit, scenario.time_communication, values, _is_far_below(values))
-
-
-def _far(name: str, unit: str, time: FloatArray, values: FloatArray, is_far: BoolArray) -> Iterator[Finding]:
-    """Tell of the first of the values that are far from the others."""
-    far, unit = np.flatnonzero(is_far), f" {unit}" if unit else ""
-    if len(far):
-        low, high = values[~is_far].min(), values[~is_far].max()
-        more = f" and {len(far) - 1} more" if len(far) > 1 else ""
+        floor, low, high = _usual(values)
+        if values.min() < floor:
+            unit, at_s = case.fmu.variables[name].unit, scenario.time_communication[int(np.argmin(values))]
+            below.append(
+                f"{name} falls to {values.min():.6g} {unit} at {at_s:.12g} s, mostly {low:.4g} to {high:.4g}"
+            )
+    if below:
         yield Finding(
-            "values far from all others",
+            "inputs far below all others",
             "warn",
-            f"{name}: {values[far[0]]:.6g}{unit} at {time[far[0]]:.12g} s{more}; the others lie between "
-            f"{low:.4g} and {high:.4g}{unit}",
-            "leave the cell empty where nothing was measured",
+            "; ".join(below[:LONGEST]),
+            "leave cells empty where nothing was measured, and give such an input max_gap_s",
         )
 
 
-def _is_far_below(values: FloatArray) -> BoolArray:
-    """Tell which of an input's values lie far below all others: far above, rain or a tap may. Shape (n,)."""
-    is_far = _is_far(values)
-    below: BoolArray = is_far & (values < values[~is_far].min())
-    return below
+def _usual(values: FloatArray) -> tuple[float, float, float]:
+    """Return what nine tenths of an input's values lie between, after what none can have meant below it.
+
+    Far above them rain or a tap may be; and where a single cell is wrong, many interpolated values are.
+    """
+    low, high = (float(one) for one in np.quantile(values, (0.05, 0.95)))
+    return (low - FAR * (high - low) if low < high else -np.inf), low, high
 
 
 def _is_far(values: FloatArray) -> BoolArray:
@@ -296,7 +306,7 @@ def _is_temperature(variable: FmuVariable) -> bool:
 def _data_in_wrong_unit(case: Case, inputs: dict[str, FloatArray]) -> Iterator[Finding]:
     doubts = []
     for name, values in inputs.items():
-        doubt = temperature_doubt(values[~_is_far_below(values)], case.fmu.variables[name].unit)
+        doubt = temperature_doubt(values[values >= _usual(values)[0]], case.fmu.variables[name].unit)
         doubts += [f"{name}: {doubt}"] if doubt else []
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
         doubt = temperature_doubt(samples.values[~_is_far(samples.values)], output.unit)

@@ -1,6 +1,7 @@
 """Which files a calibration was made from have changed since."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -25,16 +26,18 @@ def _files(project: Project, stage: StageLook) -> Iterator[tuple[Path, bool]]:
     if not stage.recipe:
         return
     case = stage.recipe["case"]
-    file = project.paths.root / case["place"]
-    if file.is_file():
-        yield file, text_digest(file.read_text(encoding="utf-8-sig")) == case["text_sha256"]
-    for one in stage.recipe["files"]:
-        file = project.paths.root / one["place"]
-        if file.is_file():
-            yield file, _digest(file, file.stat().st_mtime_ns) == one["sha256"]
+    made_from = [(case["place"], case["text_sha256"], True)]
+    made_from += [(one["place"], one["sha256"], False) for one in stage.recipe["files"]]
+    for place, digest, is_text in made_from:
+        file = project.paths.root / place
+        with suppress(OSError):
+            yield file, _digest(file, file.stat().st_mtime_ns, is_text) == digest
 
 
 @cache
-def _digest(file: Path, changed_ns: int) -> str:
+def _digest(file: Path, changed_ns: int, is_text: bool) -> str:
     """Return the digest of a file that was written then; many calibrations are made from one FMU."""
-    return file_digest(file)
+    try:
+        return text_digest(file.read_text(encoding="utf-8-sig")) if is_text else file_digest(file)
+    except UnicodeDecodeError:
+        return ""

@@ -47,6 +47,11 @@ def headline_sentence(data: ReportData) -> str:
         return "Nothing has been calibrated yet."
     unit = mse_unit(data.measurement)
     relevance = f"{count(c.n_relevance)} to find and check what matters, " if c.n_relevance else ""
+    if c.is_adaptive and not c.calls_paper:
+        return (
+            f"No model call was needed: the best of {count(c.n_known, 'stored simulation')} has an MSE of "
+            f"{quantity(c.mse_polished, unit)}."
+        )
     if c.is_adaptive:
         each = "the others each" if relevance else "each"
         before = (
@@ -154,7 +159,13 @@ def convergence_caption(calibration: CalibrationRecord, unit: str) -> str:
         before = f"The first {count(n_start, 'simulation')}, the search for relevant parameters included,"
     if c.n_known:
         before = f"The {count(c.n_known, 'stored simulation')} that it began with"
+        if c.n_before:
+            before = (
+                f"After {count(c.n_before, 'call')} to find what matters, {before[0].lower()}{before[1:]}"
+            )
     n_after = int(c.history_calls[-1]) - n_start
+    if not n_after:
+        return f"{before} {found}, and no model call was needed{ended}."
     end = quantity(c.mse_polished, unit)
     return f"{before} {found}; {count(n_after, 'call')} after it ended at {end}{ended}."
 

@@ -50,8 +50,8 @@ def convergence_figure(
     start = "from no initial guess" if n_free is None else f"with {count(n_free, 'parameter')}"
     came_from = f"{count(n_start - calibration.n_before)} rows that fill the box"
     if n_known:
-        start = came_from = count(n_known, "stored simulation")
-        start = f"after {start}"
+        came_from = count(n_known, "stored simulation")
+        start = f"{'' if n_free is None else f'{start}, '}begun with {came_from}"
     title = f"{count(last, 'model call')} reach an MSE of {quantity(final, mse_unit)} {start}"
     with drawing(path, title=title, height_in=3.7, footnote=footnote) as figure:
         axes = figure.subplots()

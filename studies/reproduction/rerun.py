@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from pelsvae.config import SurrogateConfig
 from pelsvae.epochs import EpochReport
 from pelsvae.training import FitResult
+from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from studies.reproduction.rebuild import Rebuilt
 from studies.reproduction.recorded import Arrays, Recorded, as_arrays, weights_digest
@@ -172,10 +173,14 @@ def _adaptive(rebuilt: Rebuilt) -> Made:
 
     recipe = rebuilt.recorded.recipe
     settings = Adaptive(**recipe["settings"])
-    known = rebuilt.recorded.arrays.get("known_theta")
-    numbers, arrays, _ = calibrate_adaptively(
-        rebuilt.study, settings, restriction_of(recipe), None if known is None else lambda *_: known
-    )
+    known_rows = None
+    if "n_known" in rebuilt.recorded.numbers:
+        known = _known_theta(rebuilt)
+
+        def known_rows(*_: object) -> FloatArray:
+            return known
+
+    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, restriction_of(recipe), known_rows)
     return numbers, arrays
 
 
@@ -183,12 +188,10 @@ def _uncertainty(rebuilt: Rebuilt) -> Made:
     from studies.stages.restriction import restriction_of
     from studies.stages.uncertainty import UncertaintySettings, judge_calibration_point
 
-    recipe, arrays = rebuilt.recorded.recipe, rebuilt.recorded.arrays
+    recipe = rebuilt.recorded.recipe
     point, case = recipe["calibration"], rebuilt.study.case
     theta = np.array([point["theta"][name] for name in case.parameter_space.names])
-    known = arrays.get("known_theta")
-    if known is None:
-        raise InputError(f"{rebuilt.recorded.name} does not tell which simulations were known when it began")
+    known = _known_theta(rebuilt)
     numbers, made, _ = judge_calibration_point(
         rebuilt.study,
         point["name"],
@@ -198,6 +201,14 @@ def _uncertainty(rebuilt: Rebuilt) -> Made:
         restriction_of(recipe),
     )
     return numbers, made
+
+
+def _known_theta(rebuilt: Rebuilt) -> FloatArray:
+    """Return the rows that were known when a result was begun."""
+    known = rebuilt.recorded.arrays.get("known_theta")
+    if known is None:
+        raise InputError(f"{rebuilt.recorded.name} does not tell which simulations were known when it began")
+    return known
 
 
 def _sensitivity(rebuilt: Rebuilt) -> Made:

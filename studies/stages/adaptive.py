@@ -16,7 +16,7 @@ from simulation.partly_fixed import PartlyFixedModel
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.doubt import doubtful_mse
-from studies.calibration.known_rows import best_and_far
+from studies.calibration.known_rows import best_and_far, n_apart
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -99,9 +99,10 @@ def adaptive_settings(
             f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""
         )
         start = f"the first design of {n_start} simulations for {count(n_parameters, 'parameter')}"
+        least = n_calls_before + (1 if from_stored else 2 * n_start)
         raise InputError(
             f"--max-calls {settings.max_calls} does not hold {before}{'one more' if from_stored else start}; "
-            f"give {n_calls_before + 2 * n_start} or more"
+            f"give {least} or more"
         )
     return settings
 
@@ -152,8 +153,14 @@ def adaptive_stage(
         **({"from_stored": True} if from_stored else {}),
     }
     files = adaptive_files(study, n_free)
-    known_rows = KnownRows(files.rows, digest_of(inputs), best_and_far, anew=again) if from_stored else None
     stage = STAGE + restricted(n_free)
+    known_rows = None
+    if from_stored:
+        # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
+        any_end = replace(settings, max_calls=1, target_mse=None, ftol=Adaptive.ftol)
+        question = inputs | {"settings": asdict(any_end)}
+        is_finished = (study.results / f"{stage}.json").is_file()
+        known_rows = KnownRows(files.rows, digest_of(question), best_and_far, anew=again and is_finished)
 
     @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
@@ -217,12 +224,16 @@ def calibrate_adaptively(
         n_kept = n_before + calls_for_check(case, settings, restriction)
         problem = CalibrationProblem(model, case.measurement, prior)
         known = None if known_rows is None else _known(study, problem, physical, model, known_rows)
+        if known is None:
+            _offer_stored(study, physical, model)
+        else:
+            _check_design(settings, known, n_kept)
         n_read = physical.n_reused
         result = replace(settings, max_calls=settings.max_calls - n_kept).minimize(
             problem,
             seed=seed,
             known=known,
-            on_progress=_teller(study, physical, model, bars, is_new=known is None),
+            on_progress=_teller(study, physical, bars),
         )
     theta = model.complete(result.theta)
     if not np.isfinite(result.mse):
@@ -269,10 +280,46 @@ def _known(
     """Return what is known beforehand, and say how much that is."""
     theta = known_rows(physical.store, model, problem, lambda found: -found.objective)
     if not len(theta):
-        study.console.say("no simulation of this model within the bounds is stored: it begins with none")
+        fixed = (
+            " with the fixed parameters at these values"
+            if model.parameter_space.n_parameters < physical.parameter_space.n_parameters
+            else ""
+        )
+        study.console.say(
+            f"no good simulation of this model within the bounds{fixed} is stored: it begins with none"
+        )
     else:
         study.console.say(f"begins with {count(len(theta), 'stored simulation')} of this model")
     return problem.judge(problem.space.to_unit(theta), model.simulate(theta))
+
+
+def _check_design(settings: Adaptive, known: Evaluation, n_kept: int) -> None:
+    """Refuse a budget that does not hold what known rows leave open of a first design.
+
+    Args:
+        settings: how to search.
+        known: what is known.
+        n_kept: calls of the budget that are for something else.
+    """
+    n_start = settings.design_size(known.u.shape[1])
+    n_missing = max(n_start - n_apart(known.u), 0)
+    if settings.max_calls < n_kept + n_missing:
+        design = f"{n_missing} of {count(n_start, 'simulation')} of a first design"
+        raise InputError(
+            f"--max-calls {settings.max_calls} does not hold the {design} that are not stored; give "
+            f"{n_kept + n_start + n_missing} or more"
+        )
+
+
+def _offer_stored(study: Study, physical: StoredModel, model: PartlyFixedModel) -> None:
+    """Say what is stored to somebody who does not begin with it."""
+    theta = model.complete(fitting_theta(physical.store, model))
+    n_good = int((~physical.store.find_failed(theta)).sum()) if len(theta) else 0
+    if n_good:
+        study.console.say(
+            f"{count(n_good, 'simulation')} of this model are stored and are read where they are asked for; "
+            "--from-stored begins with the best of them"
+        )
 
 
 def _arrays(case: Case, result: AdaptiveResult, theta: FloatArray, n_calls_before: int) -> dict[str, Any]:
@@ -301,31 +348,15 @@ def _outputs(case: Case, y: FloatArray) -> dict[str, dict[str, float | None]]:
     return found
 
 
-def _teller(
-    study: Study, physical: StoredModel, model: PartlyFixedModel, bars: OnBar, *, is_new: bool
-) -> Callable[[Progress], None]:
-    """Return what tells the user of every round, on a bar or now and then in a line.
-
-    Args:
-        study: the study.
-        physical: the model that is asked.
-        model: which of its parameters are free.
-        bars: the bars.
-        is_new: whether the calibration begins with no stored simulation.
-    """
-    n_stored = len(fitting_theta(physical.store, model)) if is_new else 0
+def _teller(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
+    """Return what tells the user of every round, on a bar or now and then in a line."""
     unit = squared(difference_unit(study.case.outputs[0].unit))
     last_said = time.monotonic()
 
     def tell(now: Progress) -> None:
-        nonlocal last_said, n_stored
+        nonlocal last_said
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
             raise _hopeless(study, physical)
-        if n_stored:
-            if not physical.n_reused:
-                stored = count(n_stored, "stored simulation")
-                study.console.say(f"{stored} of this model could be begun with: --from-stored")
-            n_stored = 0
         best = f"best MSE {quantity(now.best_mse, unit)}"
         bars("adaptive", now.n_done, now.n_total or now.n_done, f", {count(now.n_done, 'call')}, {best}")
         if not study.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:

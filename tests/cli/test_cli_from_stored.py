@@ -72,12 +72,16 @@ def test_it_goes_on_with_the_rows_that_it_began_with_and_again_with_all(project:
     assert (first["n_known"], first["n_simulated"]) == (N_BEFORE, 4)
     assert studies(*command).stage["finished_before"]
     # As after a kill in the last moment: rows and what it began with are there, its result is not.
-    (project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json").unlink()
-    resumed = studies(*command).stage
-    assert (resumed["n_known"], resumed["n_simulated"]) == (N_BEFORE, 0)
-    assert results_of(project) == told
+    for typed in (command, (*command, "--again")):
+        (project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json").unlink()
+        resumed = studies(*typed).stage
+        assert (resumed["n_known"], resumed["n_simulated"]) == (N_BEFORE, 0)
+        assert results_of(project) == told
+    # Another budget goes on: its first calls are those that were paid already.
+    more = studies(*WALL, "--from-stored", "--max-calls", "6", "--json").stage
+    assert (more["n_known"], more["n_simulated"]) == (N_BEFORE, 2)
     again = studies(*command, "--again").stage
-    assert N_BEFORE < again["n_known"] <= N_BEFORE + 4
+    assert N_BEFORE < again["n_known"] <= N_BEFORE + 6
     assert again["n_simulated"] == 4
     assert again["mse"] <= first["mse"]
 
@@ -97,21 +101,31 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
     again = studies("reproduce", name)
     assert again.code == 0, again.err
     assert "to the last digit" in again.out
+    # A page of a calibration that needed no call.
+    assert studies(*WALL, "--from-stored", "--target", "0.5", "--json").stage["ledger"]["total_paper"] == 0
+    page = studies("report", "wall", "--json")
+    text = Path(project / page.document["stages"][0]["index"]).read_text(encoding="utf-8")
+    assert f"No model call was needed: the best of {N_BEFORE} stored simulations has an MSE of" in text
 
 
 def test_who_begins_anew_is_told_what_is_stored(project: Path, studies: Run) -> None:
-    told = f"{N_BEFORE} stored simulations of this model could be begun with: --from-stored"
+    told = f"{N_BEFORE} simulations of this model are stored and are read where they are asked for"
     assert told in studies(*WALL, "--seed", "1", "--max-calls", "8").err
-    # Who goes on is not.
-    assert "could be begun with" not in studies(*WALL, "--max-calls", str(N_BEFORE + 1)).err
+    change_the_data(project)
+    assert "--from-stored begins with the best of them" in studies(*WALL, "--max-calls", "8").err
+    assert "--from-stored" not in studies(*WALL, "--from-stored", "--max-calls", "2").err
 
 
 def test_where_nothing_is_stored_it_begins_with_nothing(project: Path, studies: Run) -> None:
     shutil.rmtree(project / "data" / "wall" / "generated")
     answer = studies(*WALL, "--from-stored", "--max-calls", "8")
     assert answer.code == 0, answer.err
-    assert "no simulation of this model within the bounds is stored: it begins with none" in answer.err
+    assert "no good simulation of this model within the bounds is stored: it begins with none" in answer.err
     assert results_of(project)["n_known"] == 0
+    few = studies(*WALL, "--from-stored", "--most-relevant", "3", "--max-calls", "33")
+    assert few.code == 2
+    assert "with the fixed parameters at these values is stored" in few.err
+    assert "--max-calls 33 does not hold the 4 of 4 simulations of a first design that are not" in few.err
 
 
 def test_it_belongs_to_the_adaptive_method(project: Path, studies: Run) -> None:
@@ -136,6 +150,8 @@ def test_files_that_have_changed_since_are_named(project: Path, studies: Run) ->
     both = ["case.toml", "measured.csv"]
     assert studies("best", "--json").document["calibrations"][0]["changed_since"] == both
     assert studies("status", "--json").document["calibrations"][0]["changed_since"] == both
+    case.write_bytes(b"\xe4")
+    assert "made before case.toml and measured.csv changed" in studies("best").out
     # Where the file is not, as after an import, nothing is known of it.
     case.unlink()
     assert "made before measured.csv changed" in studies("best").out
