@@ -108,9 +108,8 @@ def _far_from_others(case: Case) -> Iterator[Finding]:
         floor, low, high = _usual(values)
         if values.min() < floor:
             unit, at_s = case.fmu.variables[name].unit, scenario.time_communication[int(np.argmin(values))]
-            below.append(
-                f"{name} falls to {values.min():.6g} {unit} at {at_s:.12g} s, mostly {low:.4g} to {high:.4g}"
-            )
+            least = f"{values.min():.6g} {unit}".rstrip()
+            below.append(f"{name} falls to {least} at {at_s:.12g} s, mostly {low:.4g} to {high:.4g}")
     if below:
         yield Finding(
             "inputs far below all others",

@@ -316,10 +316,8 @@ def _offer_stored(study: Study, physical: StoredModel, model: PartlyFixedModel) 
     theta = model.complete(fitting_theta(physical.store, model))
     n_good = int((~physical.store.find_failed(theta)).sum()) if len(theta) else 0
     if n_good:
-        study.console.say(
-            f"{count(n_good, 'simulation')} of this model are stored and are read where they are asked for; "
-            "--from-stored begins with the best of them"
-        )
+        stored = count(n_good, "stored simulation")
+        study.console.say(f"{stored} of this model: read where asked for; --from-stored begins with the best")
 
 
 def _arrays(case: Case, result: AdaptiveResult, theta: FloatArray, n_calls_before: int) -> dict[str, Any]:

@@ -109,10 +109,10 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
 
 
 def test_who_begins_anew_is_told_what_is_stored(project: Path, studies: Run) -> None:
-    told = f"{N_BEFORE} simulations of this model are stored and are read where they are asked for"
+    told = f"{N_BEFORE} stored simulations of this model: read where asked for"
     assert told in studies(*WALL, "--seed", "1", "--max-calls", "8").err
     change_the_data(project)
-    assert "--from-stored begins with the best of them" in studies(*WALL, "--max-calls", "8").err
+    assert "--from-stored begins with the best" in studies(*WALL, "--max-calls", "8").err
     assert "--from-stored" not in studies(*WALL, "--from-stored", "--max-calls", "2").err
 
 
