@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet
 import pytest
+from kept_project import copy_project
 from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
 
@@ -329,7 +330,7 @@ def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(
 def test_a_calibration_from_a_surrogate_says_what_judges_it(
     finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy_of(finished, tmp_path / "project", monkeypatch)
+    copy_project(finished, tmp_path / "project", monkeypatch)
     (line,) = [
         line
         for line in studies("calibrate", "--profile", "tiny.toml", "--method", "paper").out.splitlines()
