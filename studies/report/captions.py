@@ -65,10 +65,11 @@ def headline_sentence(data: ReportData) -> str:
             f"{count(c.n_polish)} to polish"
         )
     few = "" if c.n_free is None else f"the {count(c.n_free)} most relevant of "
-    start = "without an initial guess" if c.n_free is None else "beside fixed values of the others"
+    start = "" if c.n_known else " without an initial guess"
+    start = start if c.n_free is None else " beside fixed values of the others"
     sentence = (
         f"{count(c.calls_paper, 'model call')} ({relevance}{made}) calibrated "
-        f"{few}{count(len(data.parameters.names), 'parameter')} {start} to an MSE of "
+        f"{few}{count(len(data.parameters.names), 'parameter')}{start} to an MSE of "
         f"{quantity(c.mse_polished, unit)}"
     )
     known = [r for r in data.references if not r.is_target and r.mse > 0]
