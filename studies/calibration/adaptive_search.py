@@ -11,7 +11,7 @@ from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
-from studies.calibration.known_rows import n_apart
+from studies.calibration.known_rows import missing_of_design
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, liked, telling
@@ -92,7 +92,7 @@ class AdaptiveSearch:
             recorder.know(known)
             self._keep(known)
             self._n_known = known.n
-            self._n_design = max(self._n_design - n_apart(known.u[np.isfinite(known.objective)]), 0)
+            self._n_design = missing_of_design(known, self._n_design)
             if not self._n_design:
                 # What others have asked all over the box may tell of a better valley than its best row's.
                 self._radius = 1.0

@@ -153,12 +153,11 @@ def convergence_caption(calibration: CalibrationRecord, unit: str) -> str:
     n_start, start = int(c.history_calls[0]), float(c.history_mse[0])
     ended = f"; it ended because {c.stop_reason}" if c.stop_reason else ""
     found = f"found {quantity(start, unit)}" if math.isfinite(start) else "could not be simulated"
-    if c.n_known:
-        found = f"held {quantity(start, unit)}"
     before = f"The first design of {count(n_start, 'simulation')}"
     if c.n_free is not None:
         before = f"The first {count(n_start, 'simulation')}, the search for relevant parameters included,"
     if c.n_known:
+        found = f"held {quantity(start, unit)}"
         before = f"The {count(c.n_known, 'stored simulation')} that it began with"
         if c.n_before:
             before = (

@@ -16,7 +16,7 @@ from simulation.partly_fixed import PartlyFixedModel
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.doubt import doubtful_mse
-from studies.calibration.known_rows import best_and_far, n_apart
+from studies.calibration.known_rows import best_and_far, missing_of_design
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -302,7 +302,7 @@ def _check_design(settings: Adaptive, known: Evaluation, n_kept: int) -> None:
         n_kept: calls of the budget that are for something else.
     """
     n_start = settings.design_size(known.u.shape[1])
-    n_missing = max(n_start - n_apart(known.u), 0)
+    n_missing = missing_of_design(known, n_start)
     if settings.max_calls < n_kept + n_missing:
         design = f"{n_missing} of {count(n_start, 'simulation')} of a first design"
         raise InputError(

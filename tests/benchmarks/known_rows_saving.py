@@ -21,10 +21,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(Path(__file__).parent)]
 
 from fewest_calls.kept import Kept  # noqa: E402
 from fewest_calls.problems import posed, problems  # noqa: E402
+from interval_coverage import Diary  # noqa: E402
 
 from simulation.arrays import FloatArray  # noqa: E402
-from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
-from simulation.trajectories import Trajectories  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 from studies.calibration.doubt import doubtful_mse  # noqa: E402
 from studies.calibration.known_rows import best_and_far  # noqa: E402
@@ -32,19 +31,6 @@ from studies.calibration.problem import CalibrationProblem  # noqa: E402
 
 PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
 NEVER = float("inf")
-
-
-class Diary(WrappedModel):
-    """A model that remembers which rows it was asked."""
-
-    def __init__(self, model: ForwardModel) -> None:
-        super().__init__(model)
-        self.rows: list[FloatArray] = []
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        """Answer and take note."""
-        self.rows.append(theta)
-        return self._model.simulate(theta)
 
 
 def with_wave(problem: CalibrationProblem, size: float, seed: int) -> CalibrationProblem:
@@ -81,7 +67,7 @@ def earlier(change: float) -> Callable[[CalibrationProblem, int], FloatArray]:
         other = with_wave(problem, change, seed)
         diary = Diary(problem.model)
         settings_for(other).minimize(other.on(diary), seed=seed + 1000)
-        return problem.space.to_unit(np.concatenate(diary.rows))
+        return problem.space.to_unit(np.concatenate([answer.theta for answer in diary.answers]))
 
     return rows
 
