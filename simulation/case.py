@@ -89,6 +89,7 @@ class Case:
         policy: How patiently simulations are run.
         said_units: Units of variables that the FMU declares none for, by name.
         references: Errors known for this window; they decide nothing.
+        watched: Variables of the FMU that it answers beside the outputs, after them.
         validation: The same model compared over the validation period instead, None without one. Its
             simulations start as the case's do and go on; nothing of it decides what is calibrated.
     """
@@ -109,6 +110,7 @@ class Case:
     policy: ExecutionPolicy = field(default_factory=ExecutionPolicy)
     said_units: Mapping[str, str] = field(default_factory=dict)
     references: tuple[KnownError, ...] = ()
+    watched: tuple[str, ...] = ()
     validation: "Case | None" = None
 
     @property
@@ -166,6 +168,7 @@ class Case:
             "warmup_theta": settings.warmup_theta if settings.shared_warmup else None,
             "parameter_factors": settings.parameter_factors,
             "parameter_offsets": settings.parameter_offsets,
+            "watched": list(self.watched) or None,
             "said_units": dict(self.said_units) or None,
         }
         return {

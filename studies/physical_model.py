@@ -47,7 +47,7 @@ def open_physical_model(
             store_folder(study.paths, case),
             model_digest=case.model_digest,
             parameter_names=case.parameter_space.names,
-            output_names=case.measurement.output_names,
+            output_names=case.settings.output_names,
             time=case.scenario.time,
             on_warning=console.warn,
         ) as store,

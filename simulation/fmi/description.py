@@ -47,6 +47,8 @@ class FmuDescription:
         default_experiment: What it suggests for a simulation.
         states: Names of the continuous states (model exchange), in the order of the FMU.
         derivatives: Names of their derivatives, in the same order.
+        depends_on: Variables that each of these may depend on, parameters aside, by its name, where it
+            is said.
         n_event_indicators: Functions whose change of sign is an event (model exchange).
         description: What the model is, "" for nothing said.
         complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
@@ -64,6 +66,7 @@ class FmuDescription:
     default_experiment: DefaultExperiment = field(default_factory=DefaultExperiment)
     states: tuple[str, ...] = ()
     derivatives: tuple[str, ...] = ()
+    depends_on: Mapping[str, frozenset[str]] = field(default_factory=dict)
     n_event_indicators: int = 0
     description: str = ""
     complaint: str = ""
@@ -249,6 +252,11 @@ def read_description(path: Path) -> FmuDescription:
         ),
         states=tuple(str(one.derivative.name) for one in derivatives if one.derivative is not None),
         derivatives=tuple(str(one.name) for one in derivatives if one.derivative is not None),
+        depends_on={
+            str(unknown.variable.name): frozenset(str(one.name) for one in unknown.dependencies)
+            for unknown in model.derivatives
+            if unknown.dependencies is not None
+        },
         n_event_indicators=int(model.numberOfEventIndicators),
         description=str(model.description or ""),
         complaint=complaint,

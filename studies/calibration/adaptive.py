@@ -17,6 +17,7 @@ from simulation.errors import InputError
 from studies.calibration.adaptive_search import AdaptiveSearch
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress, Recorder
+from studies.calibration.state_guide import StateGuide
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class Adaptive:
         *,
         seed: int,
         known: Evaluation | None = None,
+        guide: StateGuide | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.
@@ -138,6 +140,7 @@ class Adaptive:
             seed: Seed of the first design and all draws.
             known: Rows of this problem that were simulated before; they cost nothing and are the first design
                 as far as they fill it.
+            guide: Learns the model's state equations from the rows and proposes others, None for none.
             on_progress: Called after each round.
 
         Returns:
@@ -159,7 +162,7 @@ class Adaptive:
                 f"same problem: {shape[1]} parameters and {shape[0]} residuals"
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known)
+        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known, guide)
         converged = False
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.

@@ -17,6 +17,7 @@ from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, liked, telling
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features
+from studies.calibration.state_guide import StateGuide, enough_for_equations
 
 if TYPE_CHECKING:
     from studies.calibration.adaptive import Adaptive
@@ -53,6 +54,7 @@ class AdaptiveSearch:
         recorder: Recorder,
         rng: np.random.Generator,
         known: Evaluation | None = None,
+        guide: StateGuide | None = None,
     ) -> None:
         """Begin with what is known.
 
@@ -62,8 +64,10 @@ class AdaptiveSearch:
             recorder: Asks the model and counts.
             rng: Source of the first design and all draws.
             known: Rows that somebody else has paid for, None for none.
+            guide: Learns the model's state equations, None for none.
         """
         self._settings = settings
+        self._guide = guide
         self._p = p = problem.space.n_parameters
         self._prior = problem.prior
         self._features = Features.of(problem.space)
@@ -106,7 +110,12 @@ class AdaptiveSearch:
         settings = self._settings
         if self._n_design:
             design = latin_hypercube(self._n_design, self._p, self._rng)
-            self._ask(settings.margin + (1.0 - 2.0 * settings.margin) * design)
+            design = settings.margin + (1.0 - 2.0 * settings.margin) * design
+            # State equations are learnt from less than a first design.
+            n_enough = self._n_design if self._guide is None else enough_for_equations(self._p)
+            self._ask(design[:n_enough])
+            if not self._is_guided and n_enough < self._n_design:
+                self._ask(design[n_enough:])
         while True:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return "the target is reached"
@@ -124,8 +133,15 @@ class AdaptiveSearch:
                 self._turn()
             self._step()
 
+    @property
+    def _is_guided(self) -> bool:
+        """Whether state equations say where to ask next: they know the whole box."""
+        return self._guide is not None and self._guide.is_believed
+
     def _look_as_far_as_understood(self) -> None:
         """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
+        if self._is_guided:
+            return
         n_judged = self._n_known + self._n_design + self._settings.design_size(self._p)
         if not self._is_judged and self._objective.size >= n_judged and not self._is_falling:
             self._is_judged = True
@@ -175,6 +191,7 @@ class AdaptiveSearch:
         best = first + int(np.argmin(self._objective[first:]))
         centre, centre_objective = self._u[best], float(self._objective[best])
         points, expected = self._propose(process, centre)
+        predicted = self._guide.predicted if self._guide is not None else None
         if self._is_far and not self._is_home:
             home = int(np.argmin(self._objective))
             is_end = np.abs(points[0] - centre).max() < AT_THE_EDGE * self._radius
@@ -192,7 +209,8 @@ class AdaptiveSearch:
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
         dull = max(self._settings.ftol, DULL if self._horizon.is_whole else DULL_IN_A_BEGINNING)
         hope = max(gain, promise)
-        predicted = self._expand(process, points[0], self._settings.caution).value
+        if predicted is None:
+            predicted = self._expand(process, points[0], self._settings.caution).value
         if is_surprised(float(found[0]), predicted, expected.value, centre_objective):
             hope = np.inf
         self._idle = self._idle + 1 if hope <= self._settings.ftol * centre_objective else 0
@@ -220,22 +238,26 @@ class AdaptiveSearch:
         """Whether the best error is too large, and there may be a deeper valley."""
         # Who names a target wants it, however little is expected.
         is_excluded = self._n_excluded >= EXCLUDED_LEGS and self._settings.target_mse is None
-        return self._is_too_large and not is_excluded
+        return self._is_too_large and not is_excluded and not self._is_guided
 
     @property
     def _may_end(self) -> bool:
         """Whether the search has looked elsewhere and believes what it has found."""
-        return self._n_elsewhere >= self._settings.n_elsewhere and not self._is_doubtful
+        has_looked = self._is_guided or self._n_elsewhere >= self._settings.n_elsewhere
+        return has_looked and not self._is_doubtful
 
     @property
     def _reason(self) -> str:
         """Why a search ends that has converged."""
-        reason = f"the surrogate expects a gain of less than {self._settings.ftol:g} of the error"
+        who = "the state equations expect" if self._is_guided else "the surrogate expects"
+        reason = f"{who} a gain of less than {self._settings.ftol:g} of the error"
         return f"{reason}, and nowhere {WANTED:g} times the error" if self._is_too_large else reason
 
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
         settings = self._settings
+        if self._is_guided:
+            return self._idle >= min(settings.patience, DULL_ROUNDS)
         is_new = not self._is_home or self._n_elsewhere == 0
         n_dull, patience = self._dull, settings.patience
         if self._may_end and self._horizon.is_whole:
@@ -279,6 +301,8 @@ class AdaptiveSearch:
         penalty[good] = answer.objective[good] - answer.mse[good]
         self._penalty = np.concatenate([self._penalty, penalty])
         self._judge()
+        if self._guide is not None:
+            self._guide.note(answer)
 
     def _fit(self) -> ProcessGroups:
         good = self._is_sane
@@ -325,7 +349,11 @@ class AdaptiveSearch:
             process, self._prior, centre, self._radius, self._u, 1 if is_abroad else self._settings.n_descents
         )
         n_parallel, caution = self._settings.n_parallel, self._settings.caution
-        points, favourite = liked(surroundings, (n_parallel + 1) // 2, caution, self._rng)
+        if self._guide is not None and self._guide.is_believed:
+            point, favourite = self._guide.propose(self._objective, self._u, self._rng)
+            points = point[None]
+        else:
+            points, favourite = liked(surroundings, (n_parallel + 1) // 2, caution, self._rng)
         if len(points) < n_parallel:
             n_more = n_parallel - len(points)
             points = np.concatenate([points, telling(surroundings, points, favourite, n_more, self._rng)])

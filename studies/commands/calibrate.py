@@ -21,6 +21,11 @@ training sets, an earlier calibration, other data, weights, priors or bounds. Th
 such a change the optimum is often found in one to three calls. The result says how many they were. With
 --again it begins with what has been stored since.
 
+--state-equations learns how the FMU's states move, and not only what its sensors would show: from the states
+and derivatives that the FMU answers in every simulation. Where they follow sums of states and inputs, as in
+networks of resistances and capacities, a calibration takes little more than a simulation per parameter; where
+they do not, the search goes on without. Such simulations lie in a store of their own.
+
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
 searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and
 polished from there by LS-TRF. Needs the champion folder alone. Lands in calibration-n<size>.json and .npz.
@@ -38,6 +43,7 @@ examples:
   studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
   studies calibrate my-case --target 0.0121 --json
   studies calibrate my-case --from-stored  after a change of data, weights, priors or bounds: a few calls
+  studies calibrate my-case --state-equations   some 16 calls for 14 parameters, where it can learn them
   studies calibrate my-case --most-relevant 6   of 14: 60 of the 100 calls say which six, 15 what that cost
   studies calibrate --n-train 64           from the surrogate that 64 simulations taught
   studies calibrate --n-train 64 --again   once more: the same numbers
@@ -65,6 +71,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="adaptive: begin with the simulations of this model that are stored",
     )
+    command.add_argument(
+        "--state-equations",
+        action="store_true",
+        help="adaptive: learn the model's state equations from the states that the FMU shows",
+    )
     options.add_most_relevant(
         command,
         "calibrate the K most relevant parameters, fix the others at prior, estimate or middle; without "
@@ -85,7 +96,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
             "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
         )
     is_paper = chosen.method == "paper" or bool(chosen.n_train)
-    only_adaptive = {"--parallel": chosen.parallel is not None, "--from-stored": chosen.from_stored}
+    only_adaptive = {
+        "--parallel": chosen.parallel is not None,
+        "--from-stored": chosen.from_stored,
+        "--state-equations": chosen.state_equations,
+    }
     for option, is_given in only_adaptive.items():
         if is_paper and is_given:
             raise InputError(
@@ -144,7 +159,12 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
     )
     before = stored_before(study, n_free)
     outcome = adaptive_stage(
-        study, settings, n_free=n_free, from_stored=chosen.from_stored, again=chosen.again
+        study,
+        settings,
+        n_free=n_free,
+        from_stored=chosen.from_stored,
+        state_equations=chosen.state_equations,
+        again=chosen.again,
     )
     show_adaptive(study, outcome)
     show_replaced(study, before, outcome)

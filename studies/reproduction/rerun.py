@@ -180,7 +180,13 @@ def _adaptive(rebuilt: Rebuilt) -> Made:
         def known_rows(*_: object) -> FloatArray:
             return known
 
-    numbers, arrays, _ = calibrate_adaptively(rebuilt.study, settings, restriction_of(recipe), known_rows)
+    numbers, arrays, _ = calibrate_adaptively(
+        rebuilt.study,
+        settings,
+        restriction_of(recipe),
+        known_rows,
+        state_equations="state_equations" in rebuilt.recorded.numbers,
+    )
     return numbers, arrays
 
 

@@ -13,6 +13,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
 from simulation.partly_fixed import PartlyFixedModel
+from simulation.states import StateSignals, WatchedModel, watching_states
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.doubt import doubtful_mse
@@ -21,6 +22,7 @@ from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import Progress
+from studies.calibration.state_guide import StateGuide
 from studies.console import OnBar
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
@@ -117,6 +119,8 @@ def adaptive_command(study: Study, numbers: Mapping[str, Any]) -> str:
         words += f" --target {settings['target_mse']}"
     if "n_known" in numbers:
         words += " --from-stored"
+    if "state_equations" in numbers:
+        words += " --state-equations"
     return words + most_relevant(n_free_of(numbers))
 
 
@@ -126,6 +130,7 @@ def adaptive_stage(
     *,
     n_free: int | None = None,
     from_stored: bool = False,
+    state_equations: bool = False,
     again: bool = False,
 ) -> Outcome:
     """Calibrate with the physical model alone.
@@ -138,6 +143,7 @@ def adaptive_stage(
         settings: how to search.
         n_free: how many of the parameters are calibrated, the most relevant; None for all.
         from_stored: whether to begin with the simulations that are stored, whatever they were made for.
+        state_equations: whether to learn the model's state equations from the states that its FMU shows.
         again: calibrate though it is finished, with what is stored now.
     """
     case = study.case
@@ -151,6 +157,7 @@ def adaptive_stage(
         **prior_inputs(case),
         **restriction_inputs(study, n_free),
         **({"from_stored": True} if from_stored else {}),
+        **({"state_equations": True} if state_equations else {}),
     }
     files = adaptive_files(study, n_free)
     stage = STAGE + restricted(n_free)
@@ -166,7 +173,9 @@ def adaptive_stage(
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         restriction = None if n_free is None else find_restriction(study, n_free)
-        numbers, arrays, n_simulated = calibrate_adaptively(study, settings, restriction, known_rows)
+        numbers, arrays, n_simulated = calibrate_adaptively(
+            study, settings, restriction, known_rows, state_equations=state_equations
+        )
         recipe = recipe_of(
             study,
             "adaptive",
@@ -204,6 +213,8 @@ def calibrate_adaptively(
     settings: Adaptive,
     restriction: Restriction | None = None,
     known_rows: ChooseRows | None = None,
+    *,
+    state_equations: bool = False,
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Calibrate and keep nothing but the simulations.
 
@@ -212,17 +223,21 @@ def calibrate_adaptively(
         settings: how to search; the budget is of everything, finding the relevant parameters included.
         restriction: which parameters are held at what, None for none.
         known_rows: which simulations are known beforehand, None for none.
+        state_equations: whether to learn the model's state equations.
 
     Returns:
         The numbers, the arrays and how many rows were not stored before.
     """
     case, seed = study.case, study.profile.seed
     n_before = 0 if restriction is None else restriction.n_calls
-    with open_physical_model(study) as physical, study.console.bars() as bars:
+    asked = watching_states(case) if state_equations else case
+    with open_physical_model(study, case=asked) as physical, study.console.bars() as bars:
         model = parts_of(physical, restriction)
+        watched = WatchedModel(model, StateSignals.of(case)) if state_equations else None
         prior = Prior.of(model.parameter_space, case.measurement)
         n_kept = n_before + calls_for_check(case, settings, restriction)
-        problem = CalibrationProblem(model, case.measurement, prior)
+        problem = CalibrationProblem(watched or model, case.measurement, prior)
+        guide = None if watched is None else StateGuide(watched, problem)
         known = None if known_rows is None else _known(study, problem, physical, model, known_rows)
         if known is None:
             _offer_stored(study, physical, model)
@@ -233,6 +248,7 @@ def calibrate_adaptively(
             problem,
             seed=seed,
             known=known,
+            guide=guide,
             on_progress=_teller(study, physical, bars),
         )
     theta = model.complete(result.theta)
@@ -253,6 +269,7 @@ def calibrate_adaptively(
         "seed": seed,
         "settings": asdict(settings),
         **({} if known is None else {"n_known": known.n}),
+        **({} if guide is None else {"state_equations": _guided(guide)}),
         "theta": dict(zip(case.parameter_space.names, theta.tolist(), strict=True)),
         "mse": result.mse,
         "outputs": _outputs(case, result.y),
@@ -290,7 +307,17 @@ def _known(
         )
     else:
         study.console.say(f"begins with {count(len(theta), 'stored simulation')} of this model")
-    return problem.judge(problem.space.to_unit(theta), model.simulate(theta))
+    return problem.judge(problem.space.to_unit(theta), problem.model.simulate(theta))
+
+
+def _guided(guide: StateGuide) -> dict[str, Any]:
+    """Return what became of state equations."""
+    return {
+        "n_states": guide.n_states,
+        "n_calls": guide.n_asked,
+        "misfit": guide.misfit if np.isfinite(guide.misfit) else None,
+        "are_believed": guide.is_believed,
+    }
 
 
 def _check_design(settings: Adaptive, known: Evaluation, n_kept: int) -> None:

@@ -1,5 +1,8 @@
 """What the terminal says of an adaptive calibration."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from simulation.time_unit import told_period
 from studies.calibration.doubt import DOUBT
 from studies.calibration.recorder import History
@@ -40,6 +43,8 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
     )
     warn_failed(study, found)
+    if "state_equations" in found:
+        console.result(_equations(found["state_equations"]))
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:
@@ -60,6 +65,18 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(f"How sure it is: studies uncertainty {study.command}{most_relevant(n_free)}")
     if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
+
+
+def _equations(found: Mapping[str, Any]) -> str:
+    """Say what became of state equations."""
+    states, calls = count(found["n_states"], "state"), count(found["n_calls"], "call")
+    if found["are_believed"]:
+        end = f"learnt, and {calls} went where they expect the lowest error"
+    elif found["n_calls"]:
+        end = f"learnt, but wrong at {calls} where they expected the lowest error; the search went on without"
+    else:
+        end = "not learnt, for they are no sums of states and inputs; the search did without"
+    return f"State equations of {states}: {end}"
 
 
 def _doubt(found: Summary) -> str:

@@ -93,6 +93,11 @@ def log_adaptive(
             "mse/calibrated": numbers["mse"],
             "calls/rounds": numbers["n_rounds"],
             **({"calls/known": numbers["n_known"]} if "n_known" in numbers else {}),
+            **(
+                {"calls/by_state_equations": numbers["state_equations"]["n_calls"]}
+                if "state_equations" in numbers
+                else {}
+            ),
         },
         tags={"method": "adaptive", "stop_reason": numbers["stop_reason"]},
         started_s=started_s,

@@ -42,6 +42,7 @@ class WatchedModel(WrappedModel):
             target: Error at which the run is over. [first output's unit squared]
             at_once: Rows that are simulated side by side, in a round.
         """
+        self.watched = problem.model
         self._counter = CountingModel(problem.model, budget=max_calls)
         super().__init__(self._counter)
         self._measurement = problem.measurement

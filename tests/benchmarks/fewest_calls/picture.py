@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter
 # Excess over the best error known at which lines end: where runs do.
 LEAST_EXCESS, MOST_EXCESS = 0.02, 1e4
 BEYOND = 1e9
-OURS = {"adaptive": "#c1121f", "adaptive, 4 parallel": "#f08a5d"}
+OURS = {"adaptive": "#c1121f", "adaptive, state equations": "#6a040f", "adaptive, 4 parallel": "#f08a5d"}
 PEERS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf", "#7f7f7f", "#bcbd22")
 STYLES = ("-", "--", ":")
 LEFT_OUT = ("adaptive, own end", "adaptive, 2 parallel", "adaptive, 8 parallel")

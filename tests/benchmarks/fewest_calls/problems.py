@@ -13,6 +13,7 @@ from fewest_calls.instances import Instance, of_case
 from fewest_calls.instances_office import WINDOWS_D, office_instance
 from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
+from simulation.states import StateSignals, WatchedModel, watching_states
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
@@ -115,9 +116,9 @@ def _instance(path: Path, seed: int) -> Instance:
 
 @contextmanager
 def posed(case: Case) -> Iterator[CalibrationProblem]:
-    """Open a case's model and pose its problem."""
-    with case.open_model() as model:
-        yield CalibrationProblem(model, case.measurement)
+    """Open a case's model and pose its problem; what the states did is there for who looks."""
+    with watching_states(case).open_model() as model:
+        yield CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
 
 
 def brute_force(problem: CalibrationProblem, posed_as: Problem, made: Instance) -> Best:

@@ -1,0 +1,173 @@
+"""The continuous states of an FMU's model: which there are, and what they did in every simulation.
+
+An FMU declares its states, their derivatives and what these depend on. They are read beside the outputs, so a
+simulation tells how the model moves, and not only what its sensors would show.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.errors import InputError
+from simulation.forward_model import ForwardModel, WrappedModel
+from simulation.trajectories import Trajectories
+
+
+@dataclass(frozen=True, eq=False)
+class StateSignals:
+    """What is known of a model's states before it is simulated.
+
+    Attributes:
+        states: Names of the s states.
+        inputs: Names of the q inputs.
+        units: Units of the states, then of the inputs, "" for none. Length s + q.
+        depends_on: What each state's derivative may depend on, None where the FMU does not say. Length s.
+        driven: Inputs over the communication steps between the first and the last output that is watched.
+            Shape (m, q). [FMU's units]
+        step_s: Communication step. [s]
+        every: Communication steps from one output to the next.
+        n_before: First outputs that are watched and not reported.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    units: tuple[str, ...]
+    depends_on: tuple[frozenset[str] | None, ...]
+    driven: FloatArray
+    step_s: float
+    every: int
+    n_before: int
+
+    @classmethod
+    def of(cls, case: Case) -> Self:
+        """Return what a case's FMU declares.
+
+        Raises:
+            InputError: If it declares no states.
+        """
+        fmu, scenario = case.fmu, case.scenario
+        if not fmu.states:
+            raise InputError(
+                f"{fmu.path}: declares no states, so nothing can be learnt from them; "
+                "leave --state-equations away"
+            )
+        named = (*fmu.states, *scenario.input_names)
+        edges = scenario.time_communication
+        # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
+        n_unseen = scenario.n_warmup if case.settings.shared_warmup else 0
+        return cls(
+            fmu.states,
+            scenario.input_names,
+            tuple(fmu.variables[name].unit for name in named),
+            tuple(fmu.depends_on.get(name) for name in fmu.derivatives),
+            scenario.inputs[n_unseen * scenario.output_every :],
+            float(edges[1] - edges[0]),
+            scenario.output_every,
+            scenario.n_warmup - n_unseen,
+        )
+
+    @property
+    def at_outputs(self) -> FloatArray:
+        """Inputs of the steps that end at the second to the last watched output. Shape (t - 1, q)."""
+        return self.driven[self.every - 1 :: self.every]
+
+
+class StateRows(NamedTuple):
+    """What states and outputs did in n rows, a warm-up of their own included.
+
+    Attributes:
+        x: States. Shape (n, t, s). [FMU's units]
+        slope: Their derivatives by time. Shape (n, t, s). [FMU's units per second]
+        y: Outputs. Shape (n, t, k). [per output]
+    """
+
+    x: FloatArray
+    slope: FloatArray
+    y: FloatArray
+
+
+def watching_states(case: Case) -> Case:
+    """Return a case whose model answers its states and their derivatives, too.
+
+    Raises:
+        InputError: If the FMU declares no states.
+    """
+    signals, settings = StateSignals.of(case), case.settings
+    watched = (*signals.states, *case.fmu.derivatives)
+    n = len(watched)
+
+    def longer(values: FloatArray | None, value: float) -> FloatArray | None:
+        if values is None:
+            return None
+        return np.concatenate([values, np.full((n, *values.shape[1:]), value)])
+
+    accepted = settings.accepted
+    if accepted is not None:
+        accepted = np.concatenate([accepted, np.tile([-np.inf, np.inf], (n, 1))])
+    scenario = replace(case.scenario, n_warmup=case.scenario.n_warmup - signals.n_before)
+    answering = replace(
+        settings,
+        scenario=scenario,
+        output_names=(*settings.output_names, *watched),
+        output_offsets=np.concatenate([settings.output_offsets, np.zeros(n)]),
+        output_factors=longer(settings.output_factors, 1.0),
+        accepted=accepted,
+    )
+    return replace(case, settings=answering, scenario=scenario, watched=watched)
+
+
+class WatchedModel(WrappedModel):
+    """A model that answers its outputs alone and remembers what the states did in its last rows."""
+
+    def __init__(self, model: ForwardModel, signals: StateSignals) -> None:
+        """Wrap a model.
+
+        Args:
+            model: The model to ask, whose last outputs are states and derivatives.
+            signals: What is known of these.
+        """
+        super().__init__(model)
+        self.signals = signals
+        self._n_outputs = len(model.output_names) - 2 * len(signals.states)
+        self._last: dict[bytes, FloatArray] = {}
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs, without what is watched."""
+        return tuple(self._model.output_names[: self._n_outputs])
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the outputs that are reported. Shape (t,). [s]."""
+        return self._model.time[self.signals.n_before :]
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            The outputs.
+        """
+        answer = self._model.simulate(theta)
+        self._last = {row.tobytes(): y for row, y in zip(answer.theta, answer.y, strict=True)}
+        return replace(
+            answer,
+            y=answer.y[:, self.signals.n_before :, : self._n_outputs],
+            time=self.time,
+            output_names=self.output_names,
+        )
+
+    def seen(self, theta: FloatArray) -> StateRows:
+        """Return what states and outputs did in rows of the last simulation, NaN in failed ones.
+
+        Args:
+            theta: Their parameters, as the simulation answered them. Shape (n, p). [per parameter]
+        """
+        rows = np.array([self._last[row.tobytes()] for row in theta])
+        first = self._n_outputs + len(self.signals.states)
+        return StateRows(rows[..., self._n_outputs : first], rows[..., first:], rows[..., : self._n_outputs])

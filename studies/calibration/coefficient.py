@@ -1,0 +1,128 @@
+"""A coefficient of a state equation as a function of the parameters, learnt from few simulations.
+
+Coefficients of physical models are quotients and products of few parameters, such as 1 / (R C), sums of
+such, and now and then a polynomial. The logarithm of a product is linear in the parameters' logarithms: where
+few features explain a coefficient or its logarithm exactly they are what it is; all others are
+Gaussian processes, of their logarithm where they keep their sign.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from studies.calibration.residual_kernel import Belief, KernelMatrix, between, inverse_factor, most_probable
+
+# Sum of squares, as a share of all, below which features explain a coefficient exactly.
+EXACT = 1e-10
+MOST_FEATURES = 4
+# Of sets of features so many are looked at further; squares of a column below which others make it up.
+N_BEST, SAME_FEATURE = 12, 1e-9
+TINY = float(np.finfo(float).tiny)
+# Rows more than numbers, before chance can be told from a law.
+SPARE_ROWS = 2
+# Relative to the mean's square: below, a coefficient is a constant.
+CONSTANT = 1e-20
+# A product's logarithm is linear over the whole box, and its values have next to no noise.
+LENGTH_PRIOR, SLOPE_PRIOR, NOISE_PRIOR = (np.log(8.0), 1.5), (np.log(5.0), 1.0), (np.log(1e-3), 1.0)
+N_FITS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficient:
+    """A coefficient over the box; make it with `fit`.
+
+    Attributes:
+        sign: 1 or -1 of a coefficient that is an exponential, 0 of one that is not.
+        mean: Of the values or their logarithms; where there are slopes, the value in the origin.
+        slopes: By feature and by its square, where few explain it exactly. Shape (2 f,).
+        x: Rows of a process, in its features. Shape (n, f). [1]
+        hyper: Its hyperparameters. Shape (f + 2,). [1]
+        weights: What its covariances are multiplied with. Shape (n,).
+    """
+
+    sign: float
+    mean: float
+    slopes: FloatArray | None = None
+    x: FloatArray | None = None
+    hyper: FloatArray | None = None
+    weights: FloatArray | None = None
+
+    @classmethod
+    def fit(cls, x: FloatArray, values: FloatArray) -> Self:
+        """Learn it.
+
+        Args:
+            x: Features of the rows. Shape (n, f). [1]
+            values: The coefficient there, NaN in rows that do not tell it. Shape (n,).
+        """
+        is_told = np.isfinite(values)
+        x, values = x[is_told], values[is_told]
+        is_signed = bool((values > 0.0).all() or (values < 0.0).all())
+        sign = float(np.sign(values[0])) if is_signed else 0.0
+        z = np.log(np.abs(values)) if is_signed else values
+        mean = float(z.mean())
+        size = float(np.square(z - mean).sum())
+        if size <= CONSTANT * len(z) * max(mean**2, float(is_signed)):
+            return cls(sign, mean)
+        laws = [(_law(x, z), sign), *([(_law(x, values), 0.0)] if is_signed else [])]
+        (law, left), kind = min(laws, key=lambda one: one[0][1])
+        if left < EXACT:
+            return cls(kind, law[0], slopes=law[1:])
+        scale = np.sqrt(size / len(z))
+        v, even = (z - mean) / scale, np.ones(len(z))
+        prior = np.array([LENGTH_PRIOR] * x.shape[1] + [SLOPE_PRIOR, NOISE_PRIOR]).T
+        belief = Belief(prior[0], prior[1], 1.0)
+        hyper = None
+        for _ in range(N_FITS):
+            hyper = most_probable(x, np.outer(v, v), even, belief, hyper)
+        assert hyper is not None
+        factor = inverse_factor(KernelMatrix.of(x, hyper, even).matrix)
+        return cls(sign, mean, x=x, hyper=hyper, weights=scale * (factor.T @ (factor @ v)))
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """Return it at features (n, f). Shape (n,)."""
+        z = np.full(len(x), self.mean)
+        if self.slopes is not None:
+            z += _with_squares(x) @ self.slopes
+        elif self.x is not None and self.hyper is not None and self.weights is not None:
+            z += between(x, self.x, self.hyper) @ self.weights
+        with np.errstate(over="ignore"):
+            return self.sign * np.exp(z) if self.sign else z
+
+
+def _with_squares(x: FloatArray) -> FloatArray:
+    return np.concatenate([x, x**2], axis=1)
+
+
+def _law(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
+    """Explain values by few features, the best of those that are found with the best of fewer.
+
+    Returns:
+        Intercept and slopes, shape (1 + 2 f,), and the share of their squares that is left. [1]
+    """
+    columns = _with_squares(x)
+    centred, left_at_first = columns - columns.mean(axis=0), z - z.mean()
+    size, norms = float(np.square(left_at_first).sum()), np.square(centred).sum(axis=0)
+    best: list[tuple[float, tuple[int, ...]]] = [(1.0, ())]
+    for _ in range(min(MOST_FEATURES, len(z) - 1 - SPARE_ROWS)):
+        found = dict[tuple[int, ...], float]()
+        for _, chosen in best:
+            basis = np.linalg.qr(centred[:, list(chosen)])[0]
+            rest = centred - basis @ (basis.T @ centred)
+            left = left_at_first - basis @ (basis.T @ left_at_first)
+            squares = np.square(rest).sum(axis=0)
+            gains = np.where(squares > SAME_FEATURE * norms, (left @ rest) ** 2, 0.0) / (squares + TINY)
+            for one in np.argsort(gains, kind="stable")[-N_BEST:].tolist():
+                share = (float(left @ left) - float(gains[one])) / size
+                found[tuple(sorted({*chosen, one}))] = share
+        best = sorted((share, features) for features, share in found.items())[:N_BEST]
+        if best[0][0] < EXACT:
+            break
+    features = list(best[0][1])
+    picked = np.column_stack([np.ones(len(z)), columns[:, features]])
+    numbers = np.linalg.lstsq(picked, z, rcond=None)[0]
+    law = np.zeros(1 + columns.shape[1])
+    law[[0, *(1 + feature for feature in features)]] = numbers
+    return law, float(np.square(z - picked @ numbers).sum()) / size

@@ -1,0 +1,221 @@
+"""State equations learnt from simulations: a model's trajectories all over the box, from a few of its rows.
+
+    dx/dt = A(theta, w) x + B(theta, w) u + c(theta),    y = C(theta) (x, u, 1),
+
+where w are inputs without unit that switch terms on and off. Terms are found in what the states did
+(state_terms.py), and each one's coefficient is learnt over the parameters (coefficient.py). Trajectories
+bend in many ways where coefficients do not: ten rows of an office with 14 parameters tell its trajectories
+about as well as a thousand tell a surrogate that knows outputs alone. Whether a model moves so, the rows say.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.linalg import expm
+
+from simulation.arrays import FloatArray
+from simulation.states import StateRows, StateSignals
+from studies.calibration.coefficient import Coefficient
+from studies.calibration.state_terms import Term, candidates, chosen_terms, fitted
+
+# Sum of squares, as a share of all, that equations of a model that moves so leave.
+LEARNT = 1e-9
+# Standard deviation of a coefficient, as a share of itself, up to which a row tells it.
+SURE = 1e-5
+# Different values of the inputs that switch terms.
+MOST_MODES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Sum:
+    """A derivative or an output as a sum of terms.
+
+    Attributes:
+        own: Position of the state whose derivative it is, -1 for an output.
+        terms: Its terms.
+    """
+
+    own: int
+    terms: tuple[Term, ...]
+
+    def values(self, x: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return the terms over time: states (..., t, s), inputs (t, q). Shape (..., t, f)."""
+        columns = np.concatenate([x, np.broadcast_to(inputs, (*x.shape[:-1], inputs.shape[-1]))], axis=-1)
+        own = x[..., max(self.own, 0)]
+        return np.stack([term.values(columns, own, inputs) for term in self.terms], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Which terms the equations have; make it with `of`.
+
+    Attributes:
+        sums: Of the s derivatives, then of the k outputs.
+        misfit: Greatest share of squares that one of them leaves. [1]
+    """
+
+    sums: tuple[Sum, ...]
+    misfit: float
+
+    @classmethod
+    def of(cls, signals: StateSignals, rows: StateRows) -> Self:
+        """Find the terms.
+
+        Args:
+            signals: What is known of the states.
+            rows: What they and the outputs did.
+        """
+        n_states = len(signals.states)
+        plain = [Term(column) for column in range(n_states + len(signals.inputs))]
+        everything = [Sum(j, tuple(candidates(signals, j))) for j in range(n_states)]
+        everything += [Sum(-1, (*plain, Term(-1)))] * rows.y.shape[-1]
+        sums, worst = list[Sum](), 0.0
+        for all_terms, target in zip(everything, _targets(rows), strict=True):
+            values = all_terms.values(rows.x[:, 1:], signals.at_outputs)
+            chosen, misfit = chosen_terms(all_terms.terms, values, target)
+            sums.append(Sum(all_terms.own, tuple(all_terms.terms[one] for one in chosen)))
+            worst = max(worst, misfit)
+            if worst > LEARNT:
+                break
+        return cls(tuple(sums), worst)
+
+    def fitted(self, signals: StateSignals, rows: StateRows) -> tuple[list[FloatArray], float]:
+        """Fit the coefficients of every row.
+
+        Args:
+            signals: What is known of the states.
+            rows: What they and the outputs did.
+
+        Returns:
+            Coefficients of every sum, shapes (n, terms), NaN where a row leaves them open, and the greatest
+            share of squares that is left. [1]
+        """
+        found, worst = list[FloatArray](), 0.0
+        for one, target in zip(self.sums, _targets(rows), strict=True):
+            values = one.values(rows.x[:, 1:], signals.at_outputs)
+            fits = [fitted(value, goal) for value, goal in zip(values, target, strict=True)]
+            doubt = np.array([fit.doubt for fit in fits])
+            # In some rows one state follows another so closely that their terms cannot be told apart.
+            is_open = doubt > np.maximum(SURE, np.median(doubt, axis=0))
+            found.append(np.where(is_open, np.nan, np.array([fit.found for fit in fits])))
+            worst = max([worst, *(fit.left for fit in fits)])
+        return found, worst
+
+
+def _targets(rows: StateRows) -> list[FloatArray]:
+    """Return what the sums are fitted to, derivatives and outputs after the first time. Shapes (n, t - 1)."""
+    return [*np.moveaxis(rows.slope[:, 1:], -1, 0), *np.moveaxis(rows.y[:, 1:], -1, 0)]
+
+
+@dataclass(frozen=True, eq=False)
+class StateEquations:
+    """A model's state equations over its box; make them with `learn`.
+
+    Attributes:
+        signals: What is known of the states.
+        structure: Their terms.
+        by_term: Coefficients of every sum, in the order of its terms.
+        start: States at the first output that is watched.
+        switches: Inputs that terms are multiplied with.
+    """
+
+    signals: StateSignals
+    structure: Structure
+    by_term: tuple[tuple[Coefficient, ...], ...]
+    start: tuple[Coefficient, ...]
+    switches: tuple[int, ...]
+
+    @classmethod
+    def learn(
+        cls,
+        signals: StateSignals,
+        structure: Structure,
+        x: FloatArray,
+        starts: FloatArray,
+        found: Sequence[FloatArray],
+    ) -> Self | None:
+        """Learn coefficients and start states over the parameters.
+
+        Args:
+            signals: What is known of the states.
+            structure: The terms.
+            x: Features of the rows' parameters. Shape (n, f). [1]
+            starts: States at the first output that is watched. Shape (n, s). [FMU's units]
+            found: Coefficients of every row, from `Structure.fitted`.
+
+        Returns:
+            The equations, None where inputs switch them in too many ways.
+        """
+        switches = tuple(
+            sorted({term.factor for one in structure.sums for term in one.terms if term.factor is not None})
+        )
+        if len(np.unique(signals.driven[:, list(switches)], axis=0)) > MOST_MODES:
+            return None
+        by_term = tuple(tuple(Coefficient.fit(x, column) for column in table.T) for table in found)
+        start = tuple(Coefficient.fit(x, column) for column in starts.T)
+        return cls(signals, structure, by_term, start, switches)
+
+    def outputs(self, x: FloatArray) -> FloatArray:
+        """Solve the equations.
+
+        Args:
+            x: Features of parameters. Shape (n, f). [1]
+
+        Returns:
+            Reported outputs, not finite where the equations run away. Shape (n, t, k). [per output]
+        """
+        with np.errstate(all="ignore"):
+            states = self._states(x)
+            n_states = len(self.signals.states)
+            first = self.signals.driven[:1]
+            inputs = np.concatenate([first, self.signals.at_outputs])
+            answers = [
+                np.einsum("ntf,nf->nt", one.values(states, inputs), self._at(j, x))
+                for j, one in enumerate(self.structure.sums)
+                if j >= n_states
+            ]
+        return np.stack(answers, axis=-1)[:, self.signals.n_before :]
+
+    def _at(self, j: int, x: FloatArray) -> FloatArray:
+        """Return the coefficients of sum j at features (n, f). Shape (n, terms)."""
+        return np.stack([one.at(x) for one in self.by_term[j]], axis=-1)
+
+    def _matrices(self, x: FloatArray) -> FloatArray:
+        """Return the equations, unswitched and for each switch: (n, 1 + w, s, s + q + 1)."""
+        n_states, n_inputs = len(self.signals.states), len(self.signals.inputs)
+        matrices = np.zeros((len(x), 1 + len(self.switches), n_states, n_states + n_inputs + 1))
+        for j in range(n_states):
+            for term, values in zip(self.structure.sums[j].terms, self._at(j, x).T, strict=True):
+                mode = 0 if term.factor is None else 1 + self.switches.index(term.factor)
+                matrices[:, mode, j, term.column] += values
+                if term.is_difference:
+                    matrices[:, mode, j, j] -= values
+        return matrices
+
+    def _states(self, x: FloatArray) -> FloatArray:
+        """Return the states at the outputs. Shape (n, t, s)."""
+        signals, n_states = self.signals, len(self.signals.states)
+        matrices = self._matrices(x)
+        modes, mode_of = np.unique(signals.driven[:, list(self.switches)], axis=0, return_inverse=True)
+        mode_of = mode_of.reshape(-1)
+        # Over a step the inputs are constant: states and inputs together move by one matrix exponential.
+        whole = np.zeros((len(modes), len(x), matrices.shape[-1], matrices.shape[-1]))
+        for rank, mode in enumerate(modes):
+            whole[rank, :, :n_states] = matrices[:, 0] + np.tensordot(matrices[:, 1:], mode, axes=(1, 0))
+        whole[~np.isfinite(whole)] = 0.0
+        steps = expm(whole * signals.step_s)[:, :, :n_states]
+        own, by_input = steps[..., :n_states], steps[..., n_states:]
+        driven = np.concatenate([signals.driven, np.ones((len(signals.driven), 1))], axis=1)
+        pushed = np.empty((len(driven), len(x), n_states))
+        for rank in range(len(modes)):
+            is_so = mode_of == rank
+            pushed[is_so] = np.einsum("nsq,tq->tns", by_input[rank], driven[is_so])
+        now = np.stack([one.at(x) for one in self.start], axis=-1)
+        states = np.empty((1 + len(driven), len(x), n_states))
+        states[0] = now
+        for step, push in enumerate(pushed):
+            now = (own[mode_of[step]] @ now[..., None])[..., 0] + push
+            states[step + 1] = now
+        return states[:: signals.every].transpose(1, 0, 2)

@@ -1,0 +1,231 @@
+"""A calibration's guide: it learns state equations from the rows that are asked, and says where to ask next.
+
+Solved equations cost nothing, so the whole box is looked at: the best of many random points are walked
+downhill, and the lowest end is asked. A guide is believed while its equations fit the rows that they are
+learnt from and it has not missed several points in a row; else the search goes on without it.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.states import StateRows, WatchedModel
+from studies.calibration.prior import Prior
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.residual_process import Expansion, Features
+from studies.calibration.state_equations import LEARNT, StateEquations, Structure
+
+# Random points that are looked at before and after the guide has been right once, and how many of the best of
+# them, beside the best rows and the last ends, are walked downhill.
+N_LOOKS, N_LOOKS_LATER = 400, 100
+N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
+# A point that errs by more than this part of its objective is missed; so many in a row end the belief.
+MISSED, N_MISSED = 0.5, 4
+# Damped steps from all starts together.
+N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
+FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
+FTOL = 1e-5
+SAME_POINT = 1e-4
+
+# Rows that equations are first learnt from, by parameter; a product of three parameters takes six.
+PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
+
+Residuals = Callable[[FloatArray], FloatArray]
+"""Points (n, p) to residuals (n, m), not finite where nothing is known."""
+
+
+def enough_for_equations(n_parameters: int) -> int:
+    """Return how many rows state equations are first learnt from."""
+    return max(math.ceil(PER_PARAMETER * n_parameters), LEAST_ROWS)
+
+
+class StateGuide:
+    """What state equations say of a calibration problem."""
+
+    def __init__(self, model: WatchedModel, problem: CalibrationProblem) -> None:
+        """Begin with nothing known.
+
+        Args:
+            model: Remembers what the states did.
+            problem: Posed to it.
+        """
+        self._model = model
+        self._problem = problem
+        self._features = Features.of(problem.space)
+        self._u = np.empty((0, problem.space.n_parameters))
+        self._rows: list[StateRows] = []
+        self._structure: Structure | None = None
+        self._n_examined = 0
+        self._equations: StateEquations | None = None
+        self._expected: FloatArray | None = None
+        self.predicted: float | None = None
+        self._ends = self._u
+        self._n_missed = 0
+        self.misfit = np.inf
+        self.n_asked = 0
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether it has equations, and they have not missed too often."""
+        return self._equations is not None and self._n_missed < N_MISSED
+
+    @property
+    def n_states(self) -> int:
+        """States whose equations it learns."""
+        return len(self._model.signals.states)
+
+    def note(self, answer: Evaluation) -> None:
+        """Learn from rows that were asked.
+
+        Args:
+            answer: The rows; failed ones teach nothing.
+        """
+        if self._expected is not None:
+            error = float(np.mean((self._expected - answer.residuals[0]) ** 2))
+            is_missed = not error <= MISSED * answer.mse[0]
+            self._n_missed = self._n_missed + 1 if is_missed else 0
+            self._expected = self.predicted = None
+        good = np.isfinite(answer.mse)
+        if not good.any():
+            return
+        self._u = np.concatenate([self._u, answer.u[good]])
+        self._rows.append(self._model.seen(answer.theta[good]))
+        self._equations = self._learnt()
+
+    def _learnt(self) -> StateEquations | None:
+        rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
+        signals, n = self._model.signals, len(self._u)
+        if self._structure is None:
+            # What follows no such equations is looked at again when twice as much is known.
+            if n < max(2 * self._n_examined, 4):
+                return None
+            self._n_examined = n
+            structure = Structure.of(signals, rows)
+            self.misfit = structure.misfit
+            if structure.misfit > LEARNT:
+                return None
+            self._structure = structure
+        found, self.misfit = self._structure.fitted(signals, rows)
+        if self.misfit > LEARNT:
+            self._structure = None
+            return None
+        return StateEquations.learn(signals, self._structure, self._features.at(self._u), rows.x[:, 0], found)
+
+    def propose(
+        self, objective: FloatArray, known: FloatArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, Expansion]:
+        """Return the point to ask next, and what is expected of it.
+
+        Args:
+            objective: Of the rows so far, infinite where they failed. Shape (n,). [unit squared]
+            known: Their points. Shape (n, p). [1]
+            rng: Source of the looks.
+        """
+        p = known.shape[1]
+        looks = rng.random((N_LOOKS if self.n_asked < p else N_LOOKS_LATER, p))
+        best = np.argsort(self._objectives(looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
+        rows = np.argsort(objective, kind="stable")[:N_ROWS]
+        ends, values = descend_together(
+            self._residuals, self._problem.prior, np.concatenate([known[rows], self._ends, looks[best]])
+        )
+        order = np.argsort(values, kind="stable")
+        self._ends = ends[order[:N_ENDS]]
+        u, value = ends[order[0]], float(values[order[0]])
+        if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
+            # It is known there; what is a little beside teaches more.
+            u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
+        expected = self._residuals(u[None])
+        self._expected, self.predicted = expected[0], float(self._objectives(u[None], expected)[0])
+        self.n_asked += 1
+        return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
+
+    def _residuals(self, u: FloatArray) -> FloatArray:
+        assert self._equations is not None, "only a guide with equations is asked"
+        return self._problem.measurement.compared(self._equations.outputs(self._features.at(u)))
+
+    def _objectives(self, u: FloatArray, residuals: FloatArray) -> FloatArray:
+        return _objectives(self._problem.prior, u, residuals)
+
+
+def _objectives(prior: Prior | None, u: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return the objectives, infinite where residuals are not finite. Shape (n,). [unit squared]."""
+    with np.errstate(all="ignore"):
+        mse = np.mean(residuals**2, axis=1)
+    if prior is not None:
+        mse = mse + prior.penalty(u)
+    return np.where(np.isfinite(mse), mse, np.inf)
+
+
+def descend_together(
+    residuals: Residuals, prior: Prior | None, starts: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Walk downhill from several points of the unit cube at once, by damped Gauss-Newton steps.
+
+    The residuals of all points that are needed are asked for together, differences included.
+
+    Args:
+        residuals: The function.
+        prior: Of the parameters, None where nothing is known.
+        starts: Shape (k, p). [1]
+
+    Returns:
+        Where the walks end, shape (k, p), and the objectives there, shape (k,). [unit squared]
+    """
+    u = np.clip(starts, 0.0, 1.0)
+    k, p = u.shape
+    here = residuals(u)
+    values = _objectives(prior, u, here)
+    damping = np.full(k, FIRST_DAMPING)
+    is_open = np.isfinite(values)
+    jacobian = np.zeros((k, here.shape[1], p))
+    is_stale = is_open.copy()
+    for _ in range(N_STEPS):
+        walks = np.flatnonzero(is_open)
+        if not walks.size:
+            break
+        stale = np.flatnonzero(is_open & is_stale)
+        if stale.size:
+            shift = np.where(u[stale] > 0.5, -SHIFT, SHIFT)
+            beside = u[stale, None] + shift[:, None] * np.eye(p)
+            there = residuals(beside.reshape(-1, p)).reshape(stale.size, p, -1)
+            with np.errstate(all="ignore"):
+                jacobian[stale] = ((there - here[stale, None]) / shift[..., None]).transpose(0, 2, 1)
+            is_stale[stale] = False
+            is_open[stale] = np.isfinite(jacobian[stale]).all(axis=(1, 2))
+            walks = np.flatnonzero(is_open)
+        trial = u[walks].copy()
+        for row, one in enumerate(walks):
+            trial[row] = _step(u[one], here[one], jacobian[one], damping[one], prior)
+        answers = residuals(trial)
+        found = _objectives(prior, trial, answers)
+        is_lower = found < values[walks]
+        gain = np.where(is_lower, values[walks] - found, 0.0)
+        lower, higher = walks[is_lower], walks[~is_lower]
+        is_open[lower] = gain[is_lower] > FTOL * values[lower]
+        u[lower], here[lower], values[lower] = trial[is_lower], answers[is_lower], found[is_lower]
+        is_stale[lower] = True
+        damping[lower] *= EASIER
+        damping[higher] *= HARDER
+        is_open[higher] = damping[higher] < HOPELESS
+    return u, values
+
+
+def _step(
+    u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
+) -> FloatArray:
+    """Return where a damped Gauss-Newton step leads; what it pushes out of the box stays at its face."""
+    gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
+    hessian = 2.0 * (jacobian.T @ jacobian) / residuals.size
+    if prior is not None:
+        _, slope, curvature = prior.expand(u)
+        gradient, hessian = gradient + slope, hessian + curvature
+    free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
+    trial = u.copy()
+    if free.size:
+        block = hessian[np.ix_(free, free)]
+        ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
+        step = np.linalg.solve(block + np.diag(ridge), -gradient[free])
+        trial[free] = np.clip(u[free] + np.clip(step, -MOST_STEP, MOST_STEP), 0.0, 1.0)
+    return trial

@@ -1,0 +1,165 @@
+"""Which terms make up a model's state equations: sparse regression of derivatives on states and inputs.
+
+A derivative is sought as a sum of few terms, each a state or an input, or the difference of one to the state
+itself where both have the same unit (heat flows between temperatures do), alone or times an input without
+unit (a switch). The derivatives that an FMU answers belong exactly to the states that it answers, so
+terms are complete where next to nothing is left. The search is orthogonal least squares (Chen, Billings and
+Luo 1989, doi:10.1080/00207178908953472) over several simulations at once, as in the sparse identification of
+dynamics (Brunton, Proctor and Kutz 2016, doi:10.1073/pnas.1517384113).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.states import StateSignals
+
+# Sums of squares, as a share of the derivative's, that a complete sum of terms leaves.
+COMPLETE = 1e-16
+# A term without which less than this is left is none.
+NEEDLESS = 1e-10
+MOST_TERMS = 16
+# Terms are chosen by so many rows, at so many times.
+N_ROWS, N_TIMES = 8, 400
+DIMENSIONLESS = ("", "1")
+
+
+class Term(NamedTuple):
+    """One term, times a coefficient.
+
+    Attributes:
+        column: Position among the states and then the inputs; -1 for the constant.
+        is_difference: Whether it is the difference to the state itself.
+        factor: Position of the input that it is multiplied with, None for none.
+    """
+
+    column: int
+    is_difference: bool = False
+    factor: int | None = None
+
+    def values(self, columns: FloatArray, own: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return the term over time.
+
+        Args:
+            columns: States and inputs. Shape (..., t, s + q).
+            own: The state itself. Shape (..., t).
+            inputs: Shape (t, q).
+
+        Returns:
+            Shape (..., t).
+        """
+        values = columns[..., self.column] if self.column >= 0 else np.ones(columns.shape[:-1])
+        if self.is_difference:
+            values = values - own
+        return values if self.factor is None else values * inputs[:, self.factor]
+
+
+def candidates(signals: StateSignals, state: int) -> list[Term]:
+    """Return the terms that a state's derivative may have."""
+    n_states, allowed = len(signals.states), signals.depends_on[state]
+    plain = []
+    for column, (name, unit) in enumerate(
+        zip((*signals.states, *signals.inputs), signals.units, strict=True)
+    ):
+        if column != state and (allowed is None or name in allowed):
+            plain.append(Term(column, unit == signals.units[state]))
+    switches = [
+        column
+        for column, name in enumerate(signals.inputs)
+        if signals.units[n_states + column] in DIMENSIONLESS and (allowed is None or name in allowed)
+    ]
+    products = [
+        term._replace(factor=switch)
+        for switch in switches
+        for term in plain
+        if term.column != n_states + switch
+    ]
+    return [*plain, *products, Term(state), Term(-1)]
+
+
+def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
+    """Choose the fewest terms that make up a target in every row, each row with coefficients of its own.
+
+    Args:
+        terms: The f candidates.
+        values: Their values. Shape (n, t, f).
+        target: Shape (n, t).
+
+    Returns:
+        Their positions, and what they leave of the target's squares, mean over rows. [1]
+    """
+    rows = np.unique(np.linspace(0, len(values) - 1, N_ROWS).astype(int))
+    times = np.unique(np.linspace(0, values.shape[1] - 1, N_TIMES).astype(int))
+    values, target = values[np.ix_(rows, times)], target[np.ix_(rows, times)]
+    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
+    values = values / np.where(norm > 0.0, norm, 1.0)
+    chosen, left, rest = list[int](), target.copy(), values.copy()
+    while len(chosen) < min(MOST_TERMS, len(terms), len(times) - 1):
+        squares = np.square(rest).sum(axis=1)
+        # What is left of a column after those before it is rounding.
+        is_new = squares > 1e-20
+        gain = np.where(is_new, np.einsum("nt,ntf->nf", left, rest) ** 2, 0.0) / np.where(
+            is_new, squares, 1.0
+        )
+        share = (gain / size[:, None]).mean(axis=0)
+        share[chosen] = -1.0
+        best = int(np.argmax(share))
+        if share[best] <= 0.0:
+            break
+        chosen.append(best)
+        axis = rest[..., best] / np.sqrt(np.maximum(squares[:, best], 1e-300))[:, None]
+        rest = rest - axis[..., None] * np.einsum("nt,ntf->nf", axis, rest)[:, None]
+        left = left - axis * np.einsum("nt,nt->n", axis, left)[:, None]
+        if unexplained(values, target, chosen) <= COMPLETE:
+            break
+    chosen = _without_needless(values, target, chosen)
+    return chosen, unexplained(values, target, chosen)
+
+
+class Fit(NamedTuple):
+    """Terms fitted to one row.
+
+    Attributes:
+        found: Coefficients. Shape (f,).
+        doubt: Their standard deviations, as shares of themselves. Shape (f,). [1]
+        left: What they leave of the target's squares. [1]
+    """
+
+    found: FloatArray
+    doubt: FloatArray
+    left: float
+
+
+def fitted(values: FloatArray, target: FloatArray) -> Fit:
+    """Fit terms, values of shape (t, f), to one row's target (t,)."""
+    tiny = np.finfo(float).tiny
+    norm = np.sqrt(np.square(values).sum(axis=0)) + tiny
+    left_vectors, sizes, right = np.linalg.svd(values / norm, full_matrices=False)
+    inverse = right.T / np.maximum(sizes, np.finfo(float).eps * sizes[0] + tiny)
+    found = inverse @ (left_vectors.T @ target)
+    rest = float(np.square(target - (values / norm) @ found).sum())
+    deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
+    return Fit(
+        found / norm, deviation / (np.abs(found) + tiny), rest / (float(np.square(target).sum()) + tiny)
+    )
+
+
+def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -> float:
+    """Return what chosen terms of (n, t, f) leave of a target's (n, t) squares, mean over rows. [1]."""
+    picked = values[..., list(chosen)]
+    return float(np.mean([fitted(one, goal).left for one, goal in zip(picked, target, strict=True)]))
+
+
+def _without_needless(values: FloatArray, target: FloatArray, chosen: list[int]) -> list[int]:
+    limit = max(NEEDLESS, 10.0 * unexplained(values, target, chosen))
+    while len(chosen) > 1:
+        without = [[term for term in chosen if term != one] for one in chosen]
+        left = [unexplained(values, target, others) for others in without]
+        least = int(np.argmin(left))
+        if left[least] > limit:
+            break
+        chosen = without[least]
+    return chosen

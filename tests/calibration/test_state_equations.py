@@ -1,0 +1,259 @@
+"""State equations that are learnt from what a model's states did, and calibrations that they guide."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from simulation.arrays import FloatArray
+from simulation.case import Case, load_case
+from simulation.errors import InputError
+from simulation.measurement import Measurement
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.states import StateRows, StateSignals, WatchedModel, watching_states
+from simulation.trajectories import Trajectories
+from studies.calibration.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.coefficient import Coefficient
+from studies.calibration.first_design import latin_hypercube
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.residual_process import Features
+from studies.calibration.state_equations import LEARNT, StateEquations, Structure
+from studies.calibration.state_guide import StateGuide, descend_together
+
+REPOSITORY = Path(__file__).parents[2]
+STEP_S, EVERY, N_STEPS = 600.0, 2, 120
+
+
+def weather() -> FloatArray:
+    """Outdoor temperature [K], power [W], and whether a fan is on [1], over the steps."""
+    time = STEP_S * np.arange(N_STEPS)
+    fan = (time % 20000.0 > 12000.0).astype(float)
+    return np.column_stack([275.0 + 6.0 * np.sin(time / 9000.0), 400.0 * np.cos(time / 4000.0) ** 2, fan])
+
+
+@dataclass(frozen=True)
+class TwoRooms:
+    """Two rooms, one with a window, a heater and a fan to the other; answers the room, states and slopes.
+
+    Solved by Runge and Kutta's method, held inputs step by step.
+    """
+
+    parameter_space: ParameterSpace = field(
+        default_factory=lambda: ParameterSpace(
+            (
+                Parameter("R", 2e-3, 5e-2, scale="log"),
+                Parameter("ROut", 5e-3, 1e-1, scale="log"),
+                Parameter("GFan", 5.0, 80.0, scale="log"),
+                Parameter("C", 2e5, 5e6, scale="log"),
+                Parameter("TStart", 285.0, 295.0),
+            )
+        )
+    )
+    roughness: float = 0.0
+    output_names: tuple[str, ...] = ("TRoom", "T1", "T2", "der(T1)", "der(T2)")
+    time: FloatArray = field(default_factory=lambda: EVERY * STEP_S * np.arange(N_STEPS // EVERY + 1))
+
+    def slope(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+        r, r_out, fan, c, _ = theta
+        c = c * (1.0 + self.roughness * np.sin(300.0 * np.log(c)))
+        between = (x[1] - x[0]) / r + u[2] * fan * (x[1] - x[0])
+        return np.array([(between + (u[0] - x[0]) / r_out + u[1]) / c, -between / (3.0 * c)])
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        inputs, y = weather(), []
+        for row in theta:
+            x, states = np.array([row[4], row[4]]), []
+            u = inputs[0]
+            states.append([*x, *self.slope(row, x, u)])
+            for u in inputs:
+                solved = solve_ivp(
+                    lambda _, x, u=u, row=row: self.slope(row, x, u), (0.0, STEP_S), x, rtol=1e-10, atol=1e-9
+                )
+                x = solved.y[:, -1]
+                states.append([*x, *self.slope(row, x, u)])
+            kept = np.array(states)[::EVERY]
+            y.append(np.column_stack([kept[:, 0] - 273.15, kept]))
+        return Trajectories.checked(
+            theta,
+            np.array(y),
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+        )
+
+
+ROOMS = StateSignals(
+    states=("T1", "T2"),
+    inputs=("TOut", "P", "fan"),
+    units=("K", "K", "K", "W", "1"),
+    depends_on=(None, frozenset({"T1", "T2", "fan"})),
+    driven=weather(),
+    step_s=STEP_S,
+    every=EVERY,
+    n_before=0,
+)
+
+
+def rows_of(model: TwoRooms, n: int, seed: int) -> tuple[FloatArray, StateRows]:
+    u = 0.1 + 0.8 * latin_hypercube(n, 5, np.random.default_rng(seed))
+    watched = WatchedModel(model, ROOMS)
+    return u, watched.seen(watched.simulate(model.parameter_space.from_unit(u)).theta)
+
+
+def learnt(u: FloatArray, rows: StateRows, space: ParameterSpace) -> StateEquations:
+    structure = Structure.of(ROOMS, rows)
+    assert structure.misfit < LEARNT
+    found, _ = structure.fitted(ROOMS, rows)
+    equations = StateEquations.learn(ROOMS, structure, Features.of(space).at(u), rows.x[:, 0], found)
+    assert equations is not None
+    return equations
+
+
+def test_terms_and_trajectories_of_a_network_are_found_from_a_few_rows() -> None:
+    model = TwoRooms()
+    u, rows = rows_of(model, 8, seed=0)
+    equations = learnt(u, rows, model.parameter_space)
+    first, second, room = (
+        {(term.column, term.is_difference, term.factor) for term in one.terms}
+        for one in equations.structure.sums
+    )
+    assert first == {(1, True, None), (2, True, None), (3, False, None), (1, True, 2)}
+    assert second == {(0, True, None), (0, True, 2)}
+    assert room == {(0, False, None), (-1, False, None)}
+    fresh = np.random.default_rng(1).random((6, 5))
+    expected = model.simulate(model.parameter_space.from_unit(fresh)).y[..., :1]
+    answered = equations.outputs(Features.of(model.parameter_space).at(fresh))
+    np.testing.assert_allclose(answered, expected, atol=1e-5)
+
+
+def test_a_product_is_a_law_and_what_is_none_a_process() -> None:
+    x = np.random.default_rng(0).uniform(-0.5, 0.5, (9, 4))
+    fresh = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 4))
+
+    def product(x: FloatArray) -> FloatArray:
+        return -3.0 * np.exp(2.0 * x[:, 0] - 1.5 * x[:, 2])
+
+    law = Coefficient.fit(x, product(x))
+    assert law.slopes is not None
+    np.testing.assert_allclose(law.at(fresh), product(fresh), rtol=1e-6)
+    polynomial = Coefficient.fit(x, 1.0 - 3.0 * x[:, 1] + 2.0 * x[:, 1] ** 2)
+    assert polynomial.slopes is not None
+    constant = Coefficient.fit(x, np.full(9, -0.25))
+    np.testing.assert_allclose(constant.at(fresh), -0.25)
+    other = Coefficient.fit(x, product(x) - np.exp(np.sin(5.0 * x[:, 1])))
+    assert other.slopes is None
+    np.testing.assert_allclose(other.at(x), product(x) - np.exp(np.sin(5.0 * x[:, 1])), rtol=0.01)
+
+
+def test_rows_that_do_not_tell_a_coefficient_are_left_out_of_it() -> None:
+    model = TwoRooms()
+    _, rows = rows_of(model, 8, seed=0)
+    # In one row the fan never changes what the wall does: its term is a multiple of the wall's.
+    structure = Structure.of(ROOMS, rows)
+    alike = rows.x.copy()
+    alike[3, :, 1] = alike[3, :, 0] + 1e-13 * np.arange(len(model.time))
+    found, _ = structure.fitted(ROOMS, rows._replace(x=alike))
+    assert np.isnan(found[0][3]).any()
+    assert np.isfinite(np.delete(found[0], 3, axis=0)).all()
+
+
+def test_walks_end_at_the_minimum_or_at_a_face() -> None:
+    def residuals(u: FloatArray) -> FloatArray:
+        return np.stack([10.0 * (u[:, 1] - u[:, 0] ** 2), 1.3 - u[:, 0], 0.3 * (u[:, 1] - 1.0)], axis=1)
+
+    starts = np.random.default_rng(0).random((6, 2))
+    ends, values = descend_together(residuals, None, starts)
+    np.testing.assert_allclose(ends, 1.0, atol=1e-3)
+    np.testing.assert_allclose(values, 0.03, rtol=1e-3)
+
+
+def problem_of(rooms: TwoRooms, truth: FloatArray) -> CalibrationProblem:
+    watched = WatchedModel(rooms, ROOMS)
+    y = watched.simulate(truth[None]).y[0] + 0.05 * np.random.default_rng(0).standard_normal((61, 1))
+    return CalibrationProblem(watched, Measurement.on_grid(rooms.time, y, ("TRoom",), np.array([0.05])))
+
+
+def guided(problem: CalibrationProblem, seed: int, **settings: int) -> tuple[AdaptiveResult, StateGuide]:
+    assert isinstance(problem.model, WatchedModel)
+    guide = StateGuide(problem.model, problem)
+    return Adaptive(**settings).minimize(problem, seed=seed, guide=guide), guide  # type: ignore[arg-type]
+
+
+TRUTH = np.array([1e-2, 2e-2, 30.0, 1e6, 291.0])
+
+
+def test_a_guided_calibration_takes_two_calls_more_than_it_learns_from() -> None:
+    problem = problem_of(TwoRooms(), TRUTH)
+    found, guide = guided(problem, 0, max_calls=40)
+    assert guide.is_believed
+    assert found.converged
+    assert "state equations" in found.stop_reason
+    truth = float(problem.mse(problem.space.to_unit(TRUTH[None]))[0])
+    assert found.mse < truth
+    assert found.history.calls_to(truth) <= 8
+    assert found.n_calls <= 12
+
+
+def test_a_guide_that_misses_is_no_longer_asked() -> None:
+    found, guide = guided(problem_of(TwoRooms(roughness=0.3), TRUTH), 0, max_calls=30)
+    assert guide.n_asked > 3
+    assert not guide.is_believed
+    assert found.n_calls == 30
+    assert np.isfinite(found.mse)
+
+
+def solved(case: Case, seed: int, *, is_guided: bool, max_calls: int = 100) -> tuple[AdaptiveResult, int]:
+    with (watching_states(case) if is_guided else case).open_model() as model:
+        if not is_guided:
+            problem = CalibrationProblem(model, case.measurement)
+            return Adaptive(max_calls=max_calls).minimize(problem, seed=seed), 0
+        watched = WatchedModel(model, StateSignals.of(case))
+        found, guide = guided(CalibrationProblem(watched, case.measurement), seed, max_calls=max_calls)
+        return found, guide.n_asked
+
+
+@pytest.mark.parametrize(("name", "most_calls"), [("office", 20), ("wall", 13)])
+def test_a_building_is_calibrated_with_little_more_than_a_call_per_parameter(
+    name: str, most_calls: int
+) -> None:
+    case = load_case(REPOSITORY / "fmus" / name)
+    for seed in (0, 1):
+        found, n_asked = solved(case, seed, is_guided=True)
+        alone, _ = solved(case, seed, is_guided=False)
+        assert n_asked > 0
+        assert found.n_calls <= most_calls < alone.n_calls
+        assert found.mse <= 1.001 * alone.mse
+
+
+def test_where_nothing_can_be_learnt_the_same_rows_are_asked_as_without() -> None:
+    case = load_case(REPOSITORY / "fmus" / "vanderpol")
+    found, n_asked = solved(case, 0, is_guided=True, max_calls=12)
+    alone, _ = solved(case, 0, is_guided=False, max_calls=12)
+    assert n_asked == 0
+    np.testing.assert_array_equal(found.theta, alone.theta)
+    assert found.mse == alone.mse
+
+
+def test_a_watched_model_answers_what_it_answers_unwatched() -> None:
+    case = load_case(REPOSITORY / "fmus" / "wall")
+    theta = case.parameter_space.from_unit(np.random.default_rng(0).random((3, 7)))
+    signals = StateSignals.of(case)
+    with case.open_model() as model, watching_states(case).open_model() as more:
+        watched = WatchedModel(more, signals)
+        alone, answer = model.simulate(theta), watched.simulate(theta)
+    np.testing.assert_array_equal(answer.y, alone.y)
+    np.testing.assert_array_equal(answer.time, alone.time)
+    assert answer.output_names == alone.output_names
+    # The day before the window is the row's own, and is watched from its start.
+    assert signals.n_before == 144
+    assert watched.seen(theta).x.shape == (3, len(alone.time) + 144, 3)
+    assert watching_states(case).model_digest != case.model_digest
+
+
+def test_an_fmu_without_states_is_refused() -> None:
+    case = load_case(REPOSITORY / "fmus" / "wall")
+    silent = replace(case, fmu=replace(case.fmu, states=()))
+    with pytest.raises(InputError, match=r"declares no states.*leave --state-equations away"):
+        watching_states(silent)

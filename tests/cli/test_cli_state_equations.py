@@ -1,0 +1,80 @@
+"""`studies calibrate --state-equations`: what the states did says where to simulate next."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from project_for_tests import REPOSITORY, Run, make_project
+
+from studies.cli import main
+
+WALL = ("calibrate", "wall", "--state-equations", "--jobs", "1")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in which the wall was calibrated by its state equations."""
+    root = make_project(tmp_path_factory.mktemp("equations") / "project")
+    for name in ("wall", "vanderpol"):
+        shutil.copytree(REPOSITORY / "fmus" / name, root / "fmus" / name)
+        (root / "data" / name).mkdir()
+        for file in (REPOSITORY / "data" / name).glob("*.csv"):
+            shutil.copy(file, root / "data" / name / file.name)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        # Killed after eight simulations, as it were: the next command goes on from there.
+        assert main([*WALL, "--max-calls", "8", "--quiet"]) == 0
+    return root
+
+
+@pytest.fixture
+def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("STUDIES_ROOT", str(made))
+    return made
+
+
+def numbers_of(project: Path, name: str) -> dict[str, Any]:
+    file = project / "mlruns" / "results" / f"{name}-quick" / "calibration-adaptive.json"
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    return content
+
+
+def test_it_goes_on_from_what_is_stored_and_says_what_the_equations_did(project: Path, studies: Run) -> None:
+    answer = studies(*WALL)
+    assert answer.code == 0, answer.err
+    found = numbers_of(project, "wall")
+    n_calls, told = found["ledger"]["total_paper"], found["state_equations"]
+    assert 8 < n_calls <= 12
+    assert f"8 of {n_calls} simulations reused" in answer.err
+    assert told["are_believed"]
+    assert told["n_states"] == 3
+    assert told["misfit"] < 1e-12
+    assert f"learnt, and {told['n_calls']} calls went where they expect the lowest error" in answer.out
+    assert "it ended because the state equations expect a gain of less than 0.001" in answer.out
+    assert found["recipe"]["command"].endswith("--state-equations")
+    page = studies("report", "wall", "--json")
+    assert page.code == 0, page.err
+    shown = (project / "mlruns" / "reports" / "wall-quick" / "index.html").read_text(encoding="utf-8")
+    assert "state equations" in shown
+
+
+def test_it_is_made_again_to_the_last_digit(project: Path, studies: Run) -> None:
+    assert studies(*WALL).code == 0
+    answer = studies("reproduce", "wall-quick/adaptive")
+    assert answer.code == 0, answer.out + answer.err
+
+
+def test_where_nothing_can_be_learnt_it_says_so(project: Path, studies: Run) -> None:
+    answer = studies("calibrate", "vanderpol", "--state-equations", "--max-calls", "6", "--jobs", "1")
+    assert answer.code == 0, answer.err
+    assert "State equations of 2 states: not learnt" in answer.out
+    assert not numbers_of(project, "vanderpol")["state_equations"]["are_believed"]
+
+
+def test_the_papers_method_knows_no_state_equations(project: Path, studies: Run) -> None:
+    answer = studies("calibrate", "wall", "--method", "paper", "--state-equations")
+    assert answer.code == 2
+    assert "--state-equations belongs to --method adaptive" in answer.err
