@@ -2,7 +2,8 @@
 
 Solved equations cost nothing, so the whole box is looked at: the best of many random points are walked
 downhill, and the lowest end is asked. A guide is believed while its equations fit the rows that they are
-learnt from and it has not missed several points in a row; else the search goes on without it.
+learnt from and it has not missed several points in a row; else the search goes on without it, until it tells
+a point right again.
 """
 
 import math
@@ -59,7 +60,6 @@ class StateGuide:
         self._structure: Structure | None = None
         self._n_examined = 0
         self._equations: StateEquations | None = None
-        self._expected: FloatArray | None = None
         self.predicted: float | None = None
         self._ends = self._u
         self._n_missed = 0
@@ -82,12 +82,13 @@ class StateGuide:
         Args:
             answer: The rows; failed ones teach nothing.
         """
-        if self._expected is not None:
-            error = float(np.mean((self._expected - answer.residuals[0]) ** 2))
+        self.predicted = None
+        good = np.isfinite(answer.mse)
+        if self._equations is not None and good[0]:
+            # Whoever chose the point: what was given up may have learnt enough since.
+            error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
             is_missed = not error <= MISSED * answer.mse[0]
             self._n_missed = self._n_missed + 1 if is_missed else 0
-            self._expected = self.predicted = None
-        good = np.isfinite(answer.mse)
         if not good.any():
             return
         self._u = np.concatenate([self._u, answer.u[good]])
@@ -136,8 +137,7 @@ class StateGuide:
         if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
             # It is known there; what is a little beside teaches more.
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
-        expected = self._residuals(u[None])
-        self._expected, self.predicted = expected[0], float(self._objectives(u[None], expected)[0])
+        self.predicted = float(self._objectives(u[None], self._residuals(u[None]))[0])
         self.n_asked += 1
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
 
