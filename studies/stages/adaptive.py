@@ -200,7 +200,10 @@ def adaptive_stage(
     return run_stage(
         study,
         stage,
-        what=f"a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most",
+        what=(
+            f"{'state equations or ' if state_equations else ''}a Gaussian process of the residuals, "
+            f"{count(settings.max_calls, 'simulation')} at most"
+        ),
         inputs=inputs,
         work=work,
         reuse_note=lambda summary: f"final MSE {mse_text(summary['mse'])}",
