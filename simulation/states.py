@@ -12,6 +12,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.fmi.numbers import wrong_output
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
 
@@ -22,6 +23,7 @@ class StateSignals:
 
     Attributes:
         states: Names of the s states.
+        derivatives: Names of their derivatives by time, in the same order.
         inputs: Names of the q inputs.
         units: Units of the states, then of the inputs, "" for none. Length s + q.
         depends_on: What each state's derivative may depend on, None where the FMU does not say. Length s.
@@ -30,9 +32,13 @@ class StateSignals:
         step_s: Communication step. [s]
         every: Communication steps from one output to the next.
         n_before: First outputs that are watched and not reported.
+        outputs: Names of the k outputs, a state or a derivative may be among them.
+        conversions: From the FMU's units to theirs: factors and what is added after that. Shape (k, 2).
+        accepted: Bands outside of which an output makes its row a failed one, None for none. Shape (k, 2).
     """
 
     states: tuple[str, ...]
+    derivatives: tuple[str, ...]
     inputs: tuple[str, ...]
     units: tuple[str, ...]
     depends_on: tuple[frozenset[str] | None, ...]
@@ -40,6 +46,9 @@ class StateSignals:
     step_s: float
     every: int
     n_before: int
+    outputs: tuple[str, ...]
+    conversions: FloatArray
+    accepted: FloatArray | None = None
 
     @classmethod
     def of(cls, case: Case) -> Self:
@@ -54,12 +63,30 @@ class StateSignals:
                 f"{fmu.path}: declares no states, so nothing can be learnt from them; "
                 "leave --state-equations away"
             )
+        unread = [
+            name
+            for name in (*fmu.states, *fmu.derivatives)
+            if fmu.variables[name].kind not in ("Real", "Float64") or fmu.variables[name].shape
+        ]
+        if unread:
+            raise InputError(
+                f"{fmu.path}: {unread[0]} is no scalar of 64 bits, which states have to be; "
+                "leave --state-equations away"
+            )
+        both = [name for name in case.parameter_space.names if name in (*fmu.states, *fmu.derivatives)]
+        if both:
+            raise InputError(
+                f"{case.path}: {both[0]} is a parameter and a state, whose simulations cannot be told apart; "
+                "leave --state-equations away"
+            )
         named = (*fmu.states, *scenario.input_names)
         edges = scenario.time_communication
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
+        factors, n_outputs = case.settings.output_factors, len(case.settings.output_names)
         n_unseen = scenario.n_warmup if case.settings.shared_warmup else 0
         return cls(
             fmu.states,
+            fmu.derivatives,
             scenario.input_names,
             tuple(fmu.variables[name].unit for name in named),
             tuple(fmu.depends_on.get(name) for name in fmu.derivatives),
@@ -67,6 +94,11 @@ class StateSignals:
             float(edges[1] - edges[0]),
             scenario.output_every,
             scenario.n_warmup - n_unseen,
+            case.settings.output_names,
+            np.column_stack(
+                [np.ones(n_outputs) if factors is None else factors, case.settings.output_offsets]
+            ),
+            case.settings.accepted,
         )
 
     @property
@@ -96,7 +128,8 @@ def watching_states(case: Case) -> Case:
         InputError: If the FMU declares no states.
     """
     signals, settings = StateSignals.of(case), case.settings
-    watched = (*signals.states, *case.fmu.derivatives)
+    named = (*signals.states, *signals.derivatives)
+    watched = tuple(name for name in named if name not in settings.output_names)
     n = len(watched)
 
     def longer(values: FloatArray | None, value: float) -> FloatArray | None:
@@ -104,9 +137,6 @@ def watching_states(case: Case) -> Case:
             return None
         return np.concatenate([values, np.full((n, *values.shape[1:]), value)])
 
-    accepted = settings.accepted
-    if accepted is not None:
-        accepted = np.concatenate([accepted, np.tile([-np.inf, np.inf], (n, 1))])
     scenario = replace(case.scenario, n_warmup=case.scenario.n_warmup - signals.n_before)
     answering = replace(
         settings,
@@ -114,7 +144,8 @@ def watching_states(case: Case) -> Case:
         output_names=(*settings.output_names, *watched),
         output_offsets=np.concatenate([settings.output_offsets, np.zeros(n)]),
         output_factors=longer(settings.output_factors, 1.0),
-        accepted=accepted,
+        # They hold for what is reported, not for a warm-up that is watched.
+        accepted=None,
     )
     return replace(case, settings=answering, scenario=scenario, watched=watched)
 
@@ -126,18 +157,22 @@ class WatchedModel(WrappedModel):
         """Wrap a model.
 
         Args:
-            model: The model to ask, whose last outputs are states and derivatives.
+            model: The model to ask, of a case that watches its states.
             signals: What is known of these.
         """
         super().__init__(model)
         self.signals = signals
-        self._n_outputs = len(model.output_names) - 2 * len(signals.states)
+        self._n_outputs = len(signals.outputs)
+        self._columns = [model.output_names.index(name) for name in (*signals.states, *signals.derivatives)]
+        factors, offsets = np.ones(len(model.output_names)), np.zeros(len(model.output_names))
+        factors[: self._n_outputs], offsets[: self._n_outputs] = signals.conversions.T
+        self._factors, self._offsets = factors[self._columns], offsets[self._columns]
         self._last: dict[bytes, FloatArray] = {}
 
     @property
     def output_names(self) -> tuple[str, ...]:
         """The outputs, without what is watched."""
-        return tuple(self._model.output_names[: self._n_outputs])
+        return self.signals.outputs
 
     @property
     def time(self) -> FloatArray:
@@ -155,11 +190,20 @@ class WatchedModel(WrappedModel):
         """
         answer = self._model.simulate(theta)
         self._last = {row.tobytes(): y for row, y in zip(answer.theta, answer.y, strict=True)}
-        return replace(
-            answer,
-            y=answer.y[:, self.signals.n_before :, : self._n_outputs],
+        return self.reported(answer)
+
+    def reported(self, watched: Trajectories) -> Trajectories:
+        """Return the outputs of rows that were simulated with their states and any warm-up of their own."""
+        y, failures = watched.y[:, self.signals.n_before :, : self._n_outputs], list(watched.failures)
+        for row in np.flatnonzero(~watched.failed):
+            failures[row] = wrong_output(self.output_names, self.time, y[row], accepted=self.signals.accepted)
+        return Trajectories.checked(
+            watched.theta,
+            y,
             time=self.time,
+            parameter_names=watched.parameter_names,
             output_names=self.output_names,
+            failures=failures,
         )
 
     def seen(self, theta: FloatArray) -> StateRows:
@@ -169,5 +213,6 @@ class WatchedModel(WrappedModel):
             theta: Their parameters, as the simulation answered them. Shape (n, p). [per parameter]
         """
         rows = np.array([self._last[row.tobytes()] for row in theta])
-        first = self._n_outputs + len(self.signals.states)
-        return StateRows(rows[..., self._n_outputs : first], rows[..., first:], rows[..., : self._n_outputs])
+        moved = (rows[..., self._columns] - self._offsets) / self._factors
+        n_states = len(self.signals.states)
+        return StateRows(moved[..., :n_states], moved[..., n_states:], rows[..., : self._n_outputs])

@@ -47,8 +47,7 @@ class FmuDescription:
         default_experiment: What it suggests for a simulation.
         states: Names of the continuous states (model exchange), in the order of the FMU.
         derivatives: Names of their derivatives, in the same order.
-        depends_on: Variables that each of these may depend on, parameters aside, by its name, where it
-            is said.
+        depends_on: Variables that each of these may depend on, by its name, where it is said.
         n_event_indicators: Functions whose change of sign is an event (model exchange).
         description: What the model is, "" for nothing said.
         complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.

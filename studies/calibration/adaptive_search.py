@@ -108,7 +108,7 @@ class AdaptiveSearch:
             BudgetExceeded: The budget is spent.
         """
         settings = self._settings
-        if self._n_design:
+        if self._n_design and not self._is_guided:
             design = latin_hypercube(self._n_design, self._p, self._rng)
             design = settings.margin + (1.0 - 2.0 * settings.margin) * design
             # State equations are learnt from less than a first design.
@@ -141,6 +141,9 @@ class AdaptiveSearch:
     def _look_as_far_as_understood(self) -> None:
         """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
         if self._is_guided:
+            # What equations expect is of the whole.
+            while not self._horizon.is_whole:
+                self._look_further()
             return
         n_judged = self._n_known + self._n_design + self._settings.design_size(self._p)
         if not self._is_judged and self._objective.size >= n_judged and not self._is_falling:

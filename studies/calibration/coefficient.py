@@ -59,6 +59,8 @@ class Coefficient:
         """
         is_told = np.isfinite(values)
         x, values = x[is_told], values[is_told]
+        if not values.size:
+            return cls(0.0, 0.0)
         is_signed = bool((values > 0.0).all() or (values < 0.0).all())
         sign = float(np.sign(values[0])) if is_signed else 0.0
         z = np.log(np.abs(values)) if is_signed else values

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from simulation.arrays import FloatArray
 from simulation.states import StateRows, StateSignals
 from studies.calibration.coefficient import Coefficient
-from studies.calibration.state_terms import Term, candidates, chosen_terms, fitted
+from studies.calibration.state_terms import N_ROWS, N_TIMES, Term, candidates, chosen_terms, fitted, spread
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave.
 LEARNT = 1e-9
@@ -26,6 +26,8 @@ LEARNT = 1e-9
 SURE = 1e-5
 # Different values of the inputs that switch terms.
 MOST_MODES = 64
+# States at all steps that are held in memory at once.
+MOST_VALUES = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +74,14 @@ class Structure:
         everything = [Sum(j, tuple(candidates(signals, j))) for j in range(n_states)]
         everything += [Sum(-1, (*plain, Term(-1)))] * rows.y.shape[-1]
         sums, worst = list[Sum](), 0.0
+        # A part of the rows, at a part of the times, tells the terms.
+        some, times = spread(len(rows.x), N_ROWS), spread(len(signals.at_outputs), N_TIMES)
+        x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[times]
         for all_terms, target in zip(everything, _targets(rows), strict=True):
-            values = all_terms.values(rows.x[:, 1:], signals.at_outputs)
-            chosen, misfit = chosen_terms(all_terms.terms, values, target)
+            values = all_terms.values(x, inputs)
+            chosen, misfit = chosen_terms(all_terms.terms, values, target[np.ix_(some, times)])
             sums.append(Sum(all_terms.own, tuple(all_terms.terms[one] for one in chosen)))
-            worst = max(worst, misfit)
+            worst = max(worst, misfit if np.isfinite(misfit) else np.inf)
             if worst > LEARNT:
                 break
         return cls(tuple(sums), worst)
@@ -100,7 +105,7 @@ class Structure:
             # In some rows one state follows another so closely that their terms cannot be told apart.
             is_open = doubt > np.maximum(SURE, np.median(doubt, axis=0))
             found.append(np.where(is_open, np.nan, np.array([fit.found for fit in fits])))
-            worst = max([worst, *(fit.left for fit in fits)])
+            worst = max([worst, *(fit.left if np.isfinite(fit.left) else np.inf for fit in fits)])
         return found, worst
 
 
@@ -166,6 +171,13 @@ class StateEquations:
         Returns:
             Reported outputs, not finite where the equations run away. Shape (n, t, k). [per output]
         """
+        # In pieces of so many points that the states of a long simulation fit into memory.
+        per_point = len(self.signals.driven) * len(self.signals.states)
+        n_at_once = max(MOST_VALUES // per_point, 1)
+        pieces = [self._outputs(x[first : first + n_at_once]) for first in range(0, len(x), n_at_once)]
+        return np.concatenate(pieces)
+
+    def _outputs(self, x: FloatArray) -> FloatArray:
         with np.errstate(all="ignore"):
             states = self._states(x)
             n_states = len(self.signals.states)
@@ -204,7 +216,8 @@ class StateEquations:
         whole = np.zeros((len(modes), len(x), matrices.shape[-1], matrices.shape[-1]))
         for rank, mode in enumerate(modes):
             whole[rank, :, :n_states] = matrices[:, 0] + np.tensordot(matrices[:, 1:], mode, axes=(1, 0))
-        whole[~np.isfinite(whole)] = 0.0
+        is_wrong = ~np.isfinite(whole).all(axis=(0, 2, 3))
+        whole[:, is_wrong] = 0.0
         steps = expm(whole * signals.step_s)[:, :, :n_states]
         own, by_input = steps[..., :n_states], steps[..., n_states:]
         driven = np.concatenate([signals.driven, np.ones((len(signals.driven), 1))], axis=1)
@@ -213,6 +226,7 @@ class StateEquations:
             is_so = mode_of == rank
             pushed[is_so] = np.einsum("nsq,tq->tns", by_input[rank], driven[is_so])
         now = np.stack([one.at(x) for one in self.start], axis=-1)
+        now[is_wrong] = np.nan
         states = np.empty((1 + len(driven), len(x), n_states))
         states[0] = now
         for step, push in enumerate(pushed):

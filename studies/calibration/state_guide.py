@@ -24,6 +24,7 @@ N_LOOKS, N_LOOKS_LATER = 400, 100
 N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
 # A point that errs by more than this part of its objective is missed; so many in a row end the belief.
 MISSED, N_MISSED = 0.5, 4
+LEAST_TO_LEARN = 4
 # Damped steps from all starts together.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
@@ -62,14 +63,20 @@ class StateGuide:
         self._equations: StateEquations | None = None
         self.predicted: float | None = None
         self._ends = self._u
-        self._n_missed = 0
+        self._n_missed = self._n_failed = 0
         self.misfit = np.inf
         self.n_asked = 0
+        self.why_not = f"fewer than {LEAST_TO_LEARN} simulations succeeded"
 
     @property
     def is_believed(self) -> bool:
-        """Whether it has equations, and they have not missed too often."""
-        return self._equations is not None and self._n_missed < N_MISSED
+        """Whether it has equations that have not missed too often, nor led to failures."""
+        return self._equations is not None and max(self._n_missed, self._n_failed) < N_MISSED
+
+    @property
+    def is_learnt(self) -> bool:
+        """Whether it has equations, believed or not."""
+        return self._equations is not None
 
     @property
     def n_states(self) -> int:
@@ -82,13 +89,16 @@ class StateGuide:
         Args:
             answer: The rows; failed ones teach nothing.
         """
-        self.predicted = None
         good = np.isfinite(answer.mse)
-        if self._equations is not None and good[0]:
+        # Equations know nothing of failures, and would lead there again and again.
+        self._n_failed += self.predicted is not None and not good[0]
+        self.predicted = None
+        if self._equations is not None:
             # Whoever chose the point: what was given up may have learnt enough since.
-            error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
-            is_missed = not error <= MISSED * answer.mse[0]
-            self._n_missed = self._n_missed + 1 if is_missed else 0
+            with np.errstate(all="ignore"):
+                error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
+            is_told = bool(good[0]) and error <= MISSED * answer.mse[0]
+            self._n_missed = 0 if is_told else self._n_missed + 1
         if not good.any():
             return
         self._u = np.concatenate([self._u, answer.u[good]])
@@ -100,19 +110,25 @@ class StateGuide:
         signals, n = self._model.signals, len(self._u)
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
-            if n < max(2 * self._n_examined, 4):
+            if n < max(2 * self._n_examined, LEAST_TO_LEARN):
                 return None
             self._n_examined = n
             structure = Structure.of(signals, rows)
             self.misfit = structure.misfit
-            if structure.misfit > LEARNT:
+            if not structure.misfit <= LEARNT:
+                self.why_not = "they are no sums of states and inputs"
                 return None
             self._structure = structure
         found, self.misfit = self._structure.fitted(signals, rows)
-        if self.misfit > LEARNT:
+        if not self.misfit <= LEARNT:
             self._structure = None
+            self.why_not = "not all simulations follow the same ones"
             return None
-        return StateEquations.learn(signals, self._structure, self._features.at(self._u), rows.x[:, 0], found)
+        features = self._features.at(self._u)
+        equations = StateEquations.learn(signals, self._structure, features, rows.x[:, 0], found)
+        if equations is None:
+            self.why_not = "inputs switch them in too many ways"
+        return equations
 
     def propose(
         self, objective: FloatArray, known: FloatArray, rng: np.random.Generator
@@ -143,7 +159,8 @@ class StateGuide:
 
     def _residuals(self, u: FloatArray) -> FloatArray:
         assert self._equations is not None, "only a guide with equations is asked"
-        return self._problem.measurement.compared(self._equations.outputs(self._features.at(u)))
+        with np.errstate(all="ignore"):
+            return self._problem.measurement.compared(self._equations.outputs(self._features.at(u)))
 
     def _objectives(self, u: FloatArray, residuals: FloatArray) -> FloatArray:
         return _objectives(self._problem.prior, u, residuals)
@@ -216,6 +233,14 @@ def _step(
     u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
 ) -> FloatArray:
     """Return where a damped Gauss-Newton step leads; what it pushes out of the box stays at its face."""
+    # Steps that overflow lead nowhere.
+    with np.errstate(all="ignore"):
+        return _damped(u, residuals, jacobian, damping, prior)
+
+
+def _damped(
+    u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
+) -> FloatArray:
     gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
     hessian = 2.0 * (jacobian.T @ jacobian) / residuals.size
     if prior is not None:
@@ -223,7 +248,7 @@ def _step(
         gradient, hessian = gradient + slope, hessian + curvature
     free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
     trial = u.copy()
-    if free.size:
+    if free.size and np.isfinite(hessian).all():
         block = hessian[np.ix_(free, free)]
         ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
         step = np.linalg.solve(block + np.diag(ridge), -gradient[free])

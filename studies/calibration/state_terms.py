@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import FloatArray, IntArray
 from simulation.states import StateSignals
 
 # Sums of squares, as a share of the derivative's, that a complete sum of terms leaves.
@@ -79,25 +79,34 @@ def candidates(signals: StateSignals, state: int) -> list[Term]:
     return [*plain, *products, Term(state), Term(-1)]
 
 
+def spread(n: int, most: int) -> IntArray:
+    """Return at most so many of the positions 0 to n - 1, evenly spread."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
+
+
 def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
     """Choose the fewest terms that make up a target in every row, each row with coefficients of its own.
 
     Args:
-        terms: The f candidates.
+        terms: The f candidates, the last of them the constant.
         values: Their values. Shape (n, t, f).
         target: Shape (n, t).
 
     Returns:
         Their positions, and what they leave of the target's squares, mean over rows. [1]
     """
-    rows = np.unique(np.linspace(0, len(values) - 1, N_ROWS).astype(int))
-    times = np.unique(np.linspace(0, values.shape[1] - 1, N_TIMES).astype(int))
-    values, target = values[np.ix_(rows, times)], target[np.ix_(rows, times)]
+    if not target.any():
+        return [len(terms) - 1], 0.0
+    with np.errstate(all="ignore"):
+        return _chosen(terms, values, target)
+
+
+def _chosen(terms: Sequence[Term], values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
     size = np.square(target).sum(axis=1) + np.finfo(float).tiny
     norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
     values = values / np.where(norm > 0.0, norm, 1.0)
     chosen, left, rest = list[int](), target.copy(), values.copy()
-    while len(chosen) < min(MOST_TERMS, len(terms), len(times) - 1):
+    while len(chosen) < min(MOST_TERMS, len(terms), target.shape[1] - 1):
         squares = np.square(rest).sum(axis=1)
         # What is left of a column after those before it is rounding.
         is_new = squares > 1e-20
@@ -115,7 +124,7 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
         left = left - axis * np.einsum("nt,nt->n", axis, left)[:, None]
         if unexplained(values, target, chosen) <= COMPLETE:
             break
-    chosen = _without_needless(values, target, chosen)
+    chosen = _without_needless(values, target, chosen or [len(terms) - 1])
     return chosen, unexplained(values, target, chosen)
 
 
@@ -136,15 +145,19 @@ class Fit(NamedTuple):
 def fitted(values: FloatArray, target: FloatArray) -> Fit:
     """Fit terms, values of shape (t, f), to one row's target (t,)."""
     tiny = np.finfo(float).tiny
-    norm = np.sqrt(np.square(values).sum(axis=0)) + tiny
-    left_vectors, sizes, right = np.linalg.svd(values / norm, full_matrices=False)
-    inverse = right.T / np.maximum(sizes, np.finfo(float).eps * sizes[0] + tiny)
-    found = inverse @ (left_vectors.T @ target)
-    rest = float(np.square(target - (values / norm) @ found).sum())
-    deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
-    return Fit(
-        found / norm, deviation / (np.abs(found) + tiny), rest / (float(np.square(target).sum()) + tiny)
-    )
+    with np.errstate(all="ignore"):
+        norm = np.sqrt(np.square(values).sum(axis=0))
+        if not (np.isfinite(norm).all() and np.isfinite(target).all()):
+            return Fit(np.zeros(len(norm)), np.full(len(norm), np.inf), np.inf)
+        norm[norm == 0.0] = 1.0
+        scaled = values / norm
+        left_vectors, sizes, right = np.linalg.svd(scaled, full_matrices=False)
+        inverse = right.T / np.maximum(sizes, np.finfo(float).eps * max(float(sizes[0]), 1.0))
+        found = inverse @ (left_vectors.T @ target)
+        rest = float(np.square(target - scaled @ found).sum())
+        deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
+        doubt = deviation / (np.abs(found) + tiny)
+        return Fit(found / norm, doubt, rest / (float(np.square(target).sum()) + tiny))
 
 
 def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -> float:

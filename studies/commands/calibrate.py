@@ -156,6 +156,7 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         n_free=n_free,
         n_calls_before=0 if n_free is None else calls_for_relevance(study),
         from_stored=chosen.from_stored,
+        state_equations=chosen.state_equations,
     )
     before = stored_before(study, n_free)
     outcome = adaptive_stage(

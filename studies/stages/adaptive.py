@@ -22,7 +22,7 @@ from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import Progress
-from studies.calibration.state_guide import StateGuide
+from studies.calibration.state_guide import StateGuide, enough_for_equations
 from studies.console import OnBar
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import recipe_of
@@ -70,6 +70,7 @@ def adaptive_settings(
     n_free: int | None = None,
     n_calls_before: int = 0,
     from_stored: bool = False,
+    state_equations: bool = False,
 ) -> Adaptive:
     """Return what the command line asks for.
 
@@ -81,6 +82,7 @@ def adaptive_settings(
         n_free: parameters that are calibrated, None for all.
         n_calls_before: simulations of the budget that are spent before the search begins.
         from_stored: whether it begins with what is stored, which may be a first design or most of one.
+        state_equations: whether it learns state equations, from less than a first design.
 
     Raises:
         InputError: the budget does not hold the first design.
@@ -96,6 +98,8 @@ def adaptive_settings(
     )
     n_parameters = n_free or case.parameter_space.n_parameters
     n_start = 1 if from_stored else settings.design_size(n_parameters)
+    if state_equations:
+        n_start = min(n_start, enough_for_equations(n_parameters))
     if settings.max_calls < n_calls_before + n_start:
         before = (
             f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""
@@ -320,6 +324,7 @@ def _guided(guide: StateGuide) -> dict[str, Any]:
         "n_calls": guide.n_asked,
         "misfit": guide.misfit if np.isfinite(guide.misfit) else None,
         "are_believed": guide.is_believed,
+        "why_not": None if guide.is_learnt else guide.why_not,
     }
 
 

@@ -72,10 +72,10 @@ def _equations(found: Mapping[str, Any]) -> str:
     states, calls = count(found["n_states"], "state"), count(found["n_calls"], "call")
     if found["are_believed"]:
         end = f"learnt, and {calls} went where they expect the lowest error"
-    elif found["n_calls"]:
-        end = f"learnt, but wrong at {calls} where they expected the lowest error; the search went on without"
+    elif found["why_not"] is None:
+        end = f"learnt, but their last predictions were wrong, after {calls}; the search went on without"
     else:
-        end = "not learnt, for they are no sums of states and inputs; the search did without"
+        end = f"not learnt, for {found['why_not']}; the search did without"
     return f"State equations of {states}: {end}"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.partly_fixed import PartlyFixedModel
+from simulation.states import WatchedModel
 from simulation.store.store import SimulationStore
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.stages.calibrate import write_arrays
@@ -61,7 +62,8 @@ class KnownRows:
         values = np.empty(0)
         for block in store.stream(model.complete(theta)):
             u = problem.space.to_unit(model.reduced(block.theta))
-            values = np.append(values, worth(problem.judge(u, block)))
+            answer = problem.model.reported(block) if isinstance(problem.model, WatchedModel) else block
+            values = np.append(values, worth(problem.judge(u, answer)))
         # Rows of one worth are told apart by their parameters, not by where they happen to lie in the store.
         order = np.lexsort((*theta.T[::-1], -values))
         theta = theta[order]

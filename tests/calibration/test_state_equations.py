@@ -86,6 +86,7 @@ class TwoRooms:
 
 ROOMS = StateSignals(
     states=("T1", "T2"),
+    derivatives=("der(T1)", "der(T2)"),
     inputs=("TOut", "P", "fan"),
     units=("K", "K", "K", "W", "1"),
     depends_on=(None, frozenset({"T1", "T2", "fan"})),
@@ -93,6 +94,8 @@ ROOMS = StateSignals(
     step_s=STEP_S,
     every=EVERY,
     n_before=0,
+    outputs=("TRoom",),
+    conversions=np.array([[1.0, -273.15]]),
 )
 
 
@@ -252,8 +255,81 @@ def test_a_watched_model_answers_what_it_answers_unwatched() -> None:
     assert watching_states(case).model_digest != case.model_digest
 
 
+def test_an_output_may_be_a_state_but_a_parameter_may_not(tmp_path: Path) -> None:
+    text = (REPOSITORY / "fmus" / "wall" / "case.toml").read_text(encoding="utf-8")
+    text = text.replace('"../../data/wall"', f'"{REPOSITORY / "data" / "wall"}"')
+    text = text.replace('"Wall.fmu"', f'"{REPOSITORY / "fmus" / "wall" / "Wall.fmu"}"')
+    file = tmp_path / "case.toml"
+    file.write_text(text.replace('name = "TMasonry"', 'name = "T2"'), encoding="utf-8")
+    case, theta = load_case(file), load_case(REPOSITORY / "fmus" / "wall").parameter_space.expected[None]
+    with watching_states(case).open_model() as model:
+        watched = WatchedModel(model, StateSignals.of(case))
+        y = watched.simulate(theta).y
+        rows = watched.seen(theta)
+    assert watched.output_names == ("T2", "QRoom")
+    np.testing.assert_allclose(rows.x[:, -y.shape[1] :, 1], y[..., 0] + 273.15)
+    assert Structure.of(watched.signals, rows).misfit < LEARNT
+    space = ParameterSpace((*case.parameter_space.parameters[:-1], Parameter("T2", 280.0, 300.0)))
+    with pytest.raises(InputError, match="T2 is a parameter and a state"):
+        watching_states(replace(case, parameter_space=space))
+
+
 def test_an_fmu_without_states_is_refused() -> None:
     case = load_case(REPOSITORY / "fmus" / "wall")
     silent = replace(case, fmu=replace(case.fmu, states=()))
     with pytest.raises(InputError, match=r"declares no states.*leave --state-equations away"):
         watching_states(silent)
+
+
+@dataclass(frozen=True)
+class FailsAround(TwoRooms):
+    """Cannot be simulated where R is near a value."""
+
+    around: float = 1e-2
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        answer = super().simulate(theta)
+        bad = np.abs(np.log(theta[:, 0] / self.around)) < 0.2
+        y = np.where(bad[:, None, None], np.nan, answer.y)
+        return replace(answer, y=y, failures=tuple("near" if one else "" for one in bad))
+
+
+def test_failures_at_the_optimum_end_the_belief() -> None:
+    problem = problem_of(TwoRooms(), TRUTH)
+    watched = WatchedModel(FailsAround(), ROOMS)
+    found, guide = guided(replace(problem, model=watched), 0, max_calls=24)
+    assert not guide.is_believed
+    assert guide.n_asked <= 6
+    assert np.isfinite(found.mse)
+
+
+def test_a_state_that_never_moves_is_a_constant() -> None:
+    model = TwoRooms()
+    u, rows = rows_of(model, 8, seed=0)
+    signals = replace(ROOMS, states=("T1", "dummy"), depends_on=(None, frozenset[str]()))
+    x, slope = rows.x.copy(), rows.slope.copy()
+    slope[..., 0] = (275.0 - x[..., 0]) * 1e-5
+    x[..., 1], slope[..., 1] = 1.0, 0.0
+    structure = Structure.of(signals, StateRows(x, slope, x[..., :1]))
+    assert structure.misfit < LEARNT
+    found, _ = structure.fitted(signals, StateRows(x, slope, x[..., :1]))
+    np.testing.assert_array_equal(found[1], 0.0)
+    assert StateEquations.learn(signals, structure, u, x[:, 0], found) is not None
+
+
+def test_bands_hold_for_what_is_reported_alone() -> None:
+    case = load_case(REPOSITORY / "fmus" / "wall")
+    theta = case.parameter_space.expected[None].copy()
+    theta[0, -1] = 303.0
+    with case.open_model() as model:
+        masonry = model.simulate(theta).y[0, :, 0]
+    assert masonry.max() < 29.0
+    narrow = np.array([[-50.0, 29.0], [-1e9, 1e9]])
+    case = replace(case, settings=replace(case.settings, accepted=narrow))
+    signals = StateSignals.of(case)
+    with watching_states(case).open_model() as model:
+        watched = WatchedModel(model, signals)
+        assert watched.simulate(theta).failures == ("",)
+        assert watched.seen(theta).y[0, :, 0].max() > 29.0
+        strict = WatchedModel(model, replace(signals, accepted=narrow - 1000.0))
+        assert "TMasonry" in strict.simulate(theta).failures[0]

@@ -78,3 +78,14 @@ def test_the_papers_method_knows_no_state_equations(project: Path, studies: Run)
     answer = studies("calibrate", "wall", "--method", "paper", "--state-equations")
     assert answer.code == 2
     assert "--state-equations belongs to --method adaptive" in answer.err
+
+
+def test_it_may_begin_with_what_is_stored_of_the_states(project: Path, studies: Run) -> None:
+    assert studies(*WALL).code == 0
+    n_stored = numbers_of(project, "wall")["ledger"]["total_paper"]
+    answer = studies(*WALL, "--from-stored", "--max-calls", "6")
+    assert answer.code == 0, answer.err
+    assert f"begins with {n_stored} stored simulations of this model" in answer.err
+    found = numbers_of(project, "wall")
+    assert found["ledger"]["total_paper"] <= 4
+    assert found["mse"] <= 0.00192
