@@ -15,6 +15,7 @@ from simulation.arrays import FloatArray
 from simulation.states import StateRows, WatchedModel
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.proposals import SAME_POINT
 from studies.calibration.residual_process import Expansion, Features
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 
@@ -24,12 +25,12 @@ N_LOOKS, N_LOOKS_LATER = 400, 100
 N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
 # A point that errs by more than this part of its objective is missed; so many in a row end the belief.
 MISSED, N_MISSED = 0.5, 4
+# Rows below which nothing is looked for.
 LEAST_TO_LEARN = 4
 # Damped steps from all starts together.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
 FTOL = 1e-5
-SAME_POINT = 1e-4
 
 # Rows that equations are first learnt from, by parameter; a product of three parameters takes six.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
@@ -142,18 +143,18 @@ class StateGuide:
         """
         p = known.shape[1]
         looks = rng.random((N_LOOKS if self.n_asked < p else N_LOOKS_LATER, p))
-        best = np.argsort(self._objectives(looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
+        prior = self._problem.prior
+        best = np.argsort(_objectives(prior, looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
         rows = np.argsort(objective, kind="stable")[:N_ROWS]
-        ends, values = descend_together(
-            self._residuals, self._problem.prior, np.concatenate([known[rows], self._ends, looks[best]])
-        )
+        starts = np.concatenate([known[rows], self._ends, looks[best]])
+        ends, values = descend_together(self._residuals, prior, starts)
         order = np.argsort(values, kind="stable")
         self._ends = ends[order[:N_ENDS]]
         u, value = ends[order[0]], float(values[order[0]])
         if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
             # It is known there; what is a little beside teaches more.
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
-        self.predicted = float(self._objectives(u[None], self._residuals(u[None]))[0])
+        self.predicted = float(_objectives(prior, u[None], self._residuals(u[None]))[0])
         self.n_asked += 1
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
 
@@ -161,9 +162,6 @@ class StateGuide:
         assert self._equations is not None, "only a guide with equations is asked"
         with np.errstate(all="ignore"):
             return self._problem.measurement.compared(self._equations.outputs(self._features.at(u)))
-
-    def _objectives(self, u: FloatArray, residuals: FloatArray) -> FloatArray:
-        return _objectives(self._problem.prior, u, residuals)
 
 
 def _objectives(prior: Prior | None, u: FloatArray, residuals: FloatArray) -> FloatArray:
