@@ -227,18 +227,12 @@ def descend_together(
     return u, values
 
 
+# A step that overflows leads nowhere.
+@np.errstate(all="ignore")
 def _step(
     u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
 ) -> FloatArray:
     """Return where a damped Gauss-Newton step leads; what it pushes out of the box stays at its face."""
-    # Steps that overflow lead nowhere.
-    with np.errstate(all="ignore"):
-        return _damped(u, residuals, jacobian, damping, prior)
-
-
-def _damped(
-    u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
-) -> FloatArray:
     gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
     hessian = 2.0 * (jacobian.T @ jacobian) / residuals.size
     if prior is not None:

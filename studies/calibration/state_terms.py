@@ -84,6 +84,7 @@ def spread(n: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
 
 
+@np.errstate(all="ignore")
 def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
     """Choose the fewest terms that make up a target in every row, each row with coefficients of its own.
 
@@ -97,11 +98,6 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     """
     if not target.any():
         return [len(terms) - 1], 0.0
-    with np.errstate(all="ignore"):
-        return _chosen(terms, values, target)
-
-
-def _chosen(terms: Sequence[Term], values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
     size = np.square(target).sum(axis=1) + np.finfo(float).tiny
     norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
     values = values / np.where(norm > 0.0, norm, 1.0)
