@@ -85,5 +85,8 @@ class PartlyFixedModel(WrappedModel):
         Returns:
             The wrapped model's answer, its parameters the free ones.
         """
-        answer = self._model.simulate(self.complete(theta))
+        return self.of_free(self._model.simulate(self.complete(theta)))
+
+    def of_free(self, answer: Trajectories) -> Trajectories:
+        """Return rows of the wrapped model with the free parameters alone."""
         return replace(answer, theta=self.reduced(answer.theta), parameter_names=self._space.names)

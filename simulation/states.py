@@ -16,6 +16,9 @@ from simulation.fmi.numbers import wrong_output
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
 
+MOST_STATES = 64
+"""States above which none is watched: rows grow with their number, equations' costs with its third power."""
+
 
 @dataclass(frozen=True, eq=False)
 class StateSignals:
@@ -55,30 +58,11 @@ class StateSignals:
         """Return what a case's FMU declares.
 
         Raises:
-            InputError: If it declares no states.
+            InputError: If states cannot be watched, see `why_unwatched`.
         """
+        if reason := why_unwatched(case):
+            raise InputError(f"{reason}; leave --state-equations away")
         fmu, scenario = case.fmu, case.scenario
-        if not fmu.states:
-            raise InputError(
-                f"{fmu.path}: declares no states, so nothing can be learnt from them; "
-                "leave --state-equations away"
-            )
-        unread = [
-            name
-            for name in (*fmu.states, *fmu.derivatives)
-            if fmu.variables[name].kind not in ("Real", "Float64") or fmu.variables[name].shape
-        ]
-        if unread:
-            raise InputError(
-                f"{fmu.path}: {unread[0]} is no scalar of 64 bits, which states have to be; "
-                "leave --state-equations away"
-            )
-        both = [name for name in case.parameter_space.names if name in (*fmu.states, *fmu.derivatives)]
-        if both:
-            raise InputError(
-                f"{case.path}: {both[0]} is a parameter and a state, whose simulations cannot be told apart; "
-                "leave --state-equations away"
-            )
         named = (*fmu.states, *scenario.input_names)
         edges = scenario.time_communication
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
@@ -121,11 +105,24 @@ class StateRows(NamedTuple):
     y: FloatArray
 
 
+def why_unwatched(case: Case) -> str:
+    """Say in a line why the states of a case's FMU cannot be watched, "" where they can."""
+    fmu = case.fmu
+    if not fmu.states:
+        return f"{fmu.path}: declares no states, so nothing can be learnt from them"
+    if len(fmu.states) > MOST_STATES:
+        return f"{fmu.path}: has {len(fmu.states)} states, and at most {MOST_STATES} are watched"
+    for name in (*fmu.states, *fmu.derivatives):
+        if fmu.variables[name].kind not in ("Real", "Float64") or fmu.variables[name].shape:
+            return f"{fmu.path}: {name} is no scalar of 64 bits, which states have to be"
+    return ""
+
+
 def watching_states(case: Case) -> Case:
     """Return a case whose model answers its states and their derivatives, too.
 
     Raises:
-        InputError: If the FMU declares no states.
+        InputError: If states cannot be watched, see `why_unwatched`.
     """
     signals, settings = StateSignals.of(case), case.settings
     named = (*signals.states, *signals.derivatives)
@@ -146,6 +143,7 @@ def watching_states(case: Case) -> Case:
         output_factors=longer(settings.output_factors, 1.0),
         # They hold for what is reported, not for a warm-up that is watched.
         accepted=None,
+        n_watched=n,
     )
     return replace(case, settings=answering, scenario=scenario, watched=watched)
 
@@ -207,12 +205,13 @@ class WatchedModel(WrappedModel):
         )
 
     def seen(self, theta: FloatArray) -> StateRows:
-        """Return what states and outputs did in rows of the last simulation, NaN in failed ones.
+        """Return what states and outputs did in rows of the last simulation, NaN where that is not known.
 
         Args:
             theta: Their parameters, as the simulation answered them. Shape (n, p). [per parameter]
         """
-        rows = np.array([self._last[row.tobytes()] for row in theta])
+        unknown = np.full((len(self._model.time), len(self._model.output_names)), np.nan)
+        rows = np.array([self._last.get(row.tobytes(), unknown) for row in theta]).reshape(-1, *unknown.shape)
         moved = (rows[..., self._columns] - self._offsets) / self._factors
         n_states = len(self.signals.states)
         return StateRows(moved[..., :n_states], moved[..., n_states:], rows[..., : self._n_outputs])

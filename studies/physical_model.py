@@ -7,9 +7,11 @@ from typing import Any
 
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
+from simulation.states import StateSignals, watching_states
 from simulation.store.folder import users
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
+from simulation.store.watched_model import StoredWatchedModel
 from simulation.workers.execution import CampaignStopped, ExecutionPolicy
 from simulation.workers.parallel import ParallelModel
 from studies.paths import ProjectPaths
@@ -59,6 +61,28 @@ def open_physical_model(
                 yield StoredModel(model, store, retry_failed=study.retry_failed)
             except CampaignStopped as stopped:
                 raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+
+
+@contextmanager
+def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator[StoredWatchedModel]:
+    """Open the model of a study's case with the stores of its simulations, with their states and without.
+
+    Args:
+        study: the study.
+        n_first: rows that are asked at once while none has succeeded yet.
+
+    Yields:
+        the model.
+
+    Raises:
+        StageError: too many simulations fail; those that are finished are kept.
+    """
+    with (
+        open_physical_model(study) as plain,
+        open_physical_model(study, case=watching_states(study.case)) as watched,
+    ):
+        signals = StateSignals.of(study.case)
+        yield StoredWatchedModel(plain, watched, signals, retry_failed=study.retry_failed, n_first=n_first)
 
 
 @contextmanager

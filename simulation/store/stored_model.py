@@ -62,6 +62,17 @@ class StoredModel(WrappedModel):
             missing |= self._store.find_failed(theta, before=self._retry_before)
         return missing
 
+    def watched(self, theta: FloatArray) -> BoolArray:
+        """Say which rows are stored with what the model's states did: none, where nobody watches them.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            Shape (n,).
+        """
+        return np.zeros(len(theta), dtype=np.bool_)
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Read the rows that are stored and simulate the others.
 

@@ -221,15 +221,27 @@ class StateEquations:
         steps = expm(whole * signals.step_s)[:, :, :n_states]
         own, by_input = steps[..., :n_states], steps[..., n_states:]
         driven = np.concatenate([signals.driven, np.ones((len(signals.driven), 1))], axis=1)
-        pushed = np.empty((len(driven), len(x), n_states))
+        n_skipped = 1
+        if len(modes) == 1:
+            # From output to output at once: what is driven on the way moves on with the states.
+            n_skipped, moved = signals.every, [by_input]
+            for _ in range(n_skipped - 1):
+                moved.append(own @ moved[-1])
+            own, by_input = np.linalg.matrix_power(own, n_skipped), np.concatenate(moved[::-1], axis=-1)
+            driven, mode_of = driven.reshape(-1, n_skipped * driven.shape[1]), mode_of[::n_skipped]
+        # Points are the last axis: a step of all of them is a few operations on whole arrays.
+        own = np.ascontiguousarray(own.transpose(0, 3, 2, 1))
+        by_input = by_input.transpose(0, 3, 2, 1).reshape(len(modes), -1, n_states * len(x))
+        pushed = np.empty((len(driven), n_states, len(x)))
         for rank in range(len(modes)):
             is_so = mode_of == rank
-            pushed[is_so] = np.einsum("nsq,tq->tns", by_input[rank], driven[is_so])
-        now = np.stack([one.at(x) for one in self.start], axis=-1)
-        now[is_wrong] = np.nan
-        states = np.empty((1 + len(driven), len(x), n_states))
+            pushed[is_so] = (driven[is_so] @ by_input[rank]).reshape(-1, n_states, len(x))
+        now = np.stack([one.at(x) for one in self.start])
+        now[:, is_wrong] = np.nan
+        states = np.empty((1 + len(driven), n_states, len(x)))
         states[0] = now
         for step, push in enumerate(pushed):
-            now = (own[mode_of[step]] @ now[..., None])[..., 0] + push
+            now = np.add.reduce(own[mode_of[step]] * now[:, None], axis=0)
+            now += push
             states[step + 1] = now
-        return states[:: signals.every].transpose(1, 0, 2)
+        return states[:: signals.every // n_skipped].transpose(2, 0, 1)

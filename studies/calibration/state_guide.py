@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.states import StateRows, WatchedModel
+from simulation.states import StateRows, StateSignals
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.proposals import SAME_POINT
@@ -35,6 +35,9 @@ FTOL = 1e-5
 # Rows that equations are first learnt from, by parameter; a product of three parameters takes six.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
 
+Seen = Callable[[FloatArray], StateRows]
+"""Parameters (n, p) of rows that were answered last to what states did there, NaN where that is not known."""
+
 Residuals = Callable[[FloatArray], FloatArray]
 """Points (n, p) to residuals (n, m), not finite where nothing is known."""
 
@@ -47,14 +50,16 @@ def enough_for_equations(n_parameters: int) -> int:
 class StateGuide:
     """What state equations say of a calibration problem."""
 
-    def __init__(self, model: WatchedModel, problem: CalibrationProblem) -> None:
+    def __init__(self, signals: StateSignals, seen: Seen, problem: CalibrationProblem) -> None:
         """Begin with nothing known.
 
         Args:
-            model: Remembers what the states did.
-            problem: Posed to it.
+            signals: What is known of the states.
+            seen: Tells what they did.
+            problem: The problem.
         """
-        self._model = model
+        self._signals = signals
+        self._seen = seen
         self._problem = problem
         self._features = Features.of(problem.space)
         self._u = np.empty((0, problem.space.n_parameters))
@@ -82,7 +87,7 @@ class StateGuide:
     @property
     def n_states(self) -> int:
         """States whose equations it learns."""
-        return len(self._model.signals.states)
+        return len(self._signals.states)
 
     def note(self, answer: Evaluation) -> None:
         """Learn from rows that were asked.
@@ -100,15 +105,17 @@ class StateGuide:
                 error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
             is_told = bool(good[0]) and error <= MISSED * answer.mse[0]
             self._n_missed = 0 if is_told else self._n_missed + 1
-        if not good.any():
+        rows = self._seen(answer.theta)
+        told = good & np.isfinite(rows.x).all(axis=(1, 2)) & np.isfinite(rows.slope).all(axis=(1, 2))
+        if not told.any():
             return
-        self._u = np.concatenate([self._u, answer.u[good]])
-        self._rows.append(self._model.seen(answer.theta[good]))
+        self._u = np.concatenate([self._u, answer.u[told]])
+        self._rows.append(StateRows(*(part[told] for part in rows)))
         self._equations = self._learnt()
 
     def _learnt(self) -> StateEquations | None:
         rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
-        signals, n = self._model.signals, len(self._u)
+        signals, n = self._signals, len(self._u)
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
             if n < max(2 * self._n_examined, LEAST_TO_LEARN):

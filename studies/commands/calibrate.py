@@ -73,8 +73,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--state-equations",
-        action="store_true",
-        help="adaptive: learn the model's state equations from the states that the FMU shows",
+        action=argparse.BooleanOptionalAction,
+        help="adaptive: learn the FMU's state equations, or do without; default: where it shows its states",
     )
     options.add_most_relevant(
         command,
@@ -99,7 +99,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     only_adaptive = {
         "--parallel": chosen.parallel is not None,
         "--from-stored": chosen.from_stored,
-        "--state-equations": chosen.state_equations,
+        "--state-equations": bool(chosen.state_equations),
+        "--no-state-equations": chosen.state_equations is False,
     }
     for option, is_given in only_adaptive.items():
         if is_paper and is_given:
@@ -143,11 +144,13 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         show_replaced,
         stored_before,
     )
+    from studies.stages.guided import are_state_equations_learnt
     from studies.stages.guideline import guideline_numbers
     from studies.stages.restriction import calls_for_relevance, checked_size
 
     study = open_study(chosen, console)
     n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
+    state_equations = are_state_equations_learnt(study.case, chosen.state_equations)
     settings = adaptive_settings(
         study.case,
         max_calls=chosen.max_calls,
@@ -156,7 +159,7 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         n_free=n_free,
         n_calls_before=0 if n_free is None else calls_for_relevance(study),
         from_stored=chosen.from_stored,
-        state_equations=chosen.state_equations,
+        state_equations=state_equations,
     )
     before = stored_before(study, n_free)
     outcome = adaptive_stage(
@@ -164,7 +167,7 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         settings,
         n_free=n_free,
         from_stored=chosen.from_stored,
-        state_equations=chosen.state_equations,
+        state_equations=state_equations,
         again=chosen.again,
     )
     show_adaptive(study, outcome)

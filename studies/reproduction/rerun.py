@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,7 +12,6 @@ from threadpoolctl import threadpool_limits
 from pelsvae.config import SurrogateConfig
 from pelsvae.epochs import EpochReport
 from pelsvae.training import FitResult
-from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from studies.reproduction.rebuild import Rebuilt
 from studies.reproduction.recorded import Arrays, Recorded, as_arrays, weights_digest
@@ -22,6 +21,9 @@ from studies.tuning.study_spec import StudySpec
 from studies.tuning.trial_attempt import failure_reason
 from studies.tuning.trial_record import TrialRecord
 from studies.tuning.trial_training import TrialOutcome, train_trial
+
+if TYPE_CHECKING:
+    from studies.stages.known_rows import Known
 
 Made = tuple[dict[str, Any], Arrays]
 TIME_LIMIT = "reached its limit of"
@@ -173,18 +175,12 @@ def _adaptive(rebuilt: Rebuilt) -> Made:
 
     recipe = rebuilt.recorded.recipe
     settings = Adaptive(**recipe["settings"])
-    known_rows = None
-    if "n_known" in rebuilt.recorded.numbers:
-        known = _known_theta(rebuilt)
-
-        def known_rows(*_: object) -> FloatArray:
-            return known
-
+    known = _known(rebuilt) if "n_known" in rebuilt.recorded.numbers else None
     numbers, arrays, _ = calibrate_adaptively(
         rebuilt.study,
         settings,
         restriction_of(recipe),
-        known_rows,
+        None if known is None else lambda *_: known,
         state_equations="state_equations" in rebuilt.recorded.numbers,
     )
     return numbers, arrays
@@ -197,7 +193,7 @@ def _uncertainty(rebuilt: Rebuilt) -> Made:
     recipe = rebuilt.recorded.recipe
     point, case = recipe["calibration"], rebuilt.study.case
     theta = np.array([point["theta"][name] for name in case.parameter_space.names])
-    known = _known_theta(rebuilt)
+    known = _known(rebuilt)
     numbers, made, _ = judge_calibration_point(
         rebuilt.study,
         point["name"],
@@ -209,12 +205,15 @@ def _uncertainty(rebuilt: Rebuilt) -> Made:
     return numbers, made
 
 
-def _known_theta(rebuilt: Rebuilt) -> FloatArray:
+def _known(rebuilt: Rebuilt) -> "Known":
     """Return the rows that were known when a result was begun."""
-    known = rebuilt.recorded.arrays.get("known_theta")
-    if known is None:
+    from studies.stages.known_rows import Known
+
+    arrays = rebuilt.recorded.arrays
+    theta = arrays.get("known_theta")
+    if theta is None:
         raise InputError(f"{rebuilt.recorded.name} does not tell which simulations were known when it began")
-    return known
+    return Known(theta, np.asarray(arrays.get("known_watched", np.zeros(len(theta))), dtype=np.bool_))
 
 
 def _sensitivity(rebuilt: Rebuilt) -> Made:

@@ -12,24 +12,31 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.partly_fixed import PartlyFixedModel
-from simulation.states import StateSignals, WatchedModel, watching_states
+from simulation.states import watching_states, why_unwatched
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.doubt import doubtful_mse
-from studies.calibration.known_rows import best_and_far, missing_of_design
+from studies.calibration.known_rows import best_and_far
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
-from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
-from studies.calibration.state_guide import StateGuide, enough_for_equations
+from studies.calibration.state_guide import enough_for_equations
 from studies.console import OnBar
-from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
+from studies.physical_model import (
+    failed_numbers,
+    open_physical_model,
+    open_watched_model,
+    say_reused,
+    simulations_in_use,
+)
 from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, mse_text, quantity, squared
+from studies.stages.adaptive_known import check_design, known_arrays, known_of, offer_stored
 from studies.stages.calibrate import write_arrays
+from studies.stages.guided import asked_twice, guide_of, guided_numbers
 from studies.stages.knowledge import prior_inputs, prior_numbers
-from studies.stages.known_rows import ChooseRows, KnownRows, fitting_theta
+from studies.stages.known_rows import ChooseRows, KnownRows
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.restriction import (
     Restriction,
@@ -123,8 +130,8 @@ def adaptive_command(study: Study, numbers: Mapping[str, Any]) -> str:
         words += f" --target {settings['target_mse']}"
     if "n_known" in numbers:
         words += " --from-stored"
-    if "state_equations" in numbers:
-        words += " --state-equations"
+    if "state_equations" not in numbers and not why_unwatched(study.case):
+        words += " --no-state-equations"
     return words + most_relevant(n_free_of(numbers))
 
 
@@ -174,6 +181,7 @@ def adaptive_stage(
         known_rows = KnownRows(files.rows, digest_of(question), best_and_far, anew=again and is_finished)
 
     @simulations_in_use(study)
+    @simulations_in_use(study, watching_states(case) if state_equations else None)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         restriction = None if n_free is None else find_restriction(study, n_free)
@@ -237,19 +245,20 @@ def calibrate_adaptively(
     """
     case, seed = study.case, study.profile.seed
     n_before = 0 if restriction is None else restriction.n_calls
-    asked = watching_states(case) if state_equations else case
-    with open_physical_model(study, case=asked) as physical, study.console.bars() as bars:
+    n_first = settings.n_parallel
+    opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
+    with opened as physical, study.console.bars() as bars:
         model = parts_of(physical, restriction)
-        watched = WatchedModel(model, StateSignals.of(case)) if state_equations else None
         prior = Prior.of(model.parameter_space, case.measurement)
         n_kept = n_before + calls_for_check(case, settings, restriction)
-        problem = CalibrationProblem(watched or model, case.measurement, prior)
-        guide = None if watched is None else StateGuide(watched, problem)
-        known = None if known_rows is None else _known(study, problem, physical, model, known_rows)
-        if known is None:
-            _offer_stored(study, physical, model)
+        problem = CalibrationProblem(model, case.measurement, prior)
+        guide = guide_of(physical, model, problem)
+        rows, known = None, None
+        if known_rows is None:
+            offer_stored(study, physical, model)
         else:
-            _check_design(settings, known, n_kept)
+            rows, known = known_of(study, problem, physical, model, known_rows)
+            check_design(settings, known, n_kept)
         n_read = physical.n_reused
         result = replace(settings, max_calls=settings.max_calls - n_kept).minimize(
             problem,
@@ -265,7 +274,7 @@ def calibrate_adaptively(
     n_left = settings.max_calls - n_before - result.n_calls
     told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
     validated, simulated = validate_calibration(study, {"calibrated": theta})
-    ledger = Ledger(n_adaptive=result.n_calls, n_relevance=n_before + n_checks)
+    ledger = Ledger(n_adaptive=result.n_calls + asked_twice(physical), n_relevance=n_before + n_checks)
     numbers = {
         "label": study.label,
         "note": case.note,
@@ -276,7 +285,7 @@ def calibrate_adaptively(
         "seed": seed,
         "settings": asdict(settings),
         **({} if known is None else {"n_known": known.n}),
-        **({} if guide is None else {"state_equations": _guided(guide)}),
+        **guided_numbers(guide, physical),
         "theta": dict(zip(case.parameter_space.names, theta.tolist(), strict=True)),
         "mse": result.mse,
         "outputs": _outputs(case, result.y),
@@ -290,69 +299,8 @@ def calibrate_adaptively(
         **prior_numbers(case, theta),
         **told,
     }
-    arrays = _arrays(case, result, theta, n_before) | ({} if known is None else {"known_theta": known.theta})
+    arrays = _arrays(case, result, theta, n_before) | known_arrays(rows)
     return numbers, arrays | simulated, physical.n_simulated
-
-
-def _known(
-    study: Study,
-    problem: CalibrationProblem,
-    physical: StoredModel,
-    model: PartlyFixedModel,
-    known_rows: ChooseRows,
-) -> Evaluation:
-    """Return what is known beforehand, and say how much that is."""
-    theta = known_rows(physical.store, model, problem, lambda found: -found.objective)
-    if not len(theta):
-        fixed = (
-            " with the fixed parameters at these values"
-            if model.parameter_space.n_parameters < physical.parameter_space.n_parameters
-            else ""
-        )
-        study.console.say(
-            f"no good simulation of this model within the bounds{fixed} is stored: it begins with none"
-        )
-    else:
-        study.console.say(f"begins with {count(len(theta), 'stored simulation')} of this model")
-    return problem.judge(problem.space.to_unit(theta), problem.model.simulate(theta))
-
-
-def _guided(guide: StateGuide) -> dict[str, Any]:
-    """Return what became of state equations."""
-    return {
-        "n_states": guide.n_states,
-        "n_calls": guide.n_asked,
-        "misfit": guide.misfit if np.isfinite(guide.misfit) else None,
-        "are_believed": guide.is_believed,
-        "why_not": None if guide.is_learnt else guide.why_not,
-    }
-
-
-def _check_design(settings: Adaptive, known: Evaluation, n_kept: int) -> None:
-    """Refuse a budget that does not hold what known rows leave open of a first design.
-
-    Args:
-        settings: how to search.
-        known: what is known.
-        n_kept: calls of the budget that are for something else.
-    """
-    n_start = settings.design_size(known.u.shape[1])
-    n_missing = missing_of_design(known, n_start)
-    if settings.max_calls < n_kept + n_missing:
-        design = f"{n_missing} of {count(n_start, 'simulation')} of a first design"
-        raise InputError(
-            f"--max-calls {settings.max_calls} does not hold the {design} that are not stored; give "
-            f"{n_kept + n_start + n_missing} or more"
-        )
-
-
-def _offer_stored(study: Study, physical: StoredModel, model: PartlyFixedModel) -> None:
-    """Say what is stored to somebody who does not begin with it."""
-    theta = model.complete(fitting_theta(physical.store, model))
-    n_good = int((~physical.store.find_failed(theta)).sum()) if len(theta) else 0
-    if n_good:
-        stored = count(n_good, "stored simulation")
-        study.console.say(f"{stored} of this model: read where asked for; --from-stored begins with the best")
 
 
 def _arrays(case: Case, result: AdaptiveResult, theta: FloatArray, n_calls_before: int) -> dict[str, Any]:

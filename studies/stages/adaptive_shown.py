@@ -1,8 +1,5 @@
 """What the terminal says of an adaptive calibration."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from simulation.time_unit import told_period
 from studies.calibration.doubt import DOUBT
 from studies.calibration.recorder import History
@@ -11,6 +8,7 @@ from studies.physical_model import warn_failed
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 from studies.stages.adaptive import adaptive_command
 from studies.stages.calibrated_values import show_parameters
+from studies.stages.guided import equations_in_words
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import is_of_this_density, show_prior
 from studies.stages.pipeline import Outcome, Study, Summary, read_json
@@ -44,7 +42,7 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     )
     warn_failed(study, found)
     if "state_equations" in found:
-        console.result(_equations(found["state_equations"]))
+        console.result(equations_in_words(found["state_equations"]))
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:
@@ -65,18 +63,6 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(f"How sure it is: studies uncertainty {study.command}{most_relevant(n_free)}")
     if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
         console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
-
-
-def _equations(found: Mapping[str, Any]) -> str:
-    """Say what became of state equations."""
-    states, calls = count(found["n_states"], "state"), count(found["n_calls"], "call")
-    if found["are_believed"]:
-        end = f"learnt, and {calls} went where they expect the lowest error"
-    elif found["why_not"] is None:
-        end = f"learnt, but their last predictions were wrong, after {calls}; the search went on without"
-    else:
-        end = f"not learnt, for {found['why_not']}; the search did without"
-    return f"State equations of {states}: {end}"
 
 
 def _doubt(found: Summary) -> str:

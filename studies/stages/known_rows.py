@@ -3,13 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.partly_fixed import PartlyFixedModel
-from simulation.states import WatchedModel
 from simulation.store.store import SimulationStore
+from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.stages.calibrate import write_arrays
 from studies.stages.results import read_arrays
@@ -18,8 +19,21 @@ from studies.uncertainty.rows import telling_rows
 Worth = Callable[[Evaluation], FloatArray]
 """How much rows are worth, the best the most. Shape (n,)."""
 
-ChooseRows = Callable[[SimulationStore, PartlyFixedModel, CalibrationProblem, Worth], FloatArray]
-"""Which sets of the free parameters a stage knows beforehand. Shape (n, k). [per parameter]"""
+
+class Known(NamedTuple):
+    """Rows that a stage knows beforehand.
+
+    Attributes:
+        theta: Sets of the free parameters. Shape (n, k). [per parameter]
+        watched: Which of them are stored with what the model's states did. Shape (n,).
+    """
+
+    theta: FloatArray
+    watched: BoolArray
+
+
+ChooseRows = Callable[[StoredModel, PartlyFixedModel, CalibrationProblem, Worth], Known]
+"""Which rows a stage knows beforehand, of all that a model has stored."""
 
 
 @dataclass(frozen=True)
@@ -39,37 +53,46 @@ class KnownRows:
     anew: bool = False
 
     def __call__(
-        self, store: SimulationStore, model: PartlyFixedModel, problem: CalibrationProblem, worth: Worth
-    ) -> FloatArray:
-        """Return the rows that were noted, else choose and note them.
+        self, physical: StoredModel, model: PartlyFixedModel, problem: CalibrationProblem, worth: Worth
+    ) -> Known:
+        """Read the rows that were noted, else choose and note them.
 
         They are chosen of those alone that lie in the box and have the fixed parameters at their values.
 
         Args:
-            store: All simulations.
+            physical: The model with all its simulations.
             model: What the problem is posed to: it knows what is fixed.
             problem: The problem of the free parameters.
             worth: How much rows are worth.
-
-        Returns:
-            Shape (n, k). [per parameter]
         """
-        if self.file.is_file() and not self.anew:
-            kept = read_arrays(self.file)
-            if str(kept["digest"]) == self.digest and store.find(model.complete(kept["theta"])).all():
-                return np.asarray(kept["theta"], dtype=np.float64)
-        theta = fitting_theta(store, model)
+        noted = self._noted(physical, model)
+        if noted is not None:
+            return noted
+        theta = fitting_theta(physical.store, model)
         values = np.empty(0)
-        for block in store.stream(model.complete(theta)):
+        for block in physical.store.stream(model.complete(theta)):
             u = problem.space.to_unit(model.reduced(block.theta))
-            answer = problem.model.reported(block) if isinstance(problem.model, WatchedModel) else block
-            values = np.append(values, worth(problem.judge(u, answer)))
+            values = np.append(values, worth(problem.judge(u, block)))
         # Rows of one worth are told apart by their parameters, not by where they happen to lie in the store.
         order = np.lexsort((*theta.T[::-1], -values))
         theta = theta[order]
         theta = theta[self.choose(problem.space.to_unit(theta), values[order])]
-        write_arrays(self.file, {"digest": self.digest, "theta": theta})
-        return np.asarray(theta, dtype=np.float64)
+        known = Known(np.asarray(theta, dtype=np.float64), physical.watched(model.complete(theta)))
+        write_arrays(self.file, {"digest": self.digest, **known._asdict()})
+        return known
+
+    def _noted(self, physical: StoredModel, model: PartlyFixedModel) -> Known | None:
+        """Return the rows that were noted, None where there are none, or some are lost."""
+        if self.anew or not self.file.is_file():
+            return None
+        kept = read_arrays(self.file)
+        theta = np.asarray(kept["theta"], dtype=np.float64)
+        watched = np.asarray(kept.get("watched", np.zeros(len(theta))), dtype=np.bool_)
+        if str(kept["digest"]) != self.digest:
+            return None
+        full = model.complete(theta)
+        is_whole = physical.store.find(full).all() and physical.watched(full[watched]).all()
+        return Known(theta, watched) if is_whole else None
 
 
 def fitting_theta(store: SimulationStore, model: PartlyFixedModel) -> FloatArray:

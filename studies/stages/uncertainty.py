@@ -178,8 +178,8 @@ def judge_calibration_point(
         noise = noise_of(settings.noise, case.measurement, y, n_parameters)
         posterior = Posterior(noise, prior)
         known_theta = known_rows(
-            physical.store, model, problem, lambda found: posterior.at(found.u, found.mse)
-        )
+            physical, model, problem, lambda found: posterior.at(found.u, found.mse)
+        ).theta
         known = problem.judge(problem.space.to_unit(known_theta), model.simulate(known_theta))
         if known.n and known.mse.min() < FITS_BETTER * float(case.measurement.mse(y[None])[0]):
             # What a calibration that ended early has left over is not noise.

@@ -66,7 +66,8 @@ def adaptive_as_shipped(problem: CalibrationProblem, seed: int, max_calls: int) 
 def adaptive_with_equations(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
     """The adaptive method that learns state equations; it goes on until the benchmark ends it."""
     chosen = Adaptive(ftol=0.0, doubtful_mse=0.0, max_calls=max_calls)
-    guide = StateGuide(problem.model.watched, problem)  # type: ignore[attr-defined]
+    watched = problem.model.watched  # type: ignore[attr-defined]
+    guide = StateGuide(watched.signals, watched.seen, problem)
     chosen.minimize(problem, seed=seed, guide=guide)
 
 

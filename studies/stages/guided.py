@@ -1,0 +1,81 @@
+"""A calibration's guide by state equations: what opens it, and what became of it in numbers and words."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from simulation.case import Case
+from simulation.partly_fixed import PartlyFixedModel
+from simulation.states import StateSignals, why_unwatched
+from simulation.store.stored_model import StoredModel
+from simulation.store.watched_model import StoredWatchedModel
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.state_guide import StateGuide
+from studies.report.wording import count
+
+
+def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
+    """Return whether a calibration learns state equations.
+
+    Args:
+        case: the case.
+        wish: what the user said, None for nothing: then it does where it can.
+
+    Raises:
+        InputError: the user wants it, and the FMU does not show its states.
+    """
+    if wish is None:
+        return not why_unwatched(case)
+    if wish:
+        StateSignals.of(case)
+    return wish
+
+
+def guide_of(
+    physical: StoredModel, model: PartlyFixedModel, problem: CalibrationProblem
+) -> StateGuide | None:
+    """Return a guide for a problem, None where nobody watches the states.
+
+    Args:
+        physical: the model.
+        model: the same, asked the free parameters alone.
+        problem: the problem of these.
+    """
+    if not isinstance(physical, StoredWatchedModel):
+        return None
+    return StateGuide(physical.signals, lambda theta: physical.seen(model.complete(theta)), problem)
+
+
+def asked_twice(physical: StoredModel) -> int:
+    """Return how many rows were asked a second time, because their states could not be read."""
+    return physical.n_asked_twice if isinstance(physical, StoredWatchedModel) else 0
+
+
+def guided_numbers(guide: StateGuide | None, physical: StoredModel) -> dict[str, Any]:
+    """Return what became of state equations; empty where nobody watched the states."""
+    if guide is None:
+        return {}
+    unread = physical.why_unread if isinstance(physical, StoredWatchedModel) else ""
+    why_not = f"the FMU fails where states are read ({unread})" if unread else guide.why_not
+    return {
+        "state_equations": {
+            "n_states": guide.n_states,
+            "n_calls": guide.n_asked,
+            "misfit": guide.misfit if np.isfinite(guide.misfit) else None,
+            "are_believed": guide.is_believed,
+            "why_not": None if guide.is_learnt else why_not,
+        }
+    }
+
+
+def equations_in_words(found: Mapping[str, Any]) -> str:
+    """Say what became of state equations."""
+    states, calls = count(found["n_states"], "state"), count(found["n_calls"], "call")
+    if found["are_believed"]:
+        end = f"learnt, and {calls} went where they expect the lowest error"
+    elif found["why_not"] is None:
+        end = f"learnt, but their last predictions were wrong, after {calls}; the search went on without"
+    else:
+        end = f"not learnt, for {found['why_not']}; the search did without"
+    return f"State equations of {states}: {end}"
