@@ -2,8 +2,9 @@
 
 Run `python tests/benchmarks/known_rows_saving.py [--problems NAME ...] [--seeds 5] [--sizes 64 256]
 [--change 0.1]`. The earlier calibration was made to other data: the same measurement and a slow wave of
-`--change` times its standard deviation, whose period and phase are drawn. Every calibration ends by itself,
-or after 200 calls. Errors are compared with the best that `data/benchmarks/fewest_calls.json` knows. Prints a
+`--change` times its standard deviation, whose period and phase are drawn. Every calibration is that of
+`studies calibrate`, with state equations where it can learn them (an earlier calibration's rows are stored
+with their states, a training set's are not), and ends by itself, or after 200 calls. Errors are compared with the best that `data/benchmarks/fewest_calls.json` knows. Prints a
 table of medians (and the worst) and gates nothing.
 """
 
@@ -24,10 +25,12 @@ from fewest_calls.problems import posed, problems  # noqa: E402
 from interval_coverage import Diary  # noqa: E402
 
 from simulation.arrays import FloatArray  # noqa: E402
-from studies.calibration.adaptive import Adaptive  # noqa: E402
+from simulation.states import StateRows, WatchedModel  # noqa: E402
+from studies.calibration.adaptive import Adaptive, AdaptiveResult  # noqa: E402
 from studies.calibration.doubt import doubtful_mse  # noqa: E402
 from studies.calibration.known_rows import best_and_far  # noqa: E402
-from studies.calibration.problem import CalibrationProblem  # noqa: E402
+from studies.calibration.problem import CalibrationProblem, Evaluation  # noqa: E402
+from studies.calibration.state_guide import StateGuide  # noqa: E402
 
 PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
 NEVER = float("inf")
@@ -55,6 +58,33 @@ def settings_for(problem: CalibrationProblem) -> Adaptive:
     return Adaptive(max_calls=200, doubtful_mse=doubtful_mse(float(problem.measurement.uncertainty[0])))
 
 
+def calibrated(
+    problem: CalibrationProblem,
+    seed: int,
+    watched: WatchedModel,
+    known: Evaluation | None = None,
+    *,
+    are_seen: bool = True,
+) -> AdaptiveResult:
+    """Calibrate as `studies calibrate` does.
+
+    Args:
+        problem: The problem, posed to the watched model or one around it.
+        seed: Of the calibration.
+        watched: Tells what states did in the last rows it was asked.
+        known: Rows that are known beforehand, asked of it last.
+        are_seen: Whether what their states did is known, too.
+    """
+
+    def seen(theta: FloatArray) -> StateRows:
+        rows = watched.seen(theta)
+        is_hidden = not are_seen and known is not None and theta is known.theta
+        return StateRows(*(np.full_like(part, np.nan) for part in rows)) if is_hidden else rows
+
+    guide = StateGuide(watched.signals, seen, problem)
+    return settings_for(problem).minimize(problem, seed=seed, known=known, guide=guide)
+
+
 def nothing(problem: CalibrationProblem, seed: int) -> FloatArray:
     """Know no rows."""
     return np.empty((0, problem.space.n_parameters))
@@ -66,7 +96,8 @@ def earlier(change: float) -> Callable[[CalibrationProblem, int], FloatArray]:
     def rows(problem: CalibrationProblem, seed: int) -> FloatArray:
         other = with_wave(problem, change, seed)
         diary = Diary(problem.model)
-        settings_for(other).minimize(other.on(diary), seed=seed + 1000)
+        assert isinstance(problem.model, WatchedModel)
+        calibrated(other.on(diary), seed + 1000, problem.model)
         return problem.space.to_unit(np.concatenate([answer.theta for answer in diary.answers]))
 
     return rows
@@ -115,7 +146,10 @@ def main() -> None:
                 for seed in range(options.seeds):
                     known = problem.evaluate(rows_of(problem, seed))
                     known = problem.evaluate(known.u[best_and_far(known.u, -known.objective)])
-                    results.append(settings_for(problem).minimize(problem, seed=seed, known=known))
+                    assert isinstance(problem.model, WatchedModel)
+                    are_seen = "training" not in name
+                    found = calibrated(problem, seed, problem.model, known, are_seen=are_seen)
+                    results.append(found)
                 reached = [
                     [
                         NEVER if (n := found.history.calls_to(factor * best)) is None else n
