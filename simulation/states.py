@@ -186,8 +186,17 @@ class WatchedModel(WrappedModel):
         Returns:
             The outputs.
         """
+        self.forget()
+        return self.simulate_more(theta)
+
+    def forget(self) -> None:
+        """Forget what the states did."""
+        self._last = {}
+
+    def simulate_more(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row, and remember the rows before, too; see simulate."""
         answer = self._model.simulate(theta)
-        self._last = {row.tobytes(): y for row, y in zip(answer.theta, answer.y, strict=True)}
+        self._last |= {row.tobytes(): y for row, y in zip(answer.theta, answer.y, strict=True)}
         return self.reported(answer)
 
     def reported(self, watched: Trajectories) -> Trajectories:

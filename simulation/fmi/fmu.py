@@ -231,7 +231,8 @@ class FmuModel:
                 simulated = np.multiply(simulated, settings.output_factors, out=y)
             np.add(simulated, settings.output_offsets, out=y)
             n = len(self.output_names) - settings.n_watched
-            reason = wrong_output(self.output_names[:n], self.time, y[:, :n], accepted=settings.accepted)
+            accepted = settings.accepted if settings.accepted is None else settings.accepted[:n]
+            reason = wrong_output(self.output_names[:n], self.time, y[:, :n], accepted=accepted)
         if reason:
             y[:] = np.nan
         return reason

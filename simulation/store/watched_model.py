@@ -76,6 +76,7 @@ class StoredWatchedModel(StoredModel):
         Returns:
             The same as the model answers, bit for bit.
         """
+        self._watched.forget()
         if watched.any():
             self._with_states(theta[watched])
             self._are_read = True
@@ -92,6 +93,7 @@ class StoredWatchedModel(StoredModel):
         """
         theta = np.array(theta, dtype=np.float64)
         parts, n_done = [], 0
+        self._watched.forget()
         while n_done < len(theta) and not (self._are_read or self.why_unread):
             parts.append(self._tried(theta[n_done : n_done + self._n_first]))
             n_done += parts[-1].n
@@ -117,7 +119,7 @@ class StoredWatchedModel(StoredModel):
     def _with_states(self, theta: FloatArray) -> Trajectories:
         rows = self._rows
         n_simulated, n_reused = rows.n_simulated, rows.n_reused
-        answer = self._watched.simulate(theta)
+        answer = self._watched.simulate_more(theta)
         self.n_simulated += rows.n_simulated - n_simulated
         self.n_reused += rows.n_reused - n_reused
         self.failures += filter(None, answer.failures)

@@ -4,8 +4,9 @@ Run `python tests/benchmarks/known_rows_saving.py [--problems NAME ...] [--seeds
 [--change 0.1]`. The earlier calibration was made to other data: the same measurement and a slow wave of
 `--change` times its standard deviation, whose period and phase are drawn. Every calibration is that of
 `studies calibrate`, with state equations where it can learn them (an earlier calibration's rows are stored
-with their states, a training set's are not), and ends by itself, or after 200 calls. Errors are compared with the best that `data/benchmarks/fewest_calls.json` knows. Prints a
-table of medians (and the worst) and gates nothing.
+with their states, a training set's are not), and ends by itself, or after 200 calls.
+Errors are compared with the best that `data/benchmarks/fewest_calls.json` knows. Prints a table of medians
+(and the worst) and gates nothing.
 """
 
 import argparse

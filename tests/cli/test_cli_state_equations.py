@@ -1,16 +1,17 @@
-"""`studies calibrate --state-equations`: what the states did says where to simulate next."""
+"""`studies calibrate` of an FMU that shows its states: what they did says where to simulate next."""
 
 import json
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from project_for_tests import REPOSITORY, Run, make_project
+from project_for_tests import REPOSITORY, Run, copy_of, make_project
 
 from studies.cli import main
 
-WALL = ("calibrate", "wall", "--state-equations", "--jobs", "1")
+WALL = ("calibrate", "wall", "--jobs", "1")
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_it_goes_on_from_what_is_stored_and_says_what_the_equations_did(project:
     assert told["misfit"] < 1e-12
     assert f"learnt, and {told['n_calls']} calls went where they expect the lowest error" in answer.out
     assert "it ended because the state equations expect a gain of less than 0.001" in answer.out
-    assert found["recipe"]["command"].endswith("--state-equations")
+    assert found["recipe"]["command"] == "studies calibrate wall --max-calls 100"
     page = studies("report", "wall", "--json")
     assert page.code == 0, page.err
     shown = (project / "mlruns" / "reports" / "wall-quick" / "index.html").read_text(encoding="utf-8")
@@ -68,16 +69,51 @@ def test_it_is_made_again_to_the_last_digit(project: Path, studies: Run) -> None
 
 
 def test_where_nothing_can_be_learnt_it_says_so(project: Path, studies: Run) -> None:
-    answer = studies("calibrate", "vanderpol", "--state-equations", "--max-calls", "6", "--jobs", "1")
+    answer = studies("calibrate", "vanderpol", "--max-calls", "6", "--jobs", "1")
     assert answer.code == 0, answer.err
     assert "State equations of 2 states: not learnt" in answer.out
     assert not numbers_of(project, "vanderpol")["state_equations"]["are_believed"]
 
 
-def test_the_papers_method_knows_no_state_equations(project: Path, studies: Run) -> None:
-    answer = studies("calibrate", "wall", "--method", "paper", "--state-equations")
+@pytest.mark.parametrize("option", ["--state-equations", "--no-state-equations"])
+def test_the_papers_method_knows_no_state_equations(project: Path, studies: Run, option: str) -> None:
+    answer = studies("calibrate", "wall", "--method", "paper", option)
     assert answer.code == 2
-    assert "--state-equations belongs to --method adaptive" in answer.err
+    assert f"{option} belongs to --method adaptive" in answer.err
+
+
+def test_who_wants_them_is_told_why_there_are_none(
+    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(made, tmp_path / "project", monkeypatch)
+    monkeypatch.setattr("simulation.states.MOST_STATES", 2)
+    answer = studies(*WALL, "--state-equations")
+    assert answer.code == 2
+    (line,) = answer.err.splitlines()
+    assert line.endswith("Wall.fmu: has 3 states, and at most 2 are watched; leave --state-equations away")
+    assert studies(*WALL, "--max-calls", "8").code == 0
+    assert "state_equations" not in numbers_of(project, "wall")
+
+
+def test_its_simulations_are_everybodys(
+    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(made, tmp_path / "project", monkeypatch)
+    without = (*WALL, "--no-state-equations", "--max-calls", "10")
+    # Six of the seven rows of its first design are among the eight that were asked with their states.
+    assert studies(*without, "--json").stage["n_simulated"] == 10 - 6
+    found = numbers_of(project, "wall")
+    assert "state_equations" not in found
+    assert found["recipe"]["command"].endswith("--max-calls 10 --no-state-equations")
+    # Four have no states, and teach the equations nothing.
+    answer = studies(*WALL, "--from-stored", "--max-calls", "6")
+    assert answer.code == 0, answer.err
+    known = np.load(project / "mlruns" / "results" / "wall-quick" / "calibration-adaptive.npz")
+    assert f"begins with {len(known['known_theta'])} stored simulations of this model" in answer.err
+    assert (~known["known_watched"]).sum() == 4
+    assert known["known_watched"].sum() >= 8
+    assert numbers_of(project, "wall")["state_equations"]["are_believed"]
+    assert studies("reproduce", "wall-quick/adaptive").code == 0
 
 
 def test_it_may_begin_with_what_is_stored_of_the_states(project: Path, studies: Run) -> None:
