@@ -9,8 +9,9 @@ from studies.console import Console
 
 HELP = "find the parameters that fit best"
 MORE = """\
-what happens: a small design fills the box; then every simulation goes where a Gaussian process of all
-residuals so far expects the lowest error (--method adaptive). It needs the case alone: no training set, no
+what happens: a small design fills the box; then every simulation goes where the lowest error is expected
+(--method adaptive), by the model's state equations or by a Gaussian process of all residuals so far. It
+needs the case alone: no training set, no
 initial guess. It stops when little gain is expected, at the latest after --max-calls; with --target only at
 that error or then. Every simulation is stored at once: interrupted, even killed, the same command reads them
 and goes on. --parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
@@ -21,10 +22,11 @@ training sets, an earlier calibration, other data, weights, priors or bounds. Th
 such a change the optimum is often found in one to three calls. The result says how many they were. With
 --again it begins with what has been stored since.
 
---state-equations learns how the FMU's states move, and not only what its sensors would show: from the states
-and derivatives that the FMU answers in every simulation. Where they follow sums of states and inputs, as in
-networks of resistances and capacities, a calibration takes little more than a simulation per parameter; where
-they do not, the search goes on without. Such simulations lie in a store of their own.
+State equations say how the FMU's states move, and not only what its sensors would show. They are learnt from
+the states and derivatives that an FMU answers in every simulation. Where these follow sums of states and
+inputs, as in networks of resistances and capacities, a calibration takes little more than a simulation per
+parameter; where they do not, the search goes on without, and says so. --no-state-equations does without in
+any case; --state-equations says why an FMU's states cannot be read.
 
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
 searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and
@@ -43,7 +45,6 @@ examples:
   studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
   studies calibrate my-case --target 0.0121 --json
   studies calibrate my-case --from-stored  after a change of data, weights, priors or bounds: a few calls
-  studies calibrate my-case --state-equations   some 16 calls for 14 parameters, where it can learn them
   studies calibrate my-case --most-relevant 6   of 14: 60 of the 100 calls say which six, 15 what that cost
   studies calibrate --n-train 64           from the surrogate that 64 simulations taught
   studies calibrate --n-train 64 --again   once more: the same numbers
