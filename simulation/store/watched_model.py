@@ -3,9 +3,12 @@
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from simulation.forward_model import ForwardModel
+from simulation.parameters import ParameterSpace
 from simulation.states import StateRows, StateSignals, WatchedModel
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
+from simulation.workers.spooled_model import SpooledModel
 
 
 class StoredWatchedModel(StoredModel):
@@ -46,6 +49,22 @@ class StoredWatchedModel(StoredModel):
         self._watched = WatchedModel(watched, signals)
         self._n_first = n_first
         self._are_read = False
+
+    # Asked of the model that answers: the other one's processes, and licences, may never be needed.
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The model's parameters."""
+        return self._watched.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The outputs, without what is watched."""
+        return self._watched.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the outputs. Shape (t,). [s]."""
+        return self._watched.time
 
     def watched(self, theta: FloatArray) -> BoolArray:
         """Say which rows are stored with their states, failed ones left out.
@@ -110,9 +129,13 @@ class StoredWatchedModel(StoredModel):
             self._are_read = True
             return answer
         del self.failures[n_failures:]
+        # One after the other: there may be a licence for one of them.
+        _end_processes(self._rows.unstored)
         plain = super().simulate(theta)
         self.n_asked_twice += len(theta)
-        if not plain.failed.all():
+        if plain.failed.all():
+            _end_processes(self.unstored)
+        else:
             self.why_unread = answer.failures[int(np.argmin(plain.failed))]
         return plain
 
@@ -128,3 +151,9 @@ class StoredWatchedModel(StoredModel):
         is_good = self.store.find(theta) & ~self.store.find_failed(theta)
         self.store.append(answer.take(is_answer & ~is_good))
         return answer
+
+
+def _end_processes(model: ForwardModel) -> None:
+    """End what simulates for a model; work starts it again."""
+    if isinstance(model, SpooledModel):
+        model.close()

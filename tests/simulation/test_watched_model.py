@@ -13,6 +13,7 @@ from simulation.case import load_case
 from simulation.counting import CountingModel
 from simulation.design import uniform_design
 from simulation.forward_model import ForwardModel, WrappedModel
+from simulation.parameters import ParameterSpace
 from simulation.states import StateSignals
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
@@ -101,6 +102,16 @@ def opens(tmp_path: Path) -> Iterator[Opens]:
         yield opens
 
 
+class NeverOpened(WrappedModel):
+    """A model that may not even be asked what it looks like: its only licence is taken."""
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        raise AssertionError("it was opened")
+
+    output_names = time = parameter_space  # type: ignore[assignment]
+
+
 def rows(n: int, *, fail: bool = False) -> FloatArray:
     theta = uniform_design(TOY.parameter_space, 200, 0)
     return theta[TOY.simulate(theta).failed == fail][:n]
@@ -120,6 +131,15 @@ def test_what_it_answers_is_everybodys_and_asked_once(opens: Opens) -> None:
     plain = opens.stored(TOY, "plain")
     assert plain.simulate(theta[:5]).digest == TOY.simulate(theta[:5]).digest
     assert plain.n_simulated == 0
+
+
+def test_only_the_model_that_answers_is_opened(opens: Opens) -> None:
+    plain = StoredModel(NeverOpened(TOY), opens.stored(TOY, "plain").store)
+    model = StoredWatchedModel(plain, opens.stored(ShowsStates(can_be_read=True), "watched"), SIGNALS)
+    assert model.parameter_space == TOY.parameter_space
+    assert model.output_names == TOY.output_names
+    assert model.simulate(rows(3)).digest == TOY.simulate(rows(3)).digest
+    assert model.known(rows(3), model.watched(rows(3))).n == 3
 
 
 def test_states_that_cannot_be_read_cost_one_row(opens: Opens) -> None:
