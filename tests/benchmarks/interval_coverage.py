@@ -3,7 +3,7 @@
 Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every
 truth is drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the
 sensor's uncertainty that follows itself with correlation rho from sample to sample, calibrated without an
-initial guess (adaptive), and judged by `assess`. Every run is kept in the JSON file as soon as it ends and
+initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. Every run is kept in the JSON file as soon as it ends and
 not repeated. Prints a table and gates nothing.
 """
 
@@ -22,9 +22,11 @@ from simulation.arrays import FloatArray  # noqa: E402
 from simulation.case import Case, load_case  # noqa: E402
 from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
 from simulation.measurement import Measurement  # noqa: E402
+from simulation.states import StateSignals, WatchedModel, watching_states  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
+from studies.calibration.state_guide import StateGuide  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402
@@ -53,7 +55,7 @@ def disturbed(case: Case, y: FloatArray, rho: float, scale: float, rng: np.rando
     return Measurement.on_grid(case.measurement.time, measured, case.measurement.output_names, uncertainty)
 
 
-def one(case: Case, model: ForwardModel, seed: int, options: argparse.Namespace) -> dict[str, Any]:
+def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace) -> dict[str, Any]:
     """Draw a truth, calibrate, and say which intervals hold it."""
     rng = np.random.default_rng(seed)
     space = case.parameter_space
@@ -61,8 +63,9 @@ def one(case: Case, model: ForwardModel, seed: int, options: argparse.Namespace)
     y = model.simulate(space.from_unit(truth[None])).y[0]
     measurement = disturbed(case, y, options.rho, options.scale, rng)
     diary = Diary(model)
+    asked = CalibrationProblem(diary, measurement)
     found = Adaptive(max_calls=options.calibration_calls, ftol=1e-4).minimize(
-        CalibrationProblem(diary, measurement), seed=seed
+        asked, seed=seed, guide=StateGuide(model.signals, model.seen, asked)
     )
     problem = CalibrationProblem(model, measurement)
     known = [problem.judge(space.to_unit(answer.theta), answer) for answer in diary.answers]
@@ -111,7 +114,8 @@ def main() -> None:
     said = f"rho {options.rho:g} | scale {options.scale:g} | {options.noise} | {options.max_calls}"
     name = f"{options.case} | {said}"
     seeds = range(options.first_seed, options.first_seed + options.truths)
-    with case.open_model() as model:
+    with watching_states(case).open_model() as opened:
+        model = WatchedModel(opened, StateSignals.of(case))
         for seed in seeds:
             key = f"{name} | {seed}"
             if key not in kept:
