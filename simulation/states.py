@@ -141,9 +141,9 @@ def watching_states(case: Case) -> Case:
         output_names=(*settings.output_names, *watched),
         output_offsets=np.concatenate([settings.output_offsets, np.zeros(n)]),
         output_factors=longer(settings.output_factors, 1.0),
-        # They hold for what is reported, not for a warm-up that is watched.
+        # It holds for what is reported, not for states nor for a warm-up that is watched.
         accepted=None,
-        n_watched=n,
+        is_watched=True,
     )
     return replace(case, settings=answering, scenario=scenario, watched=watched)
 

@@ -48,7 +48,7 @@ class FmuSettings:
         output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
         parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
-        n_watched: So many of the outputs, the last ones, may be no numbers without failing their row.
+        is_watched: Whether outputs may be no numbers without failing their row; who watches checks them.
     """
 
     path: Path
@@ -65,7 +65,7 @@ class FmuSettings:
     output_factors: FloatArray | None = None
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
-    n_watched: int = 0
+    is_watched: bool = False
 
     def __post_init__(self) -> None:
         both = [name for name in self.fixed if name in self.parameter_space.names]
@@ -230,9 +230,8 @@ class FmuModel:
             if settings.output_factors is not None:
                 simulated = np.multiply(simulated, settings.output_factors, out=y)
             np.add(simulated, settings.output_offsets, out=y)
-            n = len(self.output_names) - settings.n_watched
-            accepted = settings.accepted if settings.accepted is None else settings.accepted[:n]
-            reason = wrong_output(self.output_names[:n], self.time, y[:, :n], accepted=accepted)
+            if not settings.is_watched:
+                reason = wrong_output(self.output_names, self.time, y, accepted=settings.accepted)
         if reason:
             y[:] = np.nan
         return reason

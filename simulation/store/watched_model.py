@@ -10,6 +10,9 @@ from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
 from simulation.workers.spooled_model import SpooledModel
 
+N_UNREAD = 2
+"""Rows that fail with their states and not without before states are left alone: one may have bad luck."""
+
 
 class StoredWatchedModel(StoredModel):
     """A stored model whose new rows are asked of another one that watches the same model's states.
@@ -49,6 +52,7 @@ class StoredWatchedModel(StoredModel):
         self._watched = WatchedModel(watched, signals)
         self._n_first = n_first
         self._are_read = False
+        self._n_unread = 0
 
     # Asked of the model that answers: the other one's processes, and licences, may never be needed.
     @property
@@ -99,7 +103,13 @@ class StoredWatchedModel(StoredModel):
         if watched.any():
             self._with_states(theta[watched])
             self._are_read = True
-        return super().simulate(theta)
+        if not self.missing(theta).any():
+            return super().simulate(theta)
+        # One after the other: there may be a licence for one of them.
+        _end_processes(self._rows.unstored)
+        answer = super().simulate(theta)
+        _end_processes(self.unstored)
+        return answer
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Read the rows that are stored with their states and simulate the others.
@@ -133,10 +143,11 @@ class StoredWatchedModel(StoredModel):
         _end_processes(self._rows.unstored)
         plain = super().simulate(theta)
         self.n_asked_twice += len(theta)
-        if plain.failed.all():
-            _end_processes(self.unstored)
-        else:
+        self._n_unread += int((~plain.failed).sum())
+        if self._n_unread >= N_UNREAD:
             self.why_unread = answer.failures[int(np.argmin(plain.failed))]
+        else:
+            _end_processes(self.unstored)
         return plain
 
     def _with_states(self, theta: FloatArray) -> Trajectories:
@@ -148,8 +159,8 @@ class StoredWatchedModel(StoredModel):
         self.failures += filter(None, answer.failures)
         # What fails where states are read need not fail without.
         is_answer = ~rows.store.find_failed(theta)
-        is_good = self.store.find(theta) & ~self.store.find_failed(theta)
-        self.store.append(answer.take(is_answer & ~is_good))
+        is_better = ~self.store.find(theta) | (self.store.find_failed(theta) & ~answer.failed)
+        self.store.append(answer.take(is_answer & is_better))
         return answer
 
 

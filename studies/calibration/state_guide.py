@@ -72,7 +72,7 @@ class StateGuide:
         self._n_missed = self._n_failed = 0
         self.misfit = np.inf
         self.n_asked = 0
-        self.why_not = f"fewer than {LEAST_TO_LEARN} simulations succeeded"
+        self.why_not = f"fewer than {LEAST_TO_LEARN} simulations tell what they did"
 
     @property
     def is_believed(self) -> bool:
@@ -106,7 +106,7 @@ class StateGuide:
             is_told = bool(good[0]) and error <= MISSED * answer.mse[0]
             self._n_missed = 0 if is_told else self._n_missed + 1
         rows = self._seen(answer.theta)
-        told = good & np.isfinite(rows.x).all(axis=(1, 2)) & np.isfinite(rows.slope).all(axis=(1, 2))
+        told = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows], axis=0)
         if not told.any():
             return
         self._u = np.concatenate([self._u, answer.u[told]])

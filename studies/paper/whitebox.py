@@ -13,6 +13,7 @@ from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, listed, quantity, squared
 from studies.stages.adaptive import adaptive_settings, adaptive_stage
 from studies.stages.calibrate import calibrate_stage
+from studies.stages.guided import are_state_equations_learnt
 from studies.stages.pipeline import Study
 from studies.stages.results import calibration_record, stored_calibrations
 from studies.stages.simulate import train_seed
@@ -60,8 +61,11 @@ def run(plan: Plan) -> ItemResult:
     study, trials = _study(plan), {max(plan.budget.seed_sizes): plan.budget.seed_trials}
     tuned = tune_sizes(study, trials)
     outcomes = {n: calibrate_stage(study, n) for n in plan.budget.seed_sizes}
-    settings = adaptive_settings(study.case, max_calls=None, n_parallel=None, target_mse=None)
-    adaptive = adaptive_stage(study, settings)
+    learns = are_state_equations_learnt(study.case, None)
+    settings = adaptive_settings(
+        study.case, max_calls=None, n_parallel=None, target_mse=None, state_equations=learns
+    )
+    adaptive = adaptive_stage(study, settings, state_equations=learns)
     unit = squared(difference_unit(study.case.outputs[0].unit))
     records = tuple(calibration_record(stored) for stored in stored_calibrations(study))
     rows = {str(n): _row(outcome.summary) for n, outcome in outcomes.items()}

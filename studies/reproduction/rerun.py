@@ -213,7 +213,9 @@ def _known(rebuilt: Rebuilt) -> "Known":
     theta = arrays.get("known_theta")
     if theta is None:
         raise InputError(f"{rebuilt.recorded.name} does not tell which simulations were known when it began")
-    return Known(theta, np.asarray(arrays.get("known_watched", np.zeros(len(theta))), dtype=np.bool_))
+    # Who learnt state equations before this was noted knew rows with states alone.
+    usual = np.full(len(theta), "state_equations" in rebuilt.recorded.numbers)
+    return Known(theta, np.asarray(arrays.get("known_watched", usual), dtype=np.bool_))
 
 
 def _sensitivity(rebuilt: Rebuilt) -> Made:

@@ -64,6 +64,8 @@ MAX_CALLS = 100
 STAGE = f"calibrate-{ADAPTIVE}"
 # Where none of the first rows can be simulated, more of them are a waste.
 N_HOPELESS = 20
+# Rows whose states are tried at once before any was read: more failures than these end a campaign.
+MOST_AT_FIRST = 8
 # A line for those who read a log instead of watching a bar. [s]
 NEWS_EVERY_S = 30.0
 
@@ -245,7 +247,7 @@ def calibrate_adaptively(
     """
     case, seed = study.case, study.profile.seed
     n_before = 0 if restriction is None else restriction.n_calls
-    n_first = settings.n_parallel
+    n_first = min(settings.n_parallel, MOST_AT_FIRST)
     opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
         model = parts_of(physical, restriction)
@@ -258,7 +260,7 @@ def calibrate_adaptively(
             offer_stored(study, physical, model)
         else:
             rows, known = known_of(study, problem, physical, model, known_rows)
-            check_design(settings, known, n_kept)
+            check_design(settings, known, n_kept, state_equations=state_equations)
         n_read = physical.n_reused
         result = replace(settings, max_calls=settings.max_calls - n_kept).minimize(
             problem,
@@ -271,7 +273,7 @@ def calibrate_adaptively(
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)
     say_reused(study, STAGE, physical, n_repeated=n_read)
-    n_left = settings.max_calls - n_before - result.n_calls
+    n_left = settings.max_calls - n_before - result.n_calls - asked_twice(physical)
     told, n_checks = restriction_numbers(study, restriction, theta, n_calls_left=n_left)
     validated, simulated = validate_calibration(study, {"calibrated": theta})
     ledger = Ledger(n_adaptive=result.n_calls + asked_twice(physical), n_relevance=n_before + n_checks)
@@ -299,7 +301,7 @@ def calibrate_adaptively(
         **prior_numbers(case, theta),
         **told,
     }
-    arrays = _arrays(case, result, theta, n_before) | known_arrays(rows)
+    arrays = _arrays(case, result, theta, n_before) | known_arrays(rows, state_equations=state_equations)
     return numbers, arrays | simulated, physical.n_simulated
 
 

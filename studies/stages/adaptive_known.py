@@ -9,6 +9,7 @@ from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.known_rows import missing_of_design
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.state_guide import enough_for_equations
 from studies.report.wording import count
 from studies.stages.known_rows import ChooseRows, Known, fitting_theta
 from studies.stages.pipeline import Study
@@ -50,24 +51,27 @@ def known_of(
     return known, problem.judge(problem.space.to_unit(known.theta), model.of_free(answer))
 
 
-def known_arrays(known: Known | None) -> dict[str, Any]:
+def known_arrays(known: Known | None, *, state_equations: bool) -> dict[str, Any]:
     """Return what a result keeps of rows that were known beforehand; empty where none were asked for."""
     if known is None:
         return {}
-    watched = {"known_watched": known.watched} if known.watched.any() else {}
-    return {"known_theta": known.theta, **watched}
+    return {"known_theta": known.theta} | ({"known_watched": known.watched} if state_equations else {})
 
 
-def check_design(settings: Adaptive, known: Evaluation, n_kept: int) -> None:
+def check_design(settings: Adaptive, known: Evaluation, n_kept: int, *, state_equations: bool) -> None:
     """Refuse a budget that does not hold what known rows leave open of a first design.
 
     Args:
         settings: how to search.
         known: what is known.
         n_kept: calls of the budget that are for something else.
+        state_equations: whether they are learnt, from less than a first design.
     """
-    n_start = settings.design_size(known.u.shape[1])
+    n_parameters = known.u.shape[1]
+    n_start = settings.design_size(n_parameters)
     n_missing = missing_of_design(known, n_start)
+    if state_equations:
+        n_missing = min(n_missing, enough_for_equations(n_parameters))
     if settings.max_calls < n_kept + n_missing:
         design = f"{n_missing} of {count(n_start, 'simulation')} of a first design"
         raise InputError(
@@ -80,6 +84,10 @@ def offer_stored(study: Study, physical: StoredModel, model: PartlyFixedModel) -
     """Say what is stored to somebody who does not begin with it."""
     theta = model.complete(fitting_theta(physical.store, model))
     n_good = int((~physical.store.find_failed(theta)).sum()) if len(theta) else 0
-    if n_good:
-        stored = count(n_good, "stored simulation")
-        study.console.say(f"{stored} of this model: read where asked for; --from-stored begins with the best")
+    if not n_good:
+        return
+    stored, read = count(n_good, "stored simulation"), "read where asked for"
+    if isinstance(physical, StoredWatchedModel):
+        n_watched = int(physical.watched(theta).sum())
+        read = f"{n_watched} with their states, {read}" if n_watched < n_good else read
+    study.console.say(f"{stored} of this model: {read}; --from-stored begins with the best")

@@ -57,7 +57,8 @@ def guided_numbers(guide: StateGuide | None, physical: StoredModel) -> dict[str,
     if guide is None:
         return {}
     unread = physical.why_unread if isinstance(physical, StoredWatchedModel) else ""
-    why_not = f"the FMU fails where states are read ({unread})" if unread else guide.why_not
+    fails = f"the FMU fails where states are read ({unread}; --retry-failed asks again)"
+    why_not = fails if unread else guide.why_not
     return {
         "state_equations": {
             "n_states": guide.n_states,

@@ -3,8 +3,8 @@
 Run `python tests/benchmarks/interval_coverage.py wall --truths 20 [--rho 0.9] [--noise correlated]`. Every
 truth is drawn evenly from the box (in the case's own scales), simulated by the FMU, disturbed by noise of the
 sensor's uncertainty that follows itself with correlation rho from sample to sample, calibrated without an
-initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. Every run is kept in the JSON file as soon as it ends and
-not repeated. Prints a table and gates nothing.
+initial guess (adaptive, with state equations where they can be learnt), and judged by `assess`. Every run is
+kept in the JSON file as soon as it ends and not repeated. Prints a table and gates nothing.
 """
 
 import argparse

@@ -142,19 +142,19 @@ def test_only_the_model_that_answers_is_opened(opens: Opens) -> None:
     assert model.known(rows(3), model.watched(rows(3))).n == 3
 
 
-def test_states_that_cannot_be_read_cost_one_row(opens: Opens) -> None:
+def test_states_that_cannot_be_read_cost_two_rows(opens: Opens) -> None:
     theta = np.concatenate([rows(1, fail=True), rows(6)])
     opened = opens(can_be_read=False)
     assert opened.model.simulate(theta).digest == TOY.simulate(theta).digest
     # The first row fails in any case, so it does not tell whether states can be read.
-    assert (opened.watched.n_calls, opened.plain.n_calls) == (2, 7)
-    assert opened.model.n_asked_twice == 2
+    assert (opened.watched.n_calls, opened.plain.n_calls) == (3, 7)
+    assert opened.model.n_asked_twice == 3
     assert opened.model.why_unread == "no such variable"
     assert len(opened.model.failures) == 1
     assert np.isnan(opened.model.seen(theta).x).all()
     again = opens(can_be_read=False)
     assert again.model.simulate(theta).digest == TOY.simulate(theta).digest
-    assert (again.watched.n_calls, again.plain.n_calls, again.model.n_asked_twice) == (0, 0, 2)
+    assert (again.watched.n_calls, again.plain.n_calls, again.model.n_asked_twice) == (0, 0, 3)
 
 
 def test_known_rows_are_read_with_states_where_they_have_some(opens: Opens) -> None:
@@ -172,7 +172,7 @@ def test_known_rows_are_read_with_states_where_they_have_some(opens: Opens) -> N
 def test_what_is_watched_alone_fails_no_row() -> None:
     case = load_case(Path(__file__).parents[2] / "fmus" / "wall")
     anything = np.array([-np.inf, np.inf])
-    for n_watched, n_failed in ((1, 0), (0, 1)):
-        settings = replace(case.settings, accepted=np.array([anything, [0.0, 1.0]]), n_watched=n_watched)
+    for is_watched, n_failed in ((True, 0), (False, 1)):
+        settings = replace(case.settings, accepted=np.array([anything, [0.0, 1.0]]), is_watched=is_watched)
         with settings.open() as model:
             assert model.simulate(case.parameter_space.expected[None]).failed.sum() == n_failed
