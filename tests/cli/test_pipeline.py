@@ -71,9 +71,12 @@ def test_a_calibrations_own_record_says_what_makes_it_again(study: Study) -> Non
     # As studies run and studies report open the study.
     for opened in (replace(study, profile=changed, own_profile=study.profile), study):
         assert command_of(opened, paper) == "studies run office --trials 8 --max-calls 100"
-        assert command_of(opened, adaptive) == (
+        told = command_of(opened, adaptive | {"state_equations": {}})
+        assert told == (
             "studies calibrate office --max-calls 90 --parallel 2 --target 0.0123456789 --most-relevant 3"
         )
+        without = " --no-state-equations --most-relevant 3"
+        assert command_of(opened, adaptive) == told.replace(" --most-relevant 3", without)
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
