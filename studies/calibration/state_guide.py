@@ -124,7 +124,7 @@ class StateGuide:
             structure = Structure.of(signals, rows)
             self.misfit = structure.misfit
             if not structure.misfit <= LEARNT:
-                self.why_not = "they are no sums of states and inputs"
+                self.why_not = "they are no sums of states, inputs and products of these"
                 return None
             self._structure = structure
         found, self.misfit = self._structure.fitted(signals, rows)
@@ -135,7 +135,8 @@ class StateGuide:
         features = self._features.at(self._u)
         equations = StateEquations.learn(signals, self._structure, features, rows.x[:, 0], found)
         if equations is None:
-            self.why_not = "inputs switch them in too many ways"
+            self._structure = None
+            self.why_not = "they move too fast to be solved in time"
         return equations
 
     def propose(
@@ -158,8 +159,11 @@ class StateGuide:
         order = np.argsort(values, kind="stable")
         self._ends = ends[order[:N_ENDS]]
         u, value = ends[order[0]], float(values[order[0]])
-        if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
-            # It is known there; what is a little beside teaches more.
+        distance = np.abs(known - u).max(axis=1)
+        nearest = int(np.argmin(distance))
+        if float(distance[nearest]) < SAME_POINT:
+            # It is known there, and better than from equations; what is a little beside teaches more.
+            value = float(objective[nearest])
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
         self.predicted = float(_objectives(prior, u[None], self._residuals(u[None]))[0])
         self.n_asked += 1

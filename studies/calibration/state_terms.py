@@ -2,13 +2,16 @@
 
 A derivative is sought as a sum of few terms, each a state or an input, or the difference of one to the state
 itself where both have the same unit (heat flows between temperatures do), alone or times an input without
-unit (a switch). The derivatives that an FMU answers belong exactly to the states that it answers, so
+unit (a switch). Where these do not suffice, products of two or three and fourth powers of temperatures are
+looked at, too. The derivatives that an FMU answers belong exactly to the states that it answers, so
 terms are complete where next to nothing is left. The search is orthogonal least squares (Chen, Billings and
 Luo 1989, doi:10.1080/00207178908953472) over several simulations at once, as in the sparse identification of
 dynamics (Brunton, Proctor and Kutz 2016, doi:10.1073/pnas.1517384113).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +26,9 @@ NEEDLESS = 1e-10
 MOST_TERMS = 16
 # Terms are chosen by so many rows, at so many times.
 N_ROWS, N_TIMES = 8, 400
-DIMENSIONLESS = ("", "1")
+DIMENSIONLESS, TEMPERATURE = ("", "1"), "K"
+# Products beyond are not looked at.
+MOST_CANDIDATES = 800
 
 
 class Term(NamedTuple):
@@ -32,20 +37,19 @@ class Term(NamedTuple):
     Attributes:
         column: Position among the states and then the inputs; -1 for the constant.
         is_difference: Whether it is the difference to the state itself.
-        factor: Position of the input that it is multiplied with, None for none.
+        factors: Positions of what it is multiplied with.
     """
 
     column: int
     is_difference: bool = False
-    factor: int | None = None
+    factors: tuple[int, ...] = ()
 
-    def values(self, columns: FloatArray, own: FloatArray, inputs: FloatArray) -> FloatArray:
+    def values(self, columns: FloatArray, own: FloatArray) -> FloatArray:
         """Return the term over time.
 
         Args:
             columns: States and inputs. Shape (..., t, s + q).
             own: The state itself. Shape (..., t).
-            inputs: Shape (t, q).
 
         Returns:
             Shape (..., t).
@@ -53,30 +57,93 @@ class Term(NamedTuple):
         values = columns[..., self.column] if self.column >= 0 else np.ones(columns.shape[:-1])
         if self.is_difference:
             values = values - own
-        return values if self.factor is None else values * inputs[:, self.factor]
+        for factor in self.factors:
+            values = values * columns[..., factor]
+        return values
 
 
-def candidates(signals: StateSignals, state: int) -> list[Term]:
-    """Return the terms that a state's derivative may have."""
-    n_states, allowed = len(signals.states), signals.depends_on[state]
-    plain = []
-    for column, (name, unit) in enumerate(
-        zip((*signals.states, *signals.inputs), signals.units, strict=True)
-    ):
-        if column != state and (allowed is None or name in allowed):
-            plain.append(Term(column, unit == signals.units[state]))
-    switches = [
-        column
-        for column, name in enumerate(signals.inputs)
-        if signals.units[n_states + column] in DIMENSIONLESS and (allowed is None or name in allowed)
+@dataclass(frozen=True, eq=False)
+class Sum:
+    """A derivative or an output as a sum of terms.
+
+    Attributes:
+        own: Position of the state whose derivative it is, -1 for an output.
+        terms: Its terms.
+    """
+
+    own: int
+    terms: tuple[Term, ...]
+
+    def values(self, x: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return the terms over time: states (..., t, s), inputs (t, q). Shape (..., t, f)."""
+        columns = np.concatenate([x, np.broadcast_to(inputs, (*x.shape[:-1], inputs.shape[-1]))], axis=-1)
+        own = x[..., max(self.own, 0)]
+        return np.stack([term.values(columns, own) for term in self.terms], axis=-1)
+
+
+def candidates(signals: StateSignals, own: int) -> list[Term]:
+    """Return the terms that a sum may have, the constant last.
+
+    Args:
+        signals: What is known of the states.
+        own: Position of the state whose derivative the sum is, -1 for an output.
+    """
+    n_states, columns = len(signals.states), _allowed(signals, own)
+    if own < 0:
+        return [*(Term(column) for column in columns), Term(-1)]
+    plain = [Term(column, signals.units[column] == signals.units[own]) for column in columns if column != own]
+    switches = [column for column in columns if column >= n_states and signals.units[column] in DIMENSIONLESS]
+    switched = [
+        term._replace(factors=(switch,)) for switch in switches for term in plain if term.column != switch
     ]
-    products = [
-        term._replace(factor=switch)
-        for switch in switches
-        for term in plain
-        if term.column != n_states + switch
+    return [*plain, *switched, Term(own), Term(-1)]
+
+
+def candidates_with_products(signals: StateSignals, own: int) -> list[Term]:
+    """Return the same and products, as far as they are few.
+
+    A difference is multiplied with what has another unit, as temperatures are with a flow. What has no unit
+    is multiplied as it is. Of temperatures there are no products, but fourth powers (radiation).
+    """
+    units, n_states = signals.units, len(signals.states)
+    columns = sorted({*_allowed(signals, own), own} - {-1})
+    is_alike = [own >= 0 and unit == units[own] and unit not in DIMENSIONLESS for unit in units]
+    simple = [
+        term
+        for term in candidates(signals, own)
+        if not (term.is_difference and units[term.column] in DIMENSIONLESS)
     ]
-    return [*plain, *products, Term(state), Term(-1)]
+    found = [
+        *(Term(one) for one in columns if units[one] in DIMENSIONLESS and one != own and own >= 0),
+        *simple[:-1],
+        *(Term(one, factors=(one,) * 3) for one in columns if units[one] == TEMPERATURE),
+    ]
+    flows = [
+        Term(one, is_difference=True, factors=(other,))
+        for one in columns
+        for other in columns
+        if is_alike[one] and one != own and not is_alike[other]
+    ]
+    monomials = [
+        [
+            Term(chosen[0], factors=chosen[1:])
+            for chosen in combinations_with_replacement(columns, degree)
+            if sum(units[one] == TEMPERATURE for one in chosen) < 2
+            and (degree == 2 or all(one < n_states for one in chosen))
+        ]
+        for degree in (2, 3)
+    ]
+    for terms in (flows, *monomials):
+        if len(found) + len(terms) < MOST_CANDIDATES:
+            found += terms
+    return [*dict.fromkeys(found), Term(-1)]
+
+
+def _allowed(signals: StateSignals, own: int) -> list[int]:
+    """Return the positions of the states and inputs that a sum may depend on."""
+    allowed = signals.depends_on[own] if own >= 0 else None
+    names = enumerate((*signals.states, *signals.inputs))
+    return [column for column, name in names if allowed is None or name in allowed]
 
 
 def spread(n: int, most: int) -> IntArray:

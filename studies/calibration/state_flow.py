@@ -1,0 +1,205 @@
+"""State equations solved: exactly, step by step, where they are linear in the states, else by small steps.
+
+Inputs are constant over a communication step. Equations that are linear then move by matrix exponentials;
+others by the classical Runge-Kutta method of fourth order, all points at once, in so many parts of a step
+that halving them would not matter.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from typing import Self
+
+import numpy as np
+from scipy.linalg import expm
+
+from simulation.arrays import FloatArray, IntArray
+from simulation.states import StateSignals
+from studies.calibration.state_terms import Sum
+
+# Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
+MOST_MODES = 64
+# Parts of a communication step, and the change by halving them, relative to how a state moves, that is small.
+MOST_PARTS, SMALL_CHANGE = 64, 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFlow:
+    """Equations that are linear in the states, solved by matrix exponentials; make it with `of`.
+
+    Attributes:
+        signals: What is known of the states.
+        sums: The s derivatives.
+        switches: Products of inputs that terms are multiplied with, each by the inputs' positions.
+    """
+
+    signals: StateSignals
+    sums: tuple[Sum, ...]
+    switches: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, signals: StateSignals, sums: tuple[Sum, ...]) -> Self | None:
+        """Return the flow, None where it is not linear or changes too often."""
+        switches = sorted({term.factors for one in sums for term in one.terms if term.factors})
+        if any(factor < len(signals.states) for switch in switches for factor in switch):
+            return None
+        flow = cls(signals, sums, tuple(switches))
+        return flow if len(np.unique(flow._switched(), axis=0)) <= MOST_MODES else None
+
+    def _switched(self) -> FloatArray:
+        """Return what terms are multiplied with over the steps. Shape (m, w)."""
+        driven, n_states = self.signals.driven, len(self.signals.states)
+        products = [driven[:, np.array(switch) - n_states].prod(axis=1) for switch in self.switches]
+        return np.array(products).reshape(-1, len(driven)).T
+
+    def states(self, start: FloatArray, rates: Sequence[FloatArray]) -> FloatArray:
+        """Solve the equations.
+
+        Args:
+            start: First states. Shape (s, n).
+            rates: Coefficients of every derivative's terms. Shapes (n, terms).
+
+        Returns:
+            The states at the outputs. Shape (n, t, s).
+        """
+        signals, n_states = self.signals, len(self.signals.states)
+        matrices, n = self._matrices(rates), start.shape[1]
+        modes, mode_of = np.unique(self._switched(), axis=0, return_inverse=True)
+        mode_of = mode_of.reshape(-1)
+        # Over a step the inputs are constant: states and inputs together move by one matrix exponential.
+        whole = np.zeros((len(modes), n, matrices.shape[-1], matrices.shape[-1]))
+        for rank, mode in enumerate(modes):
+            whole[rank, :, :n_states] = matrices[:, 0] + np.tensordot(matrices[:, 1:], mode, axes=(1, 0))
+        is_wrong = ~np.isfinite(whole).all(axis=(0, 2, 3))
+        whole[:, is_wrong] = 0.0
+        steps = expm(whole * signals.step_s)[:, :, :n_states]
+        own, by_input = steps[..., :n_states], steps[..., n_states:]
+        driven = np.concatenate([signals.driven, np.ones((len(signals.driven), 1))], axis=1)
+        n_skipped = 1
+        if len(modes) == 1:
+            # From output to output at once: what is driven on the way moves on with the states.
+            n_skipped, moved = signals.every, [by_input]
+            for _ in range(n_skipped - 1):
+                moved.append(own @ moved[-1])
+            own, by_input = np.linalg.matrix_power(own, n_skipped), np.concatenate(moved[::-1], axis=-1)
+            driven, mode_of = driven.reshape(-1, n_skipped * driven.shape[1]), mode_of[::n_skipped]
+        # Points are the last axis: a step of all of them is a few operations on whole arrays.
+        own = np.ascontiguousarray(own.transpose(0, 3, 2, 1))
+        by_input = by_input.transpose(0, 3, 2, 1).reshape(len(modes), -1, n_states * n)
+        pushed = np.empty((len(driven), n_states, n))
+        for rank in range(len(modes)):
+            is_so = mode_of == rank
+            pushed[is_so] = (driven[is_so] @ by_input[rank]).reshape(-1, n_states, n)
+        now = start.copy()
+        now[:, is_wrong] = np.nan
+        states = np.empty((1 + len(driven), n_states, n))
+        states[0] = now
+        for step, push in enumerate(pushed):
+            now = np.add.reduce(own[mode_of[step]] * now[:, None], axis=0)
+            now += push
+            states[step + 1] = now
+        return states[:: signals.every // n_skipped].transpose(2, 0, 1)
+
+    def _matrices(self, rates: Sequence[FloatArray]) -> FloatArray:
+        """Return the equations, unswitched and for each switch: (n, 1 + w, s, s + q + 1)."""
+        n_states, n_inputs = len(self.signals.states), len(self.signals.inputs)
+        matrices = np.zeros((len(rates[0]), 1 + len(self.switches), n_states, n_states + n_inputs + 1))
+        for j, (one, coefficients) in enumerate(zip(self.sums, rates, strict=True)):
+            for term, values in zip(one.terms, coefficients.T, strict=True):
+                mode = 1 + self.switches.index(term.factors) if term.factors else 0
+                matrices[:, mode, j, term.column] += values
+                if term.is_difference:
+                    matrices[:, mode, j, j] -= values
+        return matrices
+
+
+@dataclass(frozen=True, eq=False)
+class SteppedFlow:
+    """Equations with products of states, solved by the classical Runge-Kutta method.
+
+    Attributes:
+        signals: What is known of the states.
+        sums: The s derivatives.
+        n_parts: Steps in a communication step.
+    """
+
+    signals: StateSignals
+    sums: tuple[Sum, ...]
+    n_parts: int = 1
+
+    def fine_enough(self, start: FloatArray, rates: Sequence[FloatArray]) -> Self | None:
+        """Return the flow with steps that tell some points' states well, None where that takes too many.
+
+        Args:
+            start: First states of the points. Shape (s, n).
+            rates: Coefficients of every derivative's terms. Shapes (n, terms).
+        """
+        flow, coarse = self, self.states(start, rates)
+        while flow.n_parts < MOST_PARTS:
+            flow = replace(flow, n_parts=2 * flow.n_parts)
+            states = flow.states(start, rates)
+            # Points that run away with any step tell nothing of steps.
+            is_told = np.isfinite(states).all(axis=(1, 2))
+            change = np.sqrt(np.mean((states - coarse)[is_told] ** 2, axis=1))
+            if change.size and (change <= SMALL_CHANGE * states[is_told].std(axis=1)).all():
+                return flow
+            coarse = states
+        return None
+
+    def states(self, start: FloatArray, rates: Sequence[FloatArray]) -> FloatArray:
+        """Solve the equations.
+
+        Args:
+            start: First states. Shape (s, n).
+            rates: Coefficients of every derivative's terms. Shapes (n, terms).
+
+        Returns:
+            The states at the outputs. Shape (n, t, s).
+        """
+        signals, (n_states, n) = self.signals, start.shape
+        coefficients = np.concatenate(rates, axis=1).T
+        first_term = [0, *accumulate(len(one.terms) for one in self.sums)][:-1]
+        of, minus, factors = self._places()
+        # States, inputs, one, nothing: what a term's places point at.
+        columns = np.zeros((n_states + len(signals.inputs) + 2, n))
+        columns[-2] = 1.0
+
+        def slope(x: FloatArray) -> FloatArray:
+            columns[:n_states] = x
+            values = columns[of]
+            values -= columns[minus]
+            values *= coefficients
+            for places in factors:
+                values *= columns[places]
+            return np.add.reduceat(values, first_term, axis=0)
+
+        h, x = signals.step_s / self.n_parts, start
+        states = np.full((1 + len(signals.driven) // signals.every, n_states, n), np.nan)
+        states[0] = start
+        for step, inputs in enumerate(signals.driven):
+            columns[n_states:-2] = inputs[:, None]
+            for _ in range(self.n_parts):
+                first = slope(x)
+                second = slope(x + 0.5 * h * first)
+                third = slope(x + 0.5 * h * second)
+                x = x + h / 6.0 * (first + 2.0 * (second + third) + slope(x + h * third))
+            if (step + 1) % signals.every == 0:
+                states[(step + 1) // signals.every] = x
+                if not np.isfinite(x).any():
+                    # All points have run away.
+                    break
+        return states.transpose(2, 0, 1)
+
+    def _places(self) -> tuple[IntArray, IntArray, list[IntArray]]:
+        """Return of every term the column, what is subtracted from it, and each of its factors."""
+        terms = [(one.own, term) for one in self.sums for term in one.terms]
+        one, nothing = -2, -1
+        most = max(len(term.factors) for _, term in terms)
+        return (
+            np.array([term.column if term.column >= 0 else one for _, term in terms]),
+            np.array([own if term.is_difference else nothing for own, term in terms]),
+            [
+                np.array([term.factors[rank] if rank < len(term.factors) else one for _, term in terms])
+                for rank in range(most)
+            ],
+        )

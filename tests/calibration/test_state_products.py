@@ -1,0 +1,183 @@
+"""State equations with products: flows times temperatures, radiation, oscillations."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from simulation.arrays import FloatArray
+from simulation.case import load_case
+from simulation.parameters import Parameter, ParameterSpace
+from simulation.states import StateSignals, WatchedModel, watching_states
+from simulation.trajectories import Trajectories
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.first_design import latin_hypercube
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.residual_process import Features
+from studies.calibration.state_equations import LEARNT, StateEquations, Structure
+from studies.calibration.state_flow import LinearFlow, SteppedFlow
+from studies.calibration.state_guide import StateGuide
+from studies.calibration.state_terms import Sum, Term, candidates_with_products
+
+REPOSITORY = Path(__file__).parents[2]
+STEP_S, EVERY, N_STEPS = 300.0, 2, 160
+WATER = 4180.0
+SPACE = ParameterSpace(
+    (
+        Parameter("C", 3e5, 3e6, scale="log"),
+        Parameter("CWater", 2e5, 1e6, scale="log"),
+        Parameter("G", 50.0, 400.0, scale="log"),
+        Parameter("area", 5.0, 50.0, scale="log"),
+        Parameter("TStart", 285.0, 295.0),
+    )
+)
+
+
+def supply(n_levels: int | None) -> FloatArray:
+    """Supply temperature [K], water flow [kg/s], of so many levels, and outdoor temperature [K]."""
+    time = STEP_S * np.arange(N_STEPS)
+    flow = 0.05 * (1.0 + np.sin(time / 3000.0))
+    if n_levels is not None:
+        flow = np.round(flow / 0.1 * (n_levels - 1)) * 0.1 / (n_levels - 1)
+    return np.column_stack([310.0 + 10.0 * np.sin(time / 5000.0), flow, 275.0 + 5.0 * np.cos(time / 8000.0)])
+
+
+@dataclass(frozen=True)
+class Radiator:
+    """A room, water that heats it, and radiation to outside or a wall; answers room, heat, states, slopes."""
+
+    inputs: FloatArray
+    radiates: bool
+    parameter_space: ParameterSpace = SPACE
+    output_names: tuple[str, ...] = ("TRoom", "Q", "T", "TWater", "der(T)", "der(TWater)")
+    time: FloatArray = field(default_factory=lambda: EVERY * STEP_S * np.arange(N_STEPS // EVERY + 1))
+
+    def slope(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+        c, c_water, g, area, _ = theta
+        given = g * (x[1] - x[0])
+        lost = 5.67e-8 * area * (x[0] ** 4 - u[2] ** 4) if self.radiates else area * (x[0] - u[2])
+        return np.array([(given - lost) / c, (WATER * u[1] * (u[0] - x[1]) - given) / c_water])
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        y = []
+        for row in theta:
+            x, states = np.array([row[4], row[4] + 10.0]), []
+            for u in np.concatenate([self.inputs[:1], self.inputs]):
+                if states:
+                    x = solve_ivp(
+                        lambda _, x, u=u, row=row: self.slope(row, x, u),
+                        (0.0, STEP_S),
+                        x,
+                        rtol=1e-10,
+                        atol=1e-9,
+                    ).y[:, -1]
+                heat = WATER * u[1] * (u[0] - x[1])
+                states.append([x[0] - 273.15, heat, *x, *self.slope(row, x, u)])
+            y.append(np.array(states)[::EVERY])
+        return Trajectories.checked(
+            theta,
+            np.array(y),
+            time=self.time,
+            parameter_names=self.parameter_space.names,
+            output_names=self.output_names,
+        )
+
+    @property
+    def signals(self) -> StateSignals:
+        return StateSignals(
+            states=("T", "TWater"),
+            derivatives=("der(T)", "der(TWater)"),
+            inputs=("TSup", "mFlow", "TOut"),
+            units=("K", "K", "K", "kg/s", "K"),
+            depends_on=(None, None),
+            driven=self.inputs,
+            step_s=STEP_S,
+            every=EVERY,
+            n_before=0,
+            outputs=("TRoom", "Q"),
+            conversions=np.array([[1.0, -273.15], [1.0, 0.0]]),
+        )
+
+
+def learnt(model: Radiator, n: int) -> StateEquations:
+    u = 0.1 + 0.8 * latin_hypercube(n, 5, np.random.default_rng(0))
+    watched = WatchedModel(model, model.signals)
+    rows = watched.seen(watched.simulate(SPACE.from_unit(u)).theta)
+    structure = Structure.of(model.signals, rows)
+    assert structure.misfit < LEARNT
+    found, _ = structure.fitted(model.signals, rows)
+    equations = StateEquations.learn(model.signals, structure, Features.of(SPACE).at(u), rows.x[:, 0], found)
+    assert equations is not None
+    return equations
+
+
+@pytest.mark.parametrize(
+    ("radiates", "n_levels", "kind"),
+    [(False, 3, LinearFlow), (False, None, SteppedFlow), (True, 3, SteppedFlow)],
+)
+def test_flows_and_radiation_are_found_and_solved(radiates: bool, n_levels: int | None, kind: type) -> None:
+    model = Radiator(supply(n_levels), radiates)
+    equations = learnt(model, 8)
+    assert isinstance(equations.flow, kind)
+    room, water, shown, heat = (set(one.terms) for one in equations.structure.sums)
+    lost = {Term(0, factors=(0, 0, 0)), Term(4, factors=(4, 4, 4))} if radiates else {Term(4, True)}
+    assert room == {Term(1, True), *lost}
+    assert water == {Term(0, True), Term(2, True, (3,))}
+    assert shown == {Term(0), Term(-1)}
+    assert heat == {Term(1, factors=(3,)), Term(2, factors=(3,))}
+    fresh = np.random.default_rng(1).random((5, 5))
+    expected = model.simulate(SPACE.from_unit(fresh)).y[..., :2]
+    answered = equations.outputs(Features.of(SPACE).at(fresh))
+    assert np.abs(answered - expected)[..., 0].max() < 0.01
+    assert np.abs(answered - expected)[..., 1].max() < 0.002 * np.abs(expected[..., 1]).max()
+
+
+def test_what_moves_too_fast_is_left_alone() -> None:
+    signals = Radiator(supply(3), radiates=False).signals
+    flow = SteppedFlow(signals, (Sum(0, (Term(0, factors=(0,)),)), Sum(1, (Term(0, True),))))
+    start, slow = np.array([[1.0], [2.0]]), [np.array([[-1e-4]]), np.array([[1e-3]])]
+    fine = flow.fine_enough(start, slow)
+    assert fine is not None
+    exact = 1.0 / (1.0 + 1e-4 * EVERY * STEP_S * np.arange(N_STEPS // EVERY + 1))
+    np.testing.assert_allclose(fine.states(start, slow)[0, :, 0], exact, rtol=1e-4)
+    with np.errstate(all="ignore"):
+        assert flow.fine_enough(start, [slow[0], np.array([[10.0]])]) is None
+
+
+def test_products_are_offered_as_far_as_they_are_few() -> None:
+    signals = Radiator(supply(3), radiates=False).signals
+    few = candidates_with_products(signals, 0)
+    assert len(few) == len(set(few))
+    assert few[-1] == Term(-1)
+    # Temperatures times temperatures are none of physics, but for radiation.
+    assert Term(0, factors=(1,)) not in few
+    assert Term(1, factors=(1, 1, 1)) in few
+    many = StateSignals(
+        states=tuple(f"x{i}" for i in range(20)),
+        derivatives=tuple(f"der(x{i})" for i in range(20)),
+        inputs=(),
+        units=("1",) * 20,
+        depends_on=(None,) * 20,
+        driven=np.zeros((4, 0)),
+        step_s=1.0,
+        every=1,
+        n_before=0,
+        outputs=("y",),
+        conversions=np.array([[1.0, 0.0]]),
+    )
+    offered = candidates_with_products(many, 0)
+    assert {len(term.factors) for term in offered} == {0, 1}
+
+
+def test_an_oscillator_is_calibrated_with_a_handful_of_calls() -> None:
+    case = load_case(REPOSITORY / "fmus" / "vanderpol")
+    with watching_states(case).open_model() as model:
+        watched = WatchedModel(model, StateSignals.of(case))
+        problem = CalibrationProblem(watched, case.measurement)
+        guide = StateGuide(watched.signals, watched.seen, problem)
+        found = Adaptive(max_calls=30).minimize(problem, seed=3, guide=guide)
+    assert guide.is_believed
+    assert found.n_calls <= 10
+    assert found.mse < 1.005 * 0.02002
