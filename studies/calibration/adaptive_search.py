@@ -111,8 +111,11 @@ class AdaptiveSearch:
         if self._n_design and not self._is_guided:
             design = latin_hypercube(self._n_design, self._p, self._rng)
             design = settings.margin + (1.0 - 2.0 * settings.margin) * design
-            # State equations are learnt from less than a first design.
-            n_enough = self._n_design if self._guide is None else enough_for_equations(self._p)
+            n_enough = self._n_design
+            if self._guide is not None:
+                # State equations are learnt from less than a first design, in whole rounds.
+                q = settings.n_parallel
+                n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, n_enough)
             self._ask(design[:n_enough])
             if not self._is_guided and n_enough < self._n_design:
                 self._ask(design[n_enough:])

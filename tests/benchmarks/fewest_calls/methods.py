@@ -63,17 +63,27 @@ def adaptive_as_shipped(problem: CalibrationProblem, seed: int, max_calls: int) 
     Adaptive(max_calls=max_calls).minimize(problem, seed=seed)
 
 
-def adaptive_with_equations(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
-    """The adaptive method that learns state equations; it goes on until the benchmark ends it."""
-    chosen = Adaptive(ftol=0.0, doubtful_mse=0.0, max_calls=max_calls)
-    watched = problem.model.watched  # type: ignore[attr-defined]
-    guide = StateGuide(watched.signals, watched.seen, problem)
-    chosen.minimize(problem, seed=seed, guide=guide)
+def adaptive_with_equations(n_parallel: int) -> Search:
+    """Return the adaptive method that learns state equations; it goes on until the benchmark ends it."""
+
+    def search(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
+        chosen = Adaptive(ftol=0.0, doubtful_mse=0.0, max_calls=max_calls, n_parallel=n_parallel)
+        watched = problem.model.watched  # type: ignore[attr-defined]
+        guide = StateGuide(watched.signals, watched.seen, problem)
+        chosen.minimize(problem, seed=seed, guide=guide)
+
+    return search
 
 
 METHODS: dict[str, Method] = {
     "adaptive": Method(adaptive(), max_calls=300, is_ours=True),
-    "adaptive, state equations": Method(adaptive_with_equations, max_calls=300, is_ours=True),
+    "adaptive, state equations": Method(adaptive_with_equations(1), max_calls=300, is_ours=True),
+    **{
+        f"adaptive, state equations, {q} parallel": Method(
+            adaptive_with_equations(q), max_calls=300, is_ours=True, at_once=q
+        )
+        for q in (2, 4, 8)
+    },
     "adaptive, own end": Method(adaptive_as_shipped, max_calls=300, is_ours=True),
     **{
         f"adaptive, {q} parallel": Method(adaptive(n_parallel=q), max_calls=300, is_ours=True, at_once=q)

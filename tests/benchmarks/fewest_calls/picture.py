@@ -22,7 +22,6 @@ BEYOND = 1e9
 OURS = {"adaptive": "#c1121f", "adaptive, state equations": "#6a040f", "adaptive, 4 parallel": "#f08a5d"}
 PEERS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf", "#7f7f7f", "#bcbd22")
 STYLES = ("-", "--", ":")
-LEFT_OUT = ("adaptive, own end", "adaptive, 2 parallel", "adaptive, 8 parallel")
 TARGETS = (1.17, 1.02)
 
 
@@ -34,7 +33,8 @@ def draw(kept: Kept, path: Path) -> None:
         path: Picture to write; its name says the format.
     """
     families = [f for f in FAMILIES if any(one.family == f for one in kept.problems.values())]
-    methods = [name for name in order(kept) if name not in LEFT_OUT]
+    # One of several numbers of parallel calls is enough.
+    methods = [name for name in order(kept) if name in OURS or not name.endswith(("parallel", "own end"))]
     peers = [name for name in methods if name not in OURS]
     looks = {name: (PEERS[i % len(PEERS)], STYLES[i // len(PEERS)]) for i, name in enumerate(peers)}
     looks |= {name: (colour, "-") for name, colour in OURS.items()}
