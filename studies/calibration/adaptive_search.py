@@ -17,6 +17,7 @@ from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, liked, telling
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features
+from studies.calibration.state_equations import LEAST_TO_LEARN
 from studies.calibration.state_guide import StateGuide, enough_for_equations
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class AdaptiveSearch:
         self._features = Features.of(problem.space)
         self._recorder = recorder
         self._rng = rng
-        self._u = np.empty((0, p))
+        self._u = self._unasked = np.empty((0, p))
         self._objective = np.empty(0)
         self._residuals = np.empty((0, 0))
         self._penalty = np.empty(0)
@@ -111,17 +112,14 @@ class AdaptiveSearch:
         if self._n_design and not self._is_guided:
             design = latin_hypercube(self._n_design, self._p, self._rng)
             design = settings.margin + (1.0 - 2.0 * settings.margin) * design
-            n_enough = self._n_design
-            if self._guide is not None:
-                # State equations are learnt from less than a first design, in whole rounds.
-                q = settings.n_parallel
-                n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, n_enough)
-            self._ask(design[:n_enough])
-            if not self._is_guided and n_enough < self._n_design:
-                self._ask(design[n_enough:])
+            self._ask_first(design)
         while True:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return "the target is reached"
+            if len(self._unasked) and not self._is_guided:
+                self._unasked, rest = self._unasked[:0], self._unasked
+                self._ask(rest)
+                continue
             if np.isfinite(self._objective).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
@@ -135,6 +133,18 @@ class AdaptiveSearch:
                     return self._reason
                 self._turn()
             self._step()
+
+    def _ask_first(self, design: FloatArray) -> None:
+        """Ask a first design, round by round where state equations may take less of it."""
+        n_asked, q = 0, self._settings.n_parallel
+        if self._guide is not None:
+            n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, len(design))
+            n_next = math.ceil(LEAST_TO_LEARN / q) * q
+            while n_asked < n_enough and not self._guide.is_sure:
+                n_next = min(n_next, n_enough - n_asked)
+                self._ask(design[n_asked : n_asked + n_next])
+                n_asked, n_next = n_asked + n_next, q
+        self._unasked = design[n_asked:]
 
     @property
     def _is_guided(self) -> bool:
@@ -197,6 +207,13 @@ class AdaptiveSearch:
         best = first + int(np.argmin(self._objective[first:]))
         centre, centre_objective = self._u[best], float(self._objective[best])
         points, expected = self._propose(process, centre)
+        promise = centre_objective - expected.value
+        is_sure = self._guide is not None and self._guide.is_sure and self._guide.n_asked > 0
+        if is_sure and promise <= self._settings.ftol * centre_objective:
+            # The best point is known, and more rows would teach nothing: it is only looked for again.
+            self.expected_gain = max(promise / centre_objective, 0.0) if centre_objective > 0.0 else 0.0
+            self._idle += 1
+            return
         predicted = self._guide.predicted if self._guide is not None else None
         if self._is_far and not self._is_home:
             home = int(np.argmin(self._objective))
@@ -210,7 +227,6 @@ class AdaptiveSearch:
         # The end of the budget may have cut off all points but the first ones.
         found = self._objective[asked:]
         gain = max(centre_objective - self._leg_best, 0.0)
-        promise = centre_objective - expected.value
         self._resize(points[0] - centre, found, gain, promise)
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
         dull = max(self._settings.ftol, DULL if self._horizon.is_whole else DULL_IN_A_BEGINNING)

@@ -1,18 +1,21 @@
 """A coefficient of a state equation as a function of the parameters, learnt from few simulations.
 
-Coefficients of physical models are quotients and products of few parameters, such as 1 / (R C), sums of
-such, and now and then a polynomial. The logarithm of a product is linear in the parameters' logarithms: where
-few features explain a coefficient or its logarithm exactly they are what it is; all others are
-Gaussian processes, of their logarithm where they keep their sign.
+Coefficients of physical models are quotients and products of few parameters, such as 1 / (R C), or sums of
+two such (product_laws.py), now and then a broken power or a polynomial: where few features explain a
+coefficient or its logarithm exactly they are what it is. All others are Gaussian processes, of their
+logarithm where they keep their sign.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.parameters import ParameterSpace
+from studies.calibration.product_laws import ProductLaw, Products, product_law
 from studies.calibration.residual_kernel import Belief, KernelMatrix, between, inverse_factor, most_probable
+from studies.calibration.residual_process import Features
 
 # Sum of squares, as a share of all, below which features explain a coefficient exactly.
 EXACT = 1e-10
@@ -30,6 +33,28 @@ N_FITS = 3
 
 
 @dataclass(frozen=True, eq=False)
+class Points:
+    """Points of a box, as coefficients see them.
+
+    Attributes:
+        x: Their features. Shape (n, f). [1]
+        theta: Their parameters. Shape (n, p). [per parameter]
+    """
+
+    x: FloatArray
+    theta: FloatArray
+
+    @classmethod
+    def of(cls, space: ParameterSpace, u: FloatArray) -> Self:
+        """Return points of the unit cube (n, p)."""
+        return cls(Features.of(space).at(u), space.from_unit(u))
+
+    def part(self, rows: slice | IntArray | BoolArray) -> Self:
+        """Return some of the points."""
+        return replace(self, x=self.x[rows], theta=self.theta[rows])
+
+
+@dataclass(frozen=True, eq=False)
 class Coefficient:
     """A coefficient over the box; make it with `fit`.
 
@@ -40,6 +65,7 @@ class Coefficient:
         x: Rows of a process, in its features. Shape (n, f). [1]
         hyper: Its hyperparameters. Shape (f + 2,). [1]
         weights: What its covariances are multiplied with. Shape (n,).
+        law: What it is, where that is a sum of few products.
     """
 
     sign: float
@@ -48,17 +74,20 @@ class Coefficient:
     x: FloatArray | None = None
     hyper: FloatArray | None = None
     weights: FloatArray | None = None
+    law: ProductLaw | None = None
 
     @classmethod
-    def fit(cls, x: FloatArray, values: FloatArray) -> Self:
+    def fit(cls, points: Points, values: FloatArray, products: Products) -> Self:
         """Learn it.
 
         Args:
-            x: Features of the rows. Shape (n, f). [1]
+            points: The rows.
             values: The coefficient there, NaN in rows that do not tell it. Shape (n,).
+            products: Of the box's parameters.
         """
         is_told = np.isfinite(values)
-        x, values = x[is_told], values[is_told]
+        points, values = points.part(is_told), values[is_told]
+        x = points.x
         if not values.size:
             return cls(0.0, 0.0)
         is_signed = bool((values > 0.0).all() or (values < 0.0).all())
@@ -68,6 +97,8 @@ class Coefficient:
         size = float(np.square(z - mean).sum())
         if size <= CONSTANT * len(z) * max(mean**2, float(is_signed)):
             return cls(sign, mean)
+        if (found := product_law(products, points.theta, values)) is not None:
+            return cls(0.0, 0.0, law=found)
         laws = [(_law(x, z), sign), *([(_law(x, values), 0.0)] if is_signed else [])]
         (law, left), kind = min(laws, key=lambda one: one[0][1])
         if left < EXACT:
@@ -83,8 +114,16 @@ class Coefficient:
         factor = inverse_factor(KernelMatrix.of(x, hyper, even).matrix)
         return cls(sign, mean, x=x, hyper=hyper, weights=scale * (factor.T @ (factor @ v)))
 
-    def at(self, x: FloatArray) -> FloatArray:
-        """Return it at features (n, f). Shape (n,)."""
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is a law, and no process."""
+        return self.x is None
+
+    def at(self, points: Points) -> FloatArray:
+        """Return it at points. Shape (n,)."""
+        if self.law is not None:
+            return self.law.at(points.theta)
+        x = points.x
         z = np.full(len(x), self.mean)
         if self.slopes is not None:
             z += _with_squares(x) @ self.slopes

@@ -16,7 +16,8 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.states import StateRows, StateSignals
-from studies.calibration.coefficient import Coefficient
+from studies.calibration.coefficient import Coefficient, Points
+from studies.calibration.product_laws import Products
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_terms import (
     N_ROWS,
@@ -35,6 +36,8 @@ LEARNT = 1e-9
 PRODUCTS_LEARNT = 1e-14
 # Standard deviation of a coefficient, as a share of itself, up to which a row tells it.
 SURE = 1e-5
+# Rows below which nothing is looked for.
+LEAST_TO_LEARN = 4
 # States at all steps that are held in memory at once.
 MOST_VALUES = 4_000_000
 
@@ -122,6 +125,7 @@ class StateEquations:
         by_term: Coefficients of every sum, in the order of its terms.
         start: States at the first output that is watched.
         flow: Solves them.
+        is_exact: Whether all of that are laws, told by enough rows.
     """
 
     signals: StateSignals
@@ -129,45 +133,52 @@ class StateEquations:
     by_term: tuple[tuple[Coefficient, ...], ...]
     start: tuple[Coefficient, ...]
     flow: LinearFlow | SteppedFlow
+    is_exact: bool
 
     @classmethod
     def learn(
         cls,
         signals: StateSignals,
         structure: Structure,
-        x: FloatArray,
+        points: Points,
         starts: FloatArray,
         found: Sequence[FloatArray],
+        products: Products,
     ) -> Self | None:
         """Learn coefficients and start states over the parameters.
 
         Args:
             signals: What is known of the states.
             structure: The terms.
-            x: Features of the rows' parameters. Shape (n, f). [1]
+            points: The rows.
             starts: States at the first output that is watched. Shape (n, s). [FMU's units]
             found: Coefficients of every row, from `Structure.fitted`.
+            products: Of the box's parameters.
 
         Returns:
             The equations, None where they cannot be solved in steps of reasonable length.
         """
-        by_term = tuple(tuple(Coefficient.fit(x, column) for column in table.T) for table in found)
-        start = tuple(Coefficient.fit(x, column) for column in starts.T)
+        by_term = tuple(
+            tuple(Coefficient.fit(points, column, products) for column in table.T) for table in found
+        )
+        start = tuple(Coefficient.fit(points, column, products) for column in starts.T)
+        is_exact = all(one.is_exact for table in (*by_term, start) for one in table)
+        is_told = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
         derivatives = structure.sums[: len(signals.states)]
         flow = LinearFlow.of(signals, derivatives) or SteppedFlow(signals, derivatives)
-        equations = cls(signals, structure, by_term, start, flow)
+        equations = cls(signals, structure, by_term, start, flow, is_exact and is_told)
         if isinstance(flow, LinearFlow):
             return equations
-        some = x[spread(len(x), N_ROWS)]
+        some = points.part(spread(len(points.x), N_ROWS))
         with np.errstate(all="ignore"):
             fine = flow.fine_enough(equations._at_start(some), equations._rates(some))
         return None if fine is None else replace(equations, flow=fine)
 
-    def outputs(self, x: FloatArray) -> FloatArray:
+    def outputs(self, points: Points) -> FloatArray:
         """Solve the equations.
 
         Args:
-            x: Features of parameters. Shape (n, f). [1]
+            points: n points.
 
         Returns:
             Reported outputs, not finite where the equations run away. Shape (n, t, k). [per output]
@@ -175,30 +186,33 @@ class StateEquations:
         # In pieces of so many points that the states of a long simulation fit into memory.
         per_point = len(self.signals.driven) * len(self.signals.states)
         n_at_once = max(MOST_VALUES // per_point, 1)
-        pieces = [self._outputs(x[first : first + n_at_once]) for first in range(0, len(x), n_at_once)]
+        pieces = [
+            self._outputs(points.part(slice(first, first + n_at_once)))
+            for first in range(0, len(points.x), n_at_once)
+        ]
         return np.concatenate(pieces)
 
-    def _outputs(self, x: FloatArray) -> FloatArray:
+    def _outputs(self, points: Points) -> FloatArray:
         with np.errstate(all="ignore"):
-            states = self.flow.states(self._at_start(x), self._rates(x))
+            states = self.flow.states(self._at_start(points), self._rates(points))
             n_states = len(self.signals.states)
             first = self.signals.driven[:1]
             inputs = np.concatenate([first, self.signals.at_outputs])
             answers = [
-                np.einsum("ntf,nf->nt", one.values(states, inputs), self._at(j, x))
+                np.einsum("ntf,nf->nt", one.values(states, inputs), self._at(j, points))
                 for j, one in enumerate(self.structure.sums)
                 if j >= n_states
             ]
         return np.stack(answers, axis=-1)[:, self.signals.n_before :]
 
-    def _at(self, j: int, x: FloatArray) -> FloatArray:
-        """Return the coefficients of sum j at features (n, f). Shape (n, terms)."""
-        return np.stack([one.at(x) for one in self.by_term[j]], axis=-1)
+    def _at(self, j: int, points: Points) -> FloatArray:
+        """Return the coefficients of sum j. Shape (n, terms)."""
+        return np.stack([one.at(points) for one in self.by_term[j]], axis=-1)
 
-    def _rates(self, x: FloatArray) -> list[FloatArray]:
+    def _rates(self, points: Points) -> list[FloatArray]:
         """Return the coefficients of every derivative, shapes (n, terms)."""
-        return [self._at(j, x) for j in range(len(self.signals.states))]
+        return [self._at(j, points) for j in range(len(self.signals.states))]
 
-    def _at_start(self, x: FloatArray) -> FloatArray:
+    def _at_start(self, points: Points) -> FloatArray:
         """Return the first states. Shape (s, n)."""
-        return np.stack([one.at(x) for one in self.start])
+        return np.stack([one.at(points) for one in self.start])

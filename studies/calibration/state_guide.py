@@ -13,11 +13,13 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.states import StateRows, StateSignals
+from studies.calibration.coefficient import Points
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.product_laws import Products
 from studies.calibration.proposals import SAME_POINT
-from studies.calibration.residual_process import Expansion, Features
-from studies.calibration.state_equations import LEARNT, StateEquations, Structure
+from studies.calibration.residual_process import Expansion
+from studies.calibration.state_equations import LEARNT, LEAST_TO_LEARN, StateEquations, Structure
 
 # Random points that are looked at before and after the guide has been right once, and how many of the best of
 # them, beside the best rows and the last ends, are walked downhill.
@@ -25,8 +27,6 @@ N_LOOKS, N_LOOKS_LATER = 400, 100
 N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
 # A point that errs by more than this part of its objective is missed; so many in a row end the belief.
 MISSED, N_MISSED = 0.5, 4
-# Rows below which nothing is looked for.
-LEAST_TO_LEARN = 4
 # Damped steps from all starts together.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
@@ -61,7 +61,7 @@ class StateGuide:
         self._signals = signals
         self._seen = seen
         self._problem = problem
-        self._features = Features.of(problem.space)
+        self._products = Products.of(problem.space)
         self._u = np.empty((0, problem.space.n_parameters))
         self._rows: list[StateRows] = []
         self._structure: Structure | None = None
@@ -78,6 +78,12 @@ class StateGuide:
     def is_believed(self) -> bool:
         """Whether it has equations that have not missed too often, nor led to failures."""
         return self._equations is not None and max(self._n_missed, self._n_failed) < N_MISSED
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it knows the equations exactly and told the last row right: more would teach it nothing."""
+        is_exact = self._equations is not None and self._equations.is_exact
+        return is_exact and not max(self._n_missed, self._n_failed)
 
     @property
     def is_learnt(self) -> bool:
@@ -98,6 +104,7 @@ class StateGuide:
         good = np.isfinite(answer.mse)
         # Equations know nothing of failures, and would lead there again and again.
         self._n_failed += self.predicted is not None and not good[0]
+        self.n_asked += self.predicted is not None
         self.predicted = None
         if self._equations is not None:
             # Whoever chose the point: what was given up may have learnt enough since.
@@ -132,8 +139,10 @@ class StateGuide:
             self._structure = None
             self.why_not = "not all simulations follow the same ones"
             return None
-        features = self._features.at(self._u)
-        equations = StateEquations.learn(signals, self._structure, features, rows.x[:, 0], found)
+        points = Points.of(self._problem.space, self._u)
+        equations = StateEquations.learn(
+            signals, self._structure, points, rows.x[:, 0], found, self._products
+        )
         if equations is None:
             self._structure = None
             self.why_not = "they move too fast to be solved in time"
@@ -166,13 +175,13 @@ class StateGuide:
             value = float(objective[nearest])
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
         self.predicted = float(_objectives(prior, u[None], self._residuals(u[None]))[0])
-        self.n_asked += 1
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
 
     def _residuals(self, u: FloatArray) -> FloatArray:
         assert self._equations is not None, "only a guide with equations is asked"
         with np.errstate(all="ignore"):
-            return self._problem.measurement.compared(self._equations.outputs(self._features.at(u)))
+            points = Points.of(self._problem.space, u)
+            return self._problem.measurement.compared(self._equations.outputs(points))
 
 
 def _objectives(prior: Prior | None, u: FloatArray, residuals: FloatArray) -> FloatArray:

@@ -1,0 +1,162 @@
+"""Laws of few products: a coefficient as one product of parameters or their reciprocals, or a sum of two.
+
+Coefficients of physical models are mostly such: 1 / (R C), (U - V) / C, 1 / (R + S). The powers are whole, so
+that no more than the amounts are to be found, and four or five simulations tell which of thousands of
+products is meant: what is written into a model fits to rounding, all others by chance to a few per cent.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Self
+
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
+from simulation.parameters import ParameterSpace
+
+# Weighted squares, as a share of those around the mean, below which a law is exact.
+EXACT = 1e-10
+# Rows more than amounts, before chance can be told from a law.
+SPARE_ROWS = 2
+# Products of so many parameters are looked at, and of so many in sums, as far as they are few.
+MOST_FACTORS, MOST_SUMMED, MOST_PRODUCTS, MOST_PAIRED = 3, 2, 20_000, 1_000
+# What is looked at closely of all pairs; squared sines below which two products are one.
+N_BEST, SAME_PRODUCT = 8, 1e-10
+# Values count by themselves, but not those that happen to be next to nothing. [root mean square]
+NEXT_TO_NOTHING = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """The products of a box's parameters; make it with `of`.
+
+    Attributes:
+        powers: Powers of the parameters, -1, 0 or 1, the constant and short products first. Shape (m, p).
+        n_paired: How many of the first are summed, too.
+    """
+
+    powers: IntArray
+    n_paired: int
+
+    @classmethod
+    def of(cls, space: ParameterSpace) -> Self:
+        """Return the products of a box's parameters; only what keeps its sign has a reciprocal."""
+        kept = (space.lower > 0.0) | (space.upper < 0.0)
+        powers, n_paired = [np.zeros(space.n_parameters, dtype=np.int64)], 1
+        for n_factors in range(1, MOST_FACTORS + 1):
+            more = []
+            for chosen in combinations(range(space.n_parameters), n_factors):
+                for signs in product(*[(1, -1) if kept[one] else (1,) for one in chosen]):
+                    row = np.zeros(space.n_parameters, dtype=np.int64)
+                    row[list(chosen)] = signs
+                    more.append(row)
+            if len(powers) + len(more) > MOST_PRODUCTS:
+                break
+            powers += more
+            if n_factors <= MOST_SUMMED and len(powers) <= MOST_PAIRED:
+                n_paired = len(powers)
+        return cls(np.array(powers), n_paired)
+
+    def at(self, theta: FloatArray) -> FloatArray:
+        """Return the products at parameters (n, p). Shape (n, m)."""
+        return values_of(self.powers, theta)
+
+
+def values_of(powers: IntArray, theta: FloatArray) -> FloatArray:
+    """Return products with powers (m, p) at parameters (n, p). Shape (n, m)."""
+    values = np.ones((len(theta), len(powers)))
+    for j, column in enumerate(theta.T):
+        values[:, powers[:, j] > 0] *= column[:, None]
+        values[:, powers[:, j] < 0] /= column[:, None]
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class ProductLaw:
+    """A sum of products, or its reciprocal.
+
+    Attributes:
+        amounts: What each product is multiplied with. Shape (k,).
+        powers: Their powers. Shape (k, p).
+        is_reciprocal: Whether the coefficient is one over the sum.
+    """
+
+    amounts: FloatArray
+    powers: IntArray
+    is_reciprocal: bool = False
+
+    def at(self, theta: FloatArray) -> FloatArray:
+        """Return the coefficient at parameters (n, p). Shape (n,)."""
+        values = values_of(self.powers, theta) @ self.amounts
+        return 1.0 / values if self.is_reciprocal else values
+
+
+def product_law(products: Products, theta: FloatArray, values: FloatArray) -> ProductLaw | None:
+    """Explain values exactly by one product, or by the sum of two or its reciprocal.
+
+    Args:
+        products: Those of the box.
+        theta: The rows' parameters. Shape (n, p). [per parameter]
+        values: The coefficient there. Shape (n,).
+
+    Returns:
+        The law, None where none of these is exact.
+    """
+    if len(values) < 1 + SPARE_ROWS:
+        return None
+    table = products.at(theta)
+    weight = _weight(values)
+    single, left = _single(table * weight[:, None], values * weight, weight)
+    if left < EXACT:
+        return _fitted(products.powers[[single]], theta, values, weight)
+    if len(values) < 2 + SPARE_ROWS:
+        return None
+    found, laws = list[float](), list[ProductLaw]()
+    goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
+    for is_reciprocal, goal in enumerate(goals):
+        weight = _weight(goal)
+        scaled = table[:, : products.n_paired] * weight[:, None]
+        for pair in _pairs(scaled, goal * weight):
+            law = _fitted(products.powers[list(pair)], theta, goal, weight)
+            found.append(_left((law.at(theta) - goal) * weight, goal * weight, weight))
+            laws.append(ProductLaw(law.amounts, law.powers, bool(is_reciprocal)))
+    best = int(np.argmin(found)) if found else 0
+    return laws[best] if found and found[best] < EXACT else None
+
+
+def _weight(values: FloatArray) -> FloatArray:
+    return 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
+
+
+def _left(error: FloatArray, values: FloatArray, weight: FloatArray) -> float:
+    """Return squared errors as a share of what a constant leaves, all weighted. [1]."""
+    around = values - weight * (weight @ values) / (weight @ weight)
+    return float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
+
+
+def _single(table: FloatArray, values: FloatArray, weight: FloatArray) -> tuple[int, float]:
+    """Return which product (n, m) explains values alone the best, and what it leaves. [1]."""
+    amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), np.finfo(float).tiny)
+    errors = np.square(values[:, None] - table * amounts).sum(axis=0)
+    best = int(np.argmin(errors))
+    return best, _left(values - table[:, best] * amounts[best], values, weight)
+
+
+def _pairs(table: FloatArray, values: FloatArray) -> list[tuple[int, int]]:
+    """Return the pairs of products (n, m) that explain values the best."""
+    norms = np.sqrt(np.square(table).sum(axis=0))
+    table = table / np.where(norms > 0.0, norms, 1.0)
+    cosines, along = table.T @ table, values @ table
+    sines = 1.0 - cosines**2
+    both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
+    explained = np.where(sines > SAME_PRODUCT, both / np.maximum(sines, SAME_PRODUCT), -np.inf)
+    first, second = np.triu_indices(len(cosines), 1)
+    best = np.argsort(explained[first, second], kind="stable")[-N_BEST:]
+    return [(int(first[one]), int(second[one])) for one in best]
+
+
+def _fitted(powers: IntArray, theta: FloatArray, values: FloatArray, weight: FloatArray) -> ProductLaw:
+    columns = values_of(powers, theta) * weight[:, None]
+    norms = np.sqrt(np.square(columns).sum(axis=0))
+    amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
+    return ProductLaw(amounts, powers)
