@@ -15,10 +15,10 @@ from simulation.parameters import Parameter, ParameterSpace
 from simulation.states import StateRows, StateSignals, WatchedModel, watching_states
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.coefficient import Coefficient
+from studies.calibration.coefficient import Coefficient, Points
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.residual_process import Features
+from studies.calibration.product_laws import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_guide import StateGuide, descend_together
 
@@ -109,7 +109,9 @@ def learnt(u: FloatArray, rows: StateRows, space: ParameterSpace) -> StateEquati
     structure = Structure.of(ROOMS, rows)
     assert structure.misfit < LEARNT
     found, _ = structure.fitted(ROOMS, rows)
-    equations = StateEquations.learn(ROOMS, structure, Features.of(space).at(u), rows.x[:, 0], found)
+    equations = StateEquations.learn(
+        ROOMS, structure, Points.of(space, u), rows.x[:, 0], found, Products.of(space)
+    )
     assert equations is not None
     return equations
 
@@ -127,7 +129,7 @@ def test_terms_and_trajectories_of_a_network_are_found_from_a_few_rows() -> None
     assert room == {(0, False, ()), (-1, False, ())}
     fresh = np.random.default_rng(1).random((6, 5))
     expected = model.simulate(model.parameter_space.from_unit(fresh)).y[..., :1]
-    answered = equations.outputs(Features.of(model.parameter_space).at(fresh))
+    answered = equations.outputs(Points.of(model.parameter_space, fresh))
     np.testing.assert_allclose(answered, expected, atol=1e-5)
 
 
@@ -138,16 +140,22 @@ def test_a_product_is_a_law_and_what_is_none_a_process() -> None:
     def product(x: FloatArray) -> FloatArray:
         return -3.0 * np.exp(2.0 * x[:, 0] - 1.5 * x[:, 2])
 
-    law = Coefficient.fit(x, product(x))
+    space = ParameterSpace(tuple(Parameter(f"p{i}", -1.0, 1.0) for i in range(4)))
+
+    def learnt_from(values: FloatArray) -> Coefficient:
+        return Coefficient.fit(Points(x, x), values, Products.of(space))
+
+    law = learnt_from(product(x))
     assert law.slopes is not None
-    np.testing.assert_allclose(law.at(fresh), product(fresh), rtol=1e-6)
-    polynomial = Coefficient.fit(x, 1.0 - 3.0 * x[:, 1] + 2.0 * x[:, 1] ** 2)
+    np.testing.assert_allclose(law.at(Points(fresh, fresh)), product(fresh), rtol=1e-6)
+    polynomial = learnt_from(1.0 - 3.0 * x[:, 1] + 2.0 * x[:, 1] ** 2)
     assert polynomial.slopes is not None
-    constant = Coefficient.fit(x, np.full(9, -0.25))
-    np.testing.assert_allclose(constant.at(fresh), -0.25)
-    other = Coefficient.fit(x, product(x) - np.exp(np.sin(5.0 * x[:, 1])))
-    assert other.slopes is None
-    np.testing.assert_allclose(other.at(x), product(x) - np.exp(np.sin(5.0 * x[:, 1])), rtol=0.01)
+    assert polynomial.is_exact
+    constant = learnt_from(np.full(9, -0.25))
+    np.testing.assert_allclose(constant.at(Points(fresh, fresh)), -0.25)
+    other = learnt_from(product(x) - np.exp(np.sin(5.0 * x[:, 1])))
+    assert not other.is_exact
+    np.testing.assert_allclose(other.at(Points(x, x)), product(x) - np.exp(np.sin(5.0 * x[:, 1])), rtol=0.01)
 
 
 def test_rows_that_do_not_tell_a_coefficient_are_left_out_of_it() -> None:
@@ -311,7 +319,8 @@ def test_a_state_that_never_moves_is_a_constant() -> None:
     assert structure.misfit < LEARNT
     found, _ = structure.fitted(signals, StateRows(x, slope, x[..., :1]))
     np.testing.assert_array_equal(found[1], 0.0)
-    assert StateEquations.learn(signals, structure, u, x[:, 0], found) is not None
+    points, products = Points.of(model.parameter_space, u), Products.of(model.parameter_space)
+    assert StateEquations.learn(signals, structure, points, x[:, 0], found, products) is not None
 
 
 def test_bands_hold_for_what_is_reported_alone() -> None:

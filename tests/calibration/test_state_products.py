@@ -13,9 +13,10 @@ from simulation.parameters import Parameter, ParameterSpace
 from simulation.states import StateSignals, WatchedModel, watching_states
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
+from studies.calibration.coefficient import Points
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.residual_process import Features
+from studies.calibration.product_laws import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_guide import StateGuide
@@ -108,7 +109,9 @@ def learnt(model: Radiator, n: int) -> StateEquations:
     structure = Structure.of(model.signals, rows)
     assert structure.misfit < LEARNT
     found, _ = structure.fitted(model.signals, rows)
-    equations = StateEquations.learn(model.signals, structure, Features.of(SPACE).at(u), rows.x[:, 0], found)
+    equations = StateEquations.learn(
+        model.signals, structure, Points.of(SPACE, u), rows.x[:, 0], found, Products.of(SPACE)
+    )
     assert equations is not None
     return equations
 
@@ -129,7 +132,7 @@ def test_flows_and_radiation_are_found_and_solved(radiates: bool, n_levels: int 
     assert heat == {Term(1, factors=(3,)), Term(2, factors=(3,))}
     fresh = np.random.default_rng(1).random((5, 5))
     expected = model.simulate(SPACE.from_unit(fresh)).y[..., :2]
-    answered = equations.outputs(Features.of(SPACE).at(fresh))
+    answered = equations.outputs(Points.of(SPACE, fresh))
     assert np.abs(answered - expected)[..., 0].max() < 0.01
     assert np.abs(answered - expected)[..., 1].max() < 0.002 * np.abs(expected[..., 1]).max()
 
