@@ -14,8 +14,8 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 
-# Weighted squares, as a share of those around the mean, below which one product is a law, or a sum of two: pairs
-# are so many that some would fit the errors that a coefficient of one product has.
+# Weighted squares, as a share of those around the mean, below which one product is a law, or a sum of two:
+# pairs are so many that some would fit the errors that a coefficient of one product has.
 ONE_EXACT, TWO_EXACT = 1e-8, 1e-10
 # Rows more than amounts, before chance can be told from a law.
 SPARE_ROWS = 2
