@@ -14,6 +14,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.states import StateRows, StateSignals
 from studies.calibration.coefficient import Points
+from studies.calibration.equation_model import EquationModel
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_laws import Products
@@ -84,6 +85,13 @@ class StateGuide:
         """Whether it knows the equations exactly and told the last row right: more would teach it nothing."""
         is_exact = self._equations is not None and self._equations.is_exact
         return is_exact and not max(self._n_missed, self._n_failed)
+
+    @property
+    def model(self) -> EquationModel | None:
+        """A model that answers by the equations, None where they are not known exactly."""
+        if self._equations is None or not self.is_sure:
+            return None
+        return EquationModel(self._equations, self._problem.space, self._problem.model.time)
 
     @property
     def is_learnt(self) -> bool:

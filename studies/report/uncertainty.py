@@ -246,11 +246,14 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
 def sample_sentence(record: UncertaintyRecord) -> str:
     """Say what the sample is worth and what it cost."""
     r, ledger = record, record.ledger
-    cost = (
-        f"{count(ledger['total'], 'model call')}: {ledger['n_differences']} differences, "
-        f"{ledger['n_taught']} that taught the surrogate, {ledger['n_sample']} of the sample; "
-        f"{count(ledger['n_known'], 'simulation')} stored before taught it, too"
-    )
+    if ledger.get("by_equations"):
+        cost = f"{count(ledger['total'], 'model call')}; the model's state equations told the rest"
+    else:
+        cost = (
+            f"{count(ledger['total'], 'model call')}: {ledger['n_differences']} differences, "
+            f"{ledger['n_taught']} that taught the surrogate, {ledger['n_sample']} of the sample; "
+            f"{count(ledger['n_known'], 'simulation')} stored before taught it, too"
+        )
     worth = (
         f"The sample of {count(len(r.weights), 'simulated parameter set')} is worth {r.n_effective:.0f} of "
         f"equal weight ({cost})."

@@ -201,6 +201,7 @@ def _uncertainty(rebuilt: Rebuilt) -> Made:
         UncertaintySettings(**recipe["settings"]),
         lambda *_: known,
         restriction_of(recipe),
+        state_equations=point.get("state_equations", False),
     )
     return numbers, made
 

@@ -11,7 +11,7 @@ from studies.calibration.known_rows import missing_of_design
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.state_guide import enough_for_equations
 from studies.report.wording import count
-from studies.stages.known_rows import ChooseRows, Known, fitting_theta
+from studies.stages.known_rows import ChooseRows, Known, fitting_theta, judge_known
 from studies.stages.pipeline import Study
 
 
@@ -44,11 +44,7 @@ def known_of(
         )
     else:
         study.console.say(f"begins with {count(len(theta), 'stored simulation')} of this model")
-    if isinstance(physical, StoredWatchedModel):
-        answer = physical.known(theta, known.watched)
-    else:
-        answer = physical.simulate(theta)
-    return known, problem.judge(problem.space.to_unit(known.theta), model.of_free(answer))
+    return known, judge_known(problem, physical, model, known)
 
 
 def known_arrays(known: Known | None, *, state_equations: bool) -> dict[str, Any]:

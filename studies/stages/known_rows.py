@@ -11,6 +11,7 @@ from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.partly_fixed import PartlyFixedModel
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
+from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.stages.calibrate import write_arrays
 from studies.stages.results import read_arrays
@@ -93,6 +94,25 @@ class KnownRows:
         full = model.complete(theta)
         is_whole = physical.store.find(full).all() and physical.watched(full[watched]).all()
         return Known(theta, watched) if is_whole else None
+
+
+def judge_known(
+    problem: CalibrationProblem, physical: StoredModel, model: PartlyFixedModel, known: Known
+) -> Evaluation:
+    """Return how good known rows are, of a model that watches states with what these did.
+
+    Args:
+        problem: The problem of the free parameters.
+        physical: The model with all its simulations.
+        model: The same, asked the free parameters alone.
+        known: The rows.
+    """
+    theta = model.complete(known.theta)
+    if isinstance(physical, StoredWatchedModel):
+        answer = physical.known(theta, known.watched)
+    else:
+        answer = physical.simulate(theta)
+    return problem.judge(problem.space.to_unit(known.theta), model.of_free(answer))
 
 
 def fitting_theta(store: SimulationStore, model: PartlyFixedModel) -> FloatArray:

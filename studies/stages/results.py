@@ -76,6 +76,11 @@ class StoredCalibration:
         return bool(self.numbers.get("method") == ADAPTIVE)
 
     @property
+    def learnt_equations(self) -> bool:
+        """Whether it believed in state equations when it ended."""
+        return bool(self.numbers.get("state_equations", {}).get("are_believed", False))
+
+    @property
     def mse(self) -> float:
         """Its final error, infinite where it failed. [first output's unit squared]."""
         return _number(self.numbers["mse" if self.is_adaptive else "mse_polished"])

@@ -14,13 +14,21 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
-from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
+from studies.physical_model import (
+    failed_numbers,
+    open_physical_model,
+    open_watched_model,
+    say_reused,
+    simulations_in_use,
+)
 from studies.recipe import recipe_of
 from studies.report.uncertainty import FITS_BETTER
 from studies.report.wording import count
+from studies.stages.adaptive_known import known_arrays
 from studies.stages.calibrate import write_arrays
+from studies.stages.guided import guide_of
 from studies.stages.knowledge import prior_inputs, sensor_inputs
-from studies.stages.known_rows import ChooseRows, KnownRows
+from studies.stages.known_rows import ChooseRows, KnownRows, judge_known
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.restriction import (
     Restriction,
@@ -89,6 +97,7 @@ def uncertainty_stage(
         "seed": study.profile.seed,
         **prior_inputs(case, space),
         **(sensor_inputs(case) if settings.noise == "sensor" else {}),
+        **({"state_equations": True} if calibration.learnt_equations else {}),
         **({} if restriction is None else {"held": dict(restriction.fixed)}),
     }
     # Bands of earlier versions took an output's weight and sampling for its noise.
@@ -102,7 +111,13 @@ def uncertainty_stage(
         started_s = time.time()
         known = KnownRows(files.rows, digest_of(asked))
         numbers, arrays, n_simulated = judge_calibration_point(
-            study, calibration.name, calibration.point[0], settings, known, restriction
+            study,
+            calibration.name,
+            calibration.point[0],
+            settings,
+            known,
+            restriction,
+            state_equations=calibration.learnt_equations,
         )
         summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
         recipe = recipe_of(
@@ -110,7 +125,11 @@ def uncertainty_stage(
             "uncertainty",
             command=_command(study, calibration, settings),
             settings=asdict(settings),
-            calibration={"name": calibration.name, "theta": calibration.numbers["theta"]},
+            calibration={
+                "name": calibration.name,
+                "theta": calibration.numbers["theta"],
+                **({"state_equations": True} if calibration.learnt_equations else {}),
+            },
             **recipe_part(restriction),
         )
         numbers |= {"recipe": recipe, "environment": environment()}
@@ -154,6 +173,8 @@ def judge_calibration_point(
     settings: UncertaintySettings,
     known_rows: ChooseRows,
     restriction: Restriction | None = None,
+    *,
+    state_equations: bool = False,
 ) -> tuple[dict[str, Any], dict[str, Any], int]:
     """Say how sure a calibrated point is, and keep nothing but the simulations.
 
@@ -164,12 +185,14 @@ def judge_calibration_point(
         settings: What is asked for.
         known_rows: Rows that are known beforehand.
         restriction: Which parameters are held at what and are not judged; None for none.
+        state_equations: Whether the calibration learnt state equations, which can be learnt again.
 
     Returns:
         The numbers, the arrays and how many rows were not stored before.
     """
     case = study.case
-    with open_physical_model(study) as physical, study.console.bars() as bars:
+    opened = open_watched_model(study) if state_equations else open_physical_model(study)
+    with opened as physical, study.console.bars() as bars:
         model = parts_of(physical, restriction)
         n_parameters, theta = model.parameter_space.n_parameters, model.reduced(theta)
         prior = Prior.of(model.parameter_space, case.measurement)
@@ -177,10 +200,11 @@ def judge_calibration_point(
         y = model.simulate(theta[None]).y[0]
         noise = noise_of(settings.noise, case.measurement, y, n_parameters)
         posterior = Posterior(noise, prior)
-        known_theta = known_rows(
-            physical, model, problem, lambda found: posterior.at(found.u, found.mse)
-        ).theta
-        known = problem.judge(problem.space.to_unit(known_theta), model.simulate(known_theta))
+        rows = known_rows(physical, model, problem, lambda found: posterior.at(found.u, found.mse))
+        known = judge_known(problem, physical, model, rows)
+        guide = guide_of(physical, model, problem)
+        if guide is not None and known.n:
+            guide.note(known)
         if known.n and known.mse.min() < FITS_BETTER * float(case.measurement.mse(y[None])[0]):
             # What a calibration that ended early has left over is not noise.
             noise = noise_of(settings.noise, case.measurement, known.y[np.argmin(known.mse)], n_parameters)
@@ -192,17 +216,18 @@ def judge_calibration_point(
             known=known,
             sampling=sampling_within(settings.max_calls, n_parameters),
             seed=study.profile.seed,
+            stand_in=None if guide is None else guide.model,
             on_phase=bars,
         )
     if not np.isfinite(found.sample.drawn.mse).any():
         raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
     # The point is asked first, to know the noise, and then among the known rows once more.
-    n_repeated = int(np.all(known_theta == theta, axis=1).sum())
+    n_repeated = int(np.all(rows.theta == theta, axis=1).sum())
     say_reused(study, f"uncertainty-{name}", physical, n_repeated=n_repeated)
     numbers, arrays = _told(study, name, settings, problem, found)
     numbers["ledger"] |= {"n_known": known.n}
     numbers |= failed_numbers(physical) | held_numbers(case, restriction)
-    return numbers, arrays | {"known_theta": known_theta}, physical.n_simulated
+    return numbers, arrays | known_arrays(rows, state_equations=state_equations), physical.n_simulated
 
 
 def _told(
@@ -268,6 +293,7 @@ def _told(
             "n_taught": found.n_taught,
             "n_sample": n,
             "total": assessed.n_calls,
+            **({"by_equations": True} if assessed.by_equations else {}),
         },
     }
     arrays = {

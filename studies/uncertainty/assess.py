@@ -1,12 +1,13 @@
 """How sure a calibration is: differences at its point, then a posterior sample around it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.uncertainty.density import Posterior
@@ -15,6 +16,7 @@ from studies.uncertainty.identifiability import Identifiability, difference_rows
 from studies.uncertainty.noise import Noise
 from studies.uncertainty.rows import joined
 from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling
+from studies.uncertainty.stand_in import sample_with
 
 STEP = 0.01
 """Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
@@ -35,17 +37,16 @@ class Assessment:
         point: The calibrated point as the model answered. One row.
         local: What the residuals around it determine.
         sample: Equally good parameter sets.
+        n_differences: Rows asked for the differences; the point itself was known.
+        by_equations: Whether state equations told all but the sample.
     """
 
     noise: Noise
     point: Evaluation
     local: Identifiability
     sample: PosteriorSample
-
-    @property
-    def n_differences(self) -> int:
-        """Rows asked for the differences; the point itself was known."""
-        return self.local.n_calls - 1
+    n_differences: int
+    by_equations: bool
 
     @property
     def n_calls(self) -> int:
@@ -94,6 +95,7 @@ def assess(
     known: Evaluation | None,
     sampling: Sampling,
     seed: int,
+    stand_in: ForwardModel | None = None,
     on_phase: OnPhase | None = None,
 ) -> Assessment:
     """Say how sure a calibration is.
@@ -106,23 +108,47 @@ def assess(
         known: Rows that are known already, or None.
         sampling: How the posterior is sampled.
         seed: Seed of all draws.
+        stand_in: The model's state equations, where they are known exactly: then the model simulates the
+            sample alone, as long as it agrees.
         on_phase: Told how far it is.
     """
     tell = on_phase or (lambda what, done, total: None)
     space, model = problem.space, problem.model
     p = space.n_parameters
-    tell("differences", 0, 2 * p)
     rows = difference_rows(np.clip(space.to_unit(theta), 0.0, 1.0), STEP)
     answered = Trajectories(theta[None], y[None], model.time, space.names, model.output_names, ("",))
-    around = joined([problem.judge(rows[:1], answered), problem.evaluate(rows[1:])])
+    posterior, known_rows = Posterior(noise, problem.prior), [] if known is None or not known.n else [known]
+
+    def differences(asked: CalibrationProblem) -> tuple[Evaluation, Identifiability]:
+        around = joined([problem.judge(rows[:1], answered), asked.evaluate(rows[1:])])
+        found = judged(space.names, around, noise.raised, noise.n_independent, STEP, prior=problem.prior)
+        return around, found
+
+    def tell_calls(n: int) -> None:
+        tell("posterior sample", n, sampling.max_calls)
+
+    n_in_vain = 0
+    if stand_in is not None:
+        solved = problem.on(stand_in)
+        around, local = differences(solved)
+        sample, asked = sample_with(
+            solved,
+            problem,
+            posterior,
+            sampling,
+            joined([*known_rows, around]),
+            seed=seed,
+            on_calls=tell_calls,
+        )
+        if sample is not None:
+            return Assessment(noise, around.take(0), local, sample, 0, by_equations=True)
+        known_rows, n_in_vain = [*known_rows, asked], asked.n
+    tell("differences", 0, 2 * p)
+    around, local = differences(problem)
     tell("differences", 2 * p, 2 * p)
-    local = judged(space.names, around, noise.raised, noise.n_independent, STEP, prior=problem.prior)
-    sampler = PosteriorSampler(
-        problem,
-        Posterior(noise, problem.prior),
-        sampling,
-        around if known is None or not known.n else joined([known, around]),
-        seed=seed,
-        on_calls=lambda n: tell("posterior sample", n, sampling.max_calls),
-    )
-    return Assessment(noise, around.take(0), local, sampler.sample())
+    left = replace(sampling, max_calls=sampling.max_calls - n_in_vain)
+    sample = PosteriorSampler(
+        problem, posterior, left, joined([*known_rows, around]), seed=seed, on_calls=tell_calls
+    ).sample()
+    sample = replace(sample, n_calls=sample.n_calls + n_in_vain, n_taught=sample.n_taught + n_in_vain)
+    return Assessment(noise, around.take(0), local, sample, 2 * p, by_equations=False)

@@ -253,17 +253,9 @@ class PosteriorSampler:
             parts.append(answer)
             new = self._posterior.at(u, answer.mse) - expected(u)
             ratios = np.append(ratios, new)
-            if self._has_another_round and not self._agrees(ratios):
+            if self._has_another_round and not agrees(ratios, settings.n_batch):
                 break
-        return joined(parts), ratios, self._agrees(ratios)
-
-    def _agrees(self, ratios: FloatArray) -> bool:
-        """Whether a sample is worth enough."""
-        n = len(ratios)
-        share = effective_size(normalized(ratios)) / n
-        return bool(np.isfinite(ratios).any()) and share >= (
-            AGREEMENT if n <= self._settings.n_batch else LOST
-        )
+        return joined(parts), ratios, agrees(ratios, settings.n_batch)
 
     def _ask(self, u: FloatArray) -> Evaluation:
         answer = self._problem.evaluate(u)
@@ -274,6 +266,17 @@ class PosteriorSampler:
         if self._on_calls is not None:
             self._on_calls(self.n_calls)
         return answer
+
+
+def agrees(ratios: FloatArray, n_batch: int) -> bool:
+    """Return whether a sample is worth enough.
+
+    Args:
+        ratios: Logarithms of the model's density over the predicted one. Shape (n,). [1]
+        n_batch: Members up to which it is a first batch, which has to be worth more.
+    """
+    share = effective_size(normalized(ratios)) / len(ratios)
+    return bool(np.isfinite(ratios).any()) and share >= (AGREEMENT if len(ratios) <= n_batch else LOST)
 
 
 def decimals_for(steepness: float) -> int:

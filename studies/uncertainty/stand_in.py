@@ -1,0 +1,83 @@
+"""A posterior sample drawn with the help of a model that costs nothing and is as good as the real one.
+
+The surrogate is taught by the stand-in alone. The real model simulates the members of the sample, and each
+counts as much as the real density exceeds the one that the surrogate expected: what the stand-in errs by
+is in the weights, and shows.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.uncertainty.density import Posterior
+from studies.uncertainty.rows import joined
+from studies.uncertainty.sample import OnCalls, PosteriorSample, PosteriorSampler, Sampling, agrees
+from studies.uncertainty.weights import normalized
+
+MOST_FREE = 600
+"""Rows that the stand-in may be asked; a surrogate learns of no more."""
+
+
+class StandInSample(NamedTuple):
+    """What became of a sample that was drawn with a stand-in.
+
+    Attributes:
+        sample: The sample, None where the real model disagrees.
+        asked: Rows that the real model was asked.
+    """
+
+    sample: PosteriorSample | None
+    asked: Evaluation
+
+
+def sample_with(
+    stand_in: CalibrationProblem,
+    problem: CalibrationProblem,
+    posterior: Posterior,
+    settings: Sampling,
+    known: Evaluation,
+    *,
+    seed: int,
+    on_calls: OnCalls | None = None,
+) -> StandInSample:
+    """Sample a posterior by a stand-in, and have the model simulate the sample.
+
+    Args:
+        stand_in: The problem, posed to the stand-in.
+        problem: The same, posed to the physical model.
+        posterior: The density.
+        settings: How to sample; the budget is of the physical model.
+        known: Rows that are known already.
+        seed: Seed of all draws.
+        on_calls: Told how many rows were asked of the physical model so far.
+    """
+    free = replace(settings, max_calls=MOST_FREE)
+    taught = PosteriorSampler(stand_in, posterior, free, known, seed=seed).sample()
+    u = taught.drawn.u[: settings.max_calls]
+    expected = posterior.at(u, taught.drawn.mse[: len(u)]) - taught.log_ratios[: len(u)]
+    parts, ratios = list[Evaluation](), np.empty(0)
+    while len(ratios) < len(u):
+        now = slice(len(ratios), len(ratios) + settings.n_batch)
+        parts.append(problem.evaluate(u[now]))
+        ratios = np.append(ratios, posterior.at(u[now], parts[-1].mse) - expected[now])
+        if on_calls is not None:
+            on_calls(len(ratios))
+        if not agrees(ratios, settings.n_batch):
+            return StandInSample(None, joined(parts))
+    drawn = joined(parts)
+    every = joined([known, drawn])
+    best = int(np.argmax(posterior.at(every.u, every.mse)))
+    sample = replace(
+        taught,
+        drawn=drawn,
+        weights=normalized(ratios),
+        log_ratios=ratios,
+        n_calls=len(ratios),
+        n_taught=0,
+        n_known=known.n,
+        best_u=every.u[best],
+        best_mse=float(every.mse[best]),
+    )
+    return StandInSample(sample, drawn)
