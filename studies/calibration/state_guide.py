@@ -36,6 +36,9 @@ FTOL = 1e-5
 # Rows that equations are first learnt from, by parameter; a product of three parameters takes six.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
 
+LEAST_CALLS = LEAST_TO_LEARN + 1
+"""The rows that the simplest equations are learnt from, and the best point that these expect."""
+
 Seen = Callable[[FloatArray], StateRows]
 """Parameters (n, p) of rows that were answered last to what states did there, NaN where that is not known."""
 

@@ -21,7 +21,7 @@ from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
-from studies.calibration.state_guide import enough_for_equations
+from studies.calibration.state_guide import LEAST_CALLS
 from studies.console import OnBar
 from studies.physical_model import (
     failed_numbers,
@@ -108,7 +108,7 @@ def adaptive_settings(
     n_parameters = n_free or case.parameter_space.n_parameters
     n_start = 1 if from_stored else settings.design_size(n_parameters)
     if state_equations:
-        n_start = min(n_start, enough_for_equations(n_parameters))
+        n_start = min(n_start, LEAST_CALLS)
     if settings.max_calls < n_calls_before + n_start:
         before = (
             f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""

@@ -9,7 +9,7 @@ from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.known_rows import missing_of_design
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.state_guide import enough_for_equations
+from studies.calibration.state_guide import LEAST_CALLS
 from studies.report.wording import count
 from studies.stages.known_rows import ChooseRows, Known, fitting_theta, judge_known
 from studies.stages.pipeline import Study
@@ -67,7 +67,7 @@ def check_design(settings: Adaptive, known: Evaluation, n_kept: int, *, state_eq
     n_start = settings.design_size(n_parameters)
     n_missing = missing_of_design(known, n_start)
     if state_equations:
-        n_missing = min(n_missing, enough_for_equations(n_parameters))
+        n_missing = min(n_missing, LEAST_CALLS)
     if settings.max_calls < n_kept + n_missing:
         design = f"{n_missing} of {count(n_start, 'simulation')} of a first design"
         raise InputError(
