@@ -14,9 +14,9 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 
-# Weighted squares, as a share of those around the mean, below which one product is a law, or a sum of two:
-# pairs are so many that some would fit the errors that a coefficient of one product has.
-ONE_EXACT, TWO_EXACT = 1e-8, 1e-10
+# Weighted squares, as a share of those around the mean, below which a law is exact. Pairs are so many that
+# with few rows some would fit the errors of a coefficient that is one product: there, the second counts.
+EXACT, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
 # Rows more than amounts, before chance can be told from a law.
 SPARE_ROWS = 2
 # Products of so many parameters are looked at, and of so many in sums, as far as they are few.
@@ -108,7 +108,7 @@ def product_law(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     table = products.at(theta)
     weight = _weight(values)
     single, left = _single(table * weight[:, None], values * weight, weight)
-    if left < ONE_EXACT:
+    if left < EXACT:
         return _fitted(products.powers[[single]], theta, values, weight)
     if len(values) < 2 + SPARE_ROWS:
         return None
@@ -121,8 +121,9 @@ def product_law(products: Products, theta: FloatArray, values: FloatArray) -> Pr
             law = _fitted(products.powers[list(pair)], theta, goal, weight)
             found.append(_left((law.at(theta) - goal) * weight, goal * weight, weight))
             laws.append(ProductLaw(law.amounts, law.powers, bool(is_reciprocal)))
-    best = int(np.argmin(found)) if found else 0
-    return laws[best] if found and found[best] < TWO_EXACT else None
+    exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
+    best = int(np.argmin(found))
+    return laws[best] if found[best] < exact else None
 
 
 def _weight(values: FloatArray) -> FloatArray:

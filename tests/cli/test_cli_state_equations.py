@@ -127,3 +127,29 @@ def test_it_may_begin_with_what_is_stored_of_the_states(project: Path, studies: 
     found = numbers_of(project, "wall")
     assert found["ledger"]["total_paper"] <= 4
     assert found["mse"] <= 0.00192
+
+
+def test_how_sure_it_is_takes_no_more_than_the_sample(
+    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(made, tmp_path / "project", monkeypatch)
+    assert studies(*WALL).code == 0
+    judge = ("uncertainty", "wall", "--jobs", "1", "--max-calls", "30")
+    answer = studies(*judge)
+    assert answer.code == 0, answer.err
+    file = project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json"
+    found = json.loads(file.read_text(encoding="utf-8"))
+    calls = found["ledger"]
+    assert (calls["n_differences"], calls["n_taught"], calls["total"]) == (0, 0, 16)
+    assert calls["by_equations"]
+    assert found["sample"]["n_effective"] > 8
+    told = " ".join(answer.out.split())
+    assert "(16 model calls; the model's state equations told the rest)" in told
+    again = studies(*judge, "--again")
+    assert again.code == 0, again.err
+    assert json.loads(file.read_text(encoding="utf-8")) == found
+    assert studies("reproduce", "wall-quick/uncertainty-adaptive").code == 0
+    # Without them it is another calibration, judged as ever.
+    assert studies(*WALL, "--no-state-equations", "--max-calls", "20").code == 0
+    assert studies(*judge).code == 0
+    assert json.loads(file.read_text(encoding="utf-8"))["ledger"]["n_differences"] == 14

@@ -107,6 +107,39 @@ def test_a_linear_models_posterior_is_the_textbook_one():
     assert found.n_calls == 2 * 2 + Sampling.n_batch + len(found.sample.weights)
 
 
+def judged_with(stand_in, max_calls=100):
+    problem, theta = posed(product(), [1.5, 0.7, 1.2]), np.array([1.5, 0.7, 1.2])
+    counted = CountingModel(problem.model)
+    y = problem.model.simulate(theta[None]).y[0]
+    noise = noise_of("sensor", problem.measurement, y, 3)
+    found = assess(
+        problem.on(counted), theta, y, noise=noise, known=None,
+        sampling=sampling_within(max_calls, 3), seed=0, stand_in=stand_in,
+    )  # fmt: skip
+    assert found.n_calls == counted.n_calls
+    return found
+
+
+def test_a_stand_in_that_is_right_leaves_the_model_the_sample_alone():
+    found, alone = judged_with(product()), judged_with(None)
+    assert found.by_equations
+    assert not alone.by_equations
+    assert found.n_calls == len(found.sample.weights) == Sampling.n_sample < alone.n_calls - 6
+    assert found.sample.n_effective > 0.5 * Sampling.n_sample
+    assert found.local.singular_values == pytest.approx(alone.local.singular_values, rel=1e-9)
+    assert found.interval == pytest.approx(alone.interval, abs=0.06)
+    assert judged_with(product(), max_calls=30).n_calls == 30 - 6
+
+
+def test_a_stand_in_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
+    bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + (theta[2] + 0.3) * t**2)
+    found, alone = judged_with(bent), judged_with(None)
+    assert not found.by_equations
+    assert found.n_differences == 6
+    assert found.sample.n_taught >= Sampling.n_batch
+    assert found.interval == pytest.approx(alone.interval, abs=0.06)
+
+
 def test_a_sample_is_as_narrow_as_its_density():
     sigma = 1e-6
     problem = posed(line(), [0.3, -0.4], sigma=sigma, uncertainty=sigma)
