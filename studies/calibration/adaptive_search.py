@@ -151,6 +151,16 @@ class AdaptiveSearch:
         """Whether state equations say where to ask next: they know the whole box."""
         return self._guide is not None and self._guide.is_believed
 
+    @property
+    def _is_sure(self) -> bool:
+        """Whether state equations are known exactly, and a row that they proposed was as they told."""
+        return self._guide is not None and self._guide.is_sure and self._guide.n_asked > 0
+
+    @property
+    def _least_gain(self) -> float:
+        """Relative gain that is worth a round: who wants every gain knows when there is none left."""
+        return max(self._settings.ftol, DULL) if self._is_sure else self._settings.ftol
+
     def _look_as_far_as_understood(self) -> None:
         """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
         if self._is_guided:
@@ -208,8 +218,7 @@ class AdaptiveSearch:
         centre, centre_objective = self._u[best], float(self._objective[best])
         points, expected = self._propose(process, centre)
         promise = centre_objective - expected.value
-        is_sure = self._guide is not None and self._guide.is_sure and self._guide.n_asked > 0
-        if is_sure and promise <= self._settings.ftol * centre_objective:
+        if self._is_sure and promise <= self._least_gain * centre_objective:
             # The best point is known, and more rows would teach nothing: it is only looked for again.
             self.expected_gain = max(promise / centre_objective, 0.0) if centre_objective > 0.0 else 0.0
             self._idle += 1
@@ -272,7 +281,7 @@ class AdaptiveSearch:
     def _reason(self) -> str:
         """Why a search ends that has converged."""
         who = "the state equations expect" if self._is_guided else "the surrogate expects"
-        reason = f"{who} a gain of less than {self._settings.ftol:g} of the error"
+        reason = f"{who} a gain of less than {self._least_gain:g} of the error"
         return f"{reason}, and nowhere {WANTED:g} times the error" if self._is_too_large else reason
 
     def _leg_is_over(self) -> bool:

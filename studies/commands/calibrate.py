@@ -11,10 +11,10 @@ HELP = "find the parameters that fit best"
 MORE = """\
 what happens: a small design fills the box; then every simulation goes where the lowest error is expected
 (--method adaptive), by the model's state equations or by a Gaussian process of all residuals so far. It
-needs the case alone: no training set, no
-initial guess. It stops when little gain is expected, at the latest after --max-calls; with --target only at
-that error or then. Every simulation is stored at once: interrupted, even killed, the same command reads them
-and goes on. --parallel Q asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
+needs the case alone: no training set, no initial guess. It stops when little gain is expected, at the latest
+after --max-calls; with --target only at that error or then, or where state equations know no lower one. Every
+simulation is stored at once: interrupted, even killed, the same command reads them and goes on. --parallel Q
+asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
 mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
 
 --from-stored begins with what is stored of this model, 250 simulations at most, whatever they were made for:
@@ -23,10 +23,11 @@ such a change the optimum is often found in one to three calls. The result says 
 --again it begins with what has been stored since.
 
 State equations say how the FMU's states move, and not only what its sensors would show. They are learnt from
-the states and derivatives that an FMU answers in every simulation. Where these follow sums of states and
-inputs, as in networks of resistances and capacities, a calibration takes little more than a simulation per
-parameter; where they do not, the search goes on without, and says so. --no-state-equations does without in
-any case; --state-equations says why an FMU's states cannot be read.
+the states and derivatives that an FMU answers in every simulation. Where these are sums of states, inputs and
+products of these (resistances and capacities, flows times temperatures, radiation, reactions) a calibration
+takes five to ten simulations, however many parameters there are; where they are not, the search goes on
+without, and says so. --no-state-equations does without in any case; --state-equations says why an FMU's
+states cannot be read.
 
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
 searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and

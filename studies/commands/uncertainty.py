@@ -12,8 +12,10 @@ what happens: the residuals are differentiated at the calibrated point (two call
 parameters the data determine, which compensate each other, linearised intervals. Then equally good parameter
 sets are drawn: particles on a Gaussian process of the residuals, which all stored simulations near the
 optimum teach; the FMU simulates a sample of it and reweights it. Their 5 to 95 % bands are shown over the
-measurement. Every simulation is stored at once: interrupted, the same command goes on. Lands in
-mlruns/results/<label>/posterior-<calibration>.json and .npz, in MLflow and, with studies report, on a page.
+measurement. Where the calibration learnt state equations, these answer in the FMU's place, and it simulates
+the sample alone; if it disagrees, all begins again with the FMU. Every simulation is stored at once:
+interrupted, the same command goes on. Lands in mlruns/results/<label>/posterior-<calibration>.json and .npz,
+in MLflow and, with studies report, on a page.
 
 --noise says what residuals are: correlated (default: as large as they are, and following each other, so that
 many samples are worth few), white (as large as they are, all independent), sensor (the declared uncertainty).

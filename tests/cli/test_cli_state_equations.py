@@ -153,3 +153,13 @@ def test_how_sure_it_is_takes_no_more_than_the_sample(
     assert studies(*WALL, "--no-state-equations", "--max-calls", "20").code == 0
     assert studies(*judge).code == 0
     assert json.loads(file.read_text(encoding="utf-8"))["ledger"]["n_differences"] == 14
+
+
+def test_a_target_that_cannot_be_reached_ends_it_as_well(
+    made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy_of(made, tmp_path / "project", monkeypatch)
+    answer = studies(*WALL, "--target", "1e-6")
+    assert answer.code == 0, answer.err
+    assert "after 5 model calls" in answer.out
+    assert "it ended because the state equations expect a gain of less than 0.0001" in answer.out
