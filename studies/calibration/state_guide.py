@@ -8,11 +8,13 @@ a point right again.
 
 import math
 from collections.abc import Callable
+from typing import Self
 
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.states import StateRows, StateSignals
+from simulation.errors import InputError
+from simulation.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.coefficient import Points
 from studies.calibration.equation_model import EquationModel
 from studies.calibration.prior import Prior
@@ -77,6 +79,20 @@ class StateGuide:
         self.misfit = np.inf
         self.n_asked = 0
         self.why_not = f"fewer than {LEAST_TO_LEARN} simulations tell what they did"
+
+    @classmethod
+    def of(cls, problem: CalibrationProblem) -> Self:
+        """Return the guide of a problem that is posed to a model that watches its states.
+
+        Raises:
+            InputError: It is posed to another model.
+        """
+        model = problem.model
+        if not isinstance(model, WatchedModel):
+            raise InputError(
+                f"state equations need a WatchedModel, not {type(model).__name__}; see simulation.states"
+            )
+        return cls(model.signals, model.seen, problem)
 
     @property
     def is_believed(self) -> bool:

@@ -187,8 +187,7 @@ def problem_of(rooms: TwoRooms, truth: FloatArray) -> CalibrationProblem:
 
 
 def guided(problem: CalibrationProblem, seed: int, **settings: int) -> tuple[AdaptiveResult, StateGuide]:
-    assert isinstance(problem.model, WatchedModel)
-    guide = StateGuide(problem.model.signals, problem.model.seen, problem)
+    guide = StateGuide.of(problem)
     return Adaptive(**settings).minimize(problem, seed=seed, guide=guide), guide  # type: ignore[arg-type]
 
 

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from simulation.arrays import FloatArray
 from simulation.case import load_case
+from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.states import StateSignals, WatchedModel, watching_states
 from simulation.trajectories import Trajectories
@@ -149,6 +150,14 @@ def test_what_moves_too_fast_is_left_alone() -> None:
         assert flow.fine_enough(start, [slow[0], np.array([[10.0]])]) is None
 
 
+def test_a_guide_needs_a_model_that_watches_its_states() -> None:
+    case = load_case(REPOSITORY / "fmus" / "wall")
+    with case.open_model() as model:
+        problem = CalibrationProblem(model, case.measurement)
+        with pytest.raises(InputError, match="state equations need a WatchedModel"):
+            StateGuide.of(problem)
+
+
 def test_products_are_offered_as_far_as_they_are_few() -> None:
     signals = Radiator(supply(3), radiates=False).signals
     few = candidates_with_products(signals, 0)
@@ -179,7 +188,7 @@ def test_an_oscillator_is_calibrated_with_a_handful_of_calls() -> None:
     with watching_states(case).open_model() as model:
         watched = WatchedModel(model, StateSignals.of(case))
         problem = CalibrationProblem(watched, case.measurement)
-        guide = StateGuide(watched.signals, watched.seen, problem)
+        guide = StateGuide.of(problem)
         found = Adaptive(max_calls=30).minimize(problem, seed=3, guide=guide)
     assert guide.is_believed
     assert found.n_calls <= 10
