@@ -88,7 +88,7 @@ def _panel(ax: Axes, kept: Kept, family: str, methods: list[str], looks: dict[st
         ax.fill_between(calls, low, high, color=colour, alpha=0.25 if is_ours else 0.08, lw=0, zorder=1)
     for target in TARGETS:
         ax.axhline(target - 1.0, color="0.5", lw=0.7, ls=":")
-    ax.set(xscale="log", yscale="log", xlim=(5, None), ylim=(LEAST_EXCESS * 0.9, MOST_EXCESS))
+    ax.set(xscale="log", yscale="log", xlim=(3, None), ylim=(LEAST_EXCESS * 0.9, MOST_EXCESS))
     ax.set_yticks([0.02, 0.05, 0.17, 1.0, 9.0, 99.0, 999.0])
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{1.0 + value:.4g}"))
     ax.minorticks_off()
