@@ -25,7 +25,7 @@ such a change the optimum is often found in one to three calls. The result says 
 State equations say how the FMU's states move, and not only what its sensors would show. They are learnt from
 the states and derivatives that an FMU answers in every simulation. Where these are sums of states, inputs and
 products of these (resistances and capacities, flows times temperatures, radiation, reactions) a calibration
-takes five to ten simulations, however many parameters there are; where they are not, the search goes on
+mostly takes five to ten simulations, of 14 parameters as of 4; where they are not, the search goes on
 without, and says so. --no-state-equations does without in any case; --state-equations says why an FMU's
 states cannot be read.
 

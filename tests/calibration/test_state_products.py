@@ -11,7 +11,7 @@ from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.states import StateSignals, WatchedModel, watching_states
+from simulation.states import StateRows, StateSignals, WatchedModel, watching_states
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.coefficient import Points
@@ -136,6 +136,58 @@ def test_flows_and_radiation_are_found_and_solved(radiates: bool, n_levels: int 
     answered = equations.outputs(Points.of(SPACE, fresh))
     assert np.abs(answered - expected)[..., 0].max() < 0.01
     assert np.abs(answered - expected)[..., 1].max() < 0.002 * np.abs(expected[..., 1]).max()
+
+
+def test_reactions_in_a_stirred_tank_are_found() -> None:
+    """A + B become C, of second order, in a tank that is flushed."""
+    space = ParameterSpace(
+        tuple(Parameter(name, low, 30.0 * low, scale="log") for name, low in (("V", 1.0), ("k", 1e-7)))
+    )
+    n, h = 200, 60.0
+    inputs = np.column_stack([1e-3 * (2.0 + np.sin(np.arange(n) / 9.0)), 500.0 + np.arange(n)])
+    signals = StateSignals(
+        states=("cA", "cB"),
+        derivatives=("der(cA)", "der(cB)"),
+        inputs=("V_flow", "cAIn"),
+        units=("mol/m3", "mol/m3", "m3/s", "mol/m3"),
+        depends_on=(None, frozenset({"cA", "cB"})),
+        driven=inputs,
+        step_s=h,
+        every=1,
+        n_before=0,
+        outputs=("cA",),
+        conversions=np.array([[1.0, 0.0]]),
+    )
+
+    def slope(theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+        rate = theta[1] * x[0] * x[1]
+        return np.array([u[0] / theta[0] * (u[1] - x[0]) - rate, -2.0 * rate])
+
+    def answer(theta: FloatArray) -> FloatArray:
+        x, rows = np.array([300.0, 800.0]), []
+        for u in np.concatenate([inputs[:1], inputs]):
+            if rows:
+                x = solve_ivp(lambda _, x, u=u: slope(theta, x, u), (0.0, h), x, rtol=1e-10, atol=1e-9).y[
+                    :, -1
+                ]
+            rows.append([*x, *slope(theta, x, u)])
+        return np.array(rows)
+
+    u = latin_hypercube(4, 2, np.random.default_rng(0))
+    y = np.array([answer(theta) for theta in space.from_unit(u)])
+    rows = StateRows(y[..., :2], y[..., 2:], y[..., :1])
+    structure = Structure.of(signals, rows)
+    assert set(structure.sums[0].terms) == {Term(3, True, (2,)), Term(0, factors=(1,))}
+    assert structure.sums[1].terms == (Term(0, factors=(1,)),)
+    found, _ = structure.fitted(signals, rows)
+    equations = StateEquations.learn(
+        signals, structure, Points.of(space, u), rows.x[:, 0], found, Products.of(space)
+    )
+    assert equations is not None
+    assert equations.is_exact
+    fresh = np.random.default_rng(1).random((3, 2))
+    expected = np.array([answer(theta)[:, :1] for theta in space.from_unit(fresh)])
+    np.testing.assert_allclose(equations.outputs(Points.of(space, fresh)), expected, rtol=1e-3)
 
 
 def test_what_moves_too_fast_is_left_alone() -> None:
