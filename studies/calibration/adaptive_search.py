@@ -117,8 +117,7 @@ class AdaptiveSearch:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return "the target is reached"
             if len(self._unasked) and not self._is_guided:
-                self._unasked, rest = self._unasked[:0], self._unasked
-                self._ask(rest)
+                self._ask_rest()
                 continue
             if np.isfinite(self._objective).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
@@ -130,6 +129,11 @@ class AdaptiveSearch:
                     self._look_further()
                     continue
                 if self._is_home and self._may_end and self._idle:
+                    if self._is_too_large and len(self._unasked):
+                        # What has happened in no row so far, as a valve that closes, may fit better.
+                        self._ask_rest()
+                        self._idle = 0
+                        continue
                     return self._reason
                 self._turn()
             self._step()
@@ -145,6 +149,11 @@ class AdaptiveSearch:
                 self._ask(design[n_asked : n_asked + n_next])
                 n_asked, n_next = n_asked + n_next, q
         self._unasked = design[n_asked:]
+
+    def _ask_rest(self) -> None:
+        """Ask what state equations have left of the first design."""
+        self._unasked, rest = self._unasked[:0], self._unasked
+        self._ask(rest)
 
     @property
     def _is_guided(self) -> bool:

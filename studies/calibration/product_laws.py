@@ -7,6 +7,7 @@ products is meant: what is written into a model fits to rounding, all others by 
 
 from dataclasses import dataclass
 from itertools import combinations, product
+from math import comb
 from typing import Self
 
 import numpy as np
@@ -45,14 +46,14 @@ class Products:
         kept = (space.lower > 0.0) | (space.upper < 0.0)
         powers, n_paired = [np.zeros(space.n_parameters, dtype=np.int64)], 1
         for n_factors in range(1, MOST_FACTORS + 1):
+            if len(powers) + comb(space.n_parameters, n_factors) * 2**n_factors > MOST_PRODUCTS:
+                break
             more = []
             for chosen in combinations(range(space.n_parameters), n_factors):
                 for signs in product(*[(1, -1) if kept[one] else (1,) for one in chosen]):
                     row = np.zeros(space.n_parameters, dtype=np.int64)
                     row[list(chosen)] = signs
                     more.append(row)
-            if len(powers) + len(more) > MOST_PRODUCTS:
-                break
             powers += more
             if n_factors <= MOST_SUMMED and len(powers) <= MOST_PAIRED:
                 n_paired = len(powers)

@@ -11,7 +11,7 @@ dynamics (Brunton, Proctor and Kutz 2016, doi:10.1073/pnas.1517384113).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -118,22 +118,23 @@ def candidates_with_products(signals: StateSignals, own: int) -> list[Term]:
         *simple[:-1],
         *(Term(one, factors=(one,) * 3) for one in columns if units[one] == TEMPERATURE),
     ]
-    flows = [
-        Term(one, is_difference=True, factors=(other,))
-        for one in columns
-        for other in columns
-        if is_alike[one] and one != own and not is_alike[other]
-    ]
-    monomials = [
+    products = [
         [
-            Term(chosen[0], factors=chosen[1:])
-            for chosen in combinations_with_replacement(columns, degree)
-            if sum(units[one] == TEMPERATURE for one in chosen) < 2
-            and (degree == 2 or all(one < n_states for one in chosen))
+            Term(one, is_difference=True, factors=(other,))
+            for one in columns
+            for other in columns
+            if is_alike[one] and one != own and not is_alike[other]
         ]
-        for degree in (2, 3)
     ]
-    for terms in (flows, *monomials):
+    states = [one for one in columns if one < n_states]
+    for degree, among in ((2, columns), (3, states)):
+        monomials = (
+            Term(chosen[0], factors=chosen[1:])
+            for chosen in combinations_with_replacement(among, degree)
+            if sum(units[one] == TEMPERATURE for one in chosen) < 2
+        )
+        products.append(list(islice(monomials, MOST_CANDIDATES)))
+    for terms in products:
         if len(found) + len(terms) < MOST_CANDIDATES:
             found += terms
     return [*dict.fromkeys(found), Term(-1)]

@@ -34,11 +34,9 @@ DECIMALS, STEPS_PER_DEVIATION = 5, 5.0
 """Points are rounded to this many decimals of the unit cube, so that a store finds them again, or to so many
 that a parameter's deviation, the others held, has these steps."""
 
-AGREEMENT = 0.5
-"""A batch that is worth this share of its size by its weights agrees with the surrogate."""
-
-LOST = 0.4
-"""A sample whose worth falls below this share of its size is given up while calls are left."""
+AGREEMENT = 0.5, 0.4
+"""A batch that is worth the first share of its size by its weights agrees with the surrogate; a sample whose
+worth falls below the second share of its size is given up while calls are left."""
 
 NEAR_BEST, MOST_CENTRES = 10.0, 50
 """Particles also begin around known rows whose logarithmic density lacks no more than the first to the best
@@ -128,6 +126,7 @@ class PosteriorSampler:
         known: Evaluation,
         *,
         seed: int,
+        agreement: tuple[float, float] = AGREEMENT,
         on_calls: OnCalls | None = None,
     ) -> None:
         """Begin with what is known.
@@ -138,9 +137,11 @@ class PosteriorSampler:
             settings: How to sample.
             known: Rows that are known already.
             seed: Seed of all draws.
+            agreement: How much a batch and a sample have to be worth, see AGREEMENT. [1]
             on_calls: Told how many rows were asked so far.
         """
         self._problem, self._posterior, self._settings = problem, posterior, settings
+        self._agreement = agreement
         self._features = Features.of(problem.space)
         self._rng = np.random.default_rng(seed)
         self._on_calls = on_calls
@@ -253,9 +254,9 @@ class PosteriorSampler:
             parts.append(answer)
             new = self._posterior.at(u, answer.mse) - expected(u)
             ratios = np.append(ratios, new)
-            if self._has_another_round and not agrees(ratios, settings.n_batch):
+            if self._has_another_round and not agrees(ratios, settings.n_batch, self._agreement):
                 break
-        return joined(parts), ratios, agrees(ratios, settings.n_batch)
+        return joined(parts), ratios, agrees(ratios, settings.n_batch, self._agreement)
 
     def _ask(self, u: FloatArray) -> Evaluation:
         answer = self._problem.evaluate(u)
@@ -268,15 +269,16 @@ class PosteriorSampler:
         return answer
 
 
-def agrees(ratios: FloatArray, n_batch: int) -> bool:
+def agrees(ratios: FloatArray, n_batch: int, agreement: tuple[float, float] = AGREEMENT) -> bool:
     """Return whether a sample is worth enough.
 
     Args:
         ratios: Logarithms of the model's density over the predicted one. Shape (n,). [1]
         n_batch: Members up to which it is a first batch, which has to be worth more.
+        agreement: How much that and a sample have to be worth. [1]
     """
     share = effective_size(normalized(ratios)) / len(ratios)
-    return bool(np.isfinite(ratios).any()) and share >= (AGREEMENT if len(ratios) <= n_batch else LOST)
+    return bool(np.isfinite(ratios).any()) and share >= agreement[len(ratios) > n_batch]
 
 
 def decimals_for(steepness: float) -> int:

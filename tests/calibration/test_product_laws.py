@@ -82,6 +82,15 @@ def test_products_stay_few_and_only_what_keeps_its_sign_has_a_reciprocal() -> No
     assert set(PRODUCTS.powers[:, t]) == {0, 1}
     assert set(PRODUCTS.powers[:, 0]) == {-1, 0, 1}
     assert len(np.unique(PRODUCTS.powers, axis=0)) == len(PRODUCTS.powers)
-    large = Products.of(ParameterSpace(tuple(Parameter(f"p{i}", 1.0, 2.0) for i in range(60))))
-    assert len(large.powers) <= MOST_PRODUCTS
-    assert large.n_paired <= MOST_PAIRED
+    for n in (60, 300):
+        large = Products.of(ParameterSpace(tuple(Parameter(f"p{i}", 1.0, 2.0) for i in range(n))))
+        assert n < len(large.powers) <= MOST_PRODUCTS
+        assert large.n_paired <= MOST_PAIRED
+
+
+def test_one_parameter_is_enough() -> None:
+    space = ParameterSpace((Parameter("R", 1.0, 9.0, scale="log"),))
+    theta = space.from_unit(np.linspace(0.1, 0.9, 4)[:, None])
+    found = product_law(Products.of(space), theta, 3.0 + 2.0 / theta[:, 0])
+    assert found is not None
+    np.testing.assert_allclose(found.at(np.array([[5.0]])), 3.4)

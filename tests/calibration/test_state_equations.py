@@ -237,6 +237,21 @@ def test_a_building_is_calibrated_with_little_more_than_a_call_per_parameter(
         assert found.mse <= 1.001 * alone.mse
 
 
+def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() -> None:
+    case = load_case(REPOSITORY / "fmus" / "office")
+    with watching_states(case).open_model() as model:
+        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+        found = [
+            Adaptive(max_calls=40, doubtful_mse=doubtful).minimize(
+                problem, seed=0, guide=StateGuide.of(problem)
+            )
+            for doubtful in (0.1, 1e-4)
+        ]
+    assert found[0].n_calls < 14
+    assert found[1].n_calls == 14 + found[0].n_calls - 4
+    assert all(one.converged for one in found)
+
+
 def test_where_nothing_can_be_learnt_the_same_rows_are_asked_as_without() -> None:
     case = load_case(REPOSITORY / "fmus" / "thermostat")
     found, n_asked = solved(case, 0, is_guided=True, max_calls=12)
