@@ -1,7 +1,7 @@
 """Laws of few products: a coefficient as one product of parameters or their reciprocals, or a sum of two.
 
-Coefficients of physical models are mostly such: 1 / (R C), (U - V) / C, 1 / (R + S). The powers are whole, so
-that no more than the amounts are to be found, and four or five simulations tell which of thousands of
+Coefficients of physical models are mostly such: 1 / (R C), (U - V) / C, 1 / (R + S). All powers are 1 or -1,
+so that no more than the amounts are to be found, and four or five simulations tell which of thousands of
 products is meant: what is written into a model fits to rounding, all others by chance to a few per cent.
 """
 
@@ -111,7 +111,7 @@ def product_law(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     single, left = _single(table * weight[:, None], values * weight, weight)
     if left < EXACT:
         return _fitted(products.powers[[single]], theta, values, weight)
-    if len(values) < 2 + SPARE_ROWS:
+    if len(values) < 2 + SPARE_ROWS or products.n_paired < 2:
         return None
     found, laws = list[float](), list[ProductLaw]()
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]

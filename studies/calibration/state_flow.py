@@ -19,8 +19,9 @@ from studies.calibration.state_terms import Sum
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
 MOST_MODES = 64
-# Parts of a communication step, and the change by halving them, relative to how a state moves, that is small.
-MOST_PARTS, SMALL_CHANGE = 64, 1e-2
+# Parts of a communication step, and the change by halving them that is small: relative to how a state moves,
+# or to one that is at rest.
+MOST_PARTS, SMALL_CHANGE, ROUNDING = 64, 1e-2, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,9 @@ class SteppedFlow:
             # Points that run away with any step tell nothing of steps.
             is_told = np.isfinite(states).all(axis=(1, 2))
             change = np.sqrt(np.mean((states - coarse)[is_told] ** 2, axis=1))
-            if change.size and (change <= SMALL_CHANGE * states[is_told].std(axis=1)).all():
+            told = states[is_told]
+            small = SMALL_CHANGE * told.std(axis=1) + ROUNDING * np.abs(told).max(axis=1)
+            if change.size and (change <= small).all():
                 return flow
             coarse = states
         return None

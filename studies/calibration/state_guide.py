@@ -28,8 +28,14 @@ from studies.calibration.state_equations import LEARNT, LEAST_TO_LEARN, StateEqu
 # them, beside the best rows and the last ends, are walked downhill.
 N_LOOKS, N_LOOKS_LATER = 400, 100
 N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
+# Random points that are walked downhill where equations are known exactly: nothing else looks for valleys.
+N_RANDOM_SURE = 20
 # A point that errs by more than this part of its objective is missed; so many in a row end the belief.
 MISSED, N_MISSED = 0.5, 4
+# Squares of the differences between solved and simulated residuals, as shares of a row's error, up to which
+# exact equations tell it, and up to which they are believed: what is beyond, as a state that jumps, they do
+# not know. So many of the last rows are looked at; an error counts the first of their median more.
+TOLD, BELIEVED, N_TOLD = 1e-3, 2e-2, 16
 # Damped steps from all starts together.
 N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
@@ -70,12 +76,15 @@ class StateGuide:
         self._products = Products.of(problem.space)
         self._u = np.empty((0, problem.space.n_parameters))
         self._rows: list[StateRows] = []
+        self._answered = np.empty((0, problem.measurement.n_samples))
         self._structure: Structure | None = None
         self._n_examined = 0
         self._equations: StateEquations | None = None
         self.predicted: float | None = None
         self._ends = self._u
         self._n_missed = self._n_failed = 0
+        self._has_failed = False
+        self._untold = 0.0
         self.misfit = np.inf
         self.n_asked = 0
         self.why_not = f"fewer than {LEAST_TO_LEARN} simulations tell what they did"
@@ -97,13 +106,14 @@ class StateGuide:
     @property
     def is_believed(self) -> bool:
         """Whether it has equations that have not missed too often, nor led to failures."""
-        return self._equations is not None and max(self._n_missed, self._n_failed) < N_MISSED
+        is_known = self._equations is not None and self._untold <= BELIEVED
+        return is_known and max(self._n_missed, self._n_failed) < N_MISSED
 
     @property
     def is_sure(self) -> bool:
-        """Whether it knows the equations exactly and told the last row right: more would teach it nothing."""
-        is_exact = self._equations is not None and self._equations.is_exact
-        return is_exact and not max(self._n_missed, self._n_failed)
+        """Whether it knows the equations exactly and tells what was simulated: more would teach nothing."""
+        is_exact = self._equations is not None and self._equations.is_exact and self._untold <= TOLD
+        return is_exact and not self._has_failed and self.is_believed
 
     @property
     def model(self) -> EquationModel | None:
@@ -130,7 +140,8 @@ class StateGuide:
         """
         good = np.isfinite(answer.mse)
         # Equations know nothing of failures, and would lead there again and again.
-        self._n_failed += self.predicted is not None and not good[0]
+        self._has_failed = self.predicted is not None and not good[0]
+        self._n_failed += self._has_failed
         self.n_asked += self.predicted is not None
         self.predicted = None
         if self._equations is not None:
@@ -145,7 +156,9 @@ class StateGuide:
             return
         self._u = np.concatenate([self._u, answer.u[told]])
         self._rows.append(StateRows(*(part[told] for part in rows)))
+        self._answered = np.concatenate([self._answered, answer.residuals[told]])
         self._equations = self._learnt()
+        self._untold = self._left_untold()
 
     def _learnt(self) -> StateEquations | None:
         rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
@@ -175,6 +188,17 @@ class StateGuide:
             self.why_not = "they move too fast to be solved in time"
         return equations
 
+    def _left_untold(self) -> float:
+        """Return how exact equations, solved, differ from what was simulated, as a share of errors. [1]."""
+        if self._equations is None or not self._equations.is_exact:
+            return 0.0
+        answered = self._answered[-N_TOLD:]
+        with np.errstate(all="ignore"):
+            error = np.mean((self._residuals(self._u[-N_TOLD:]) - answered) ** 2, axis=1)
+        mse = np.mean(answered**2, axis=1)
+        shares = error / (mse + TOLD * np.median(mse))
+        return float(np.max(np.where(np.isfinite(shares), shares, np.inf)))
+
     def propose(
         self, objective: FloatArray, known: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, Expansion]:
@@ -186,9 +210,10 @@ class StateGuide:
             rng: Source of the looks.
         """
         p = known.shape[1]
-        looks = rng.random((N_LOOKS if self.n_asked < p else N_LOOKS_LATER, p))
+        n_random = N_RANDOM_SURE if self.is_sure else N_RANDOM
+        looks = rng.random((N_LOOKS if self.is_sure or self.n_asked < p else N_LOOKS_LATER, p))
         prior = self._problem.prior
-        best = np.argsort(_objectives(prior, looks, self._residuals(looks)), kind="stable")[:N_RANDOM]
+        best = np.argsort(_objectives(prior, looks, self._residuals(looks)), kind="stable")[:n_random]
         rows = np.argsort(objective, kind="stable")[:N_ROWS]
         starts = np.concatenate([known[rows], self._ends, looks[best]])
         ends, values = descend_together(self._residuals, prior, starts)
@@ -198,8 +223,9 @@ class StateGuide:
         distance = np.abs(known - u).max(axis=1)
         nearest = int(np.argmin(distance))
         if float(distance[nearest]) < SAME_POINT:
-            # It is known there, and better than from equations; what is a little beside teaches more.
-            value = float(objective[nearest])
+            # It is known there; what is a little beside teaches more.
+            if self.is_sure and np.isfinite(objective[nearest]):
+                value = float(objective[nearest])
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
         self.predicted = float(_objectives(prior, u[None], self._residuals(u[None]))[0])
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))

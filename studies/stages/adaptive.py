@@ -113,11 +113,12 @@ def adaptive_settings(
         before = (
             f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""
         )
-        start = f"the first design of {n_start} simulations for {count(n_parameters, 'parameter')}"
-        least = n_calls_before + (1 if from_stored else 2 * n_start)
+        least = "the least" if state_equations else "the first design"
+        start = f"{least} of {n_start} simulations for {count(n_parameters, 'parameter')}"
+        enough = n_calls_before + (1 if from_stored else 2 * n_start)
         raise InputError(
             f"--max-calls {settings.max_calls} does not hold {before}{'one more' if from_stored else start}; "
-            f"give {least} or more"
+            f"give {enough} or more"
         )
     return settings
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.states import watching_states
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import (
@@ -107,6 +108,7 @@ def uncertainty_stage(
     stage = f"uncertainty-{calibration.name}"
 
     @simulations_in_use(study)
+    @simulations_in_use(study, watching_states(case) if calibration.learnt_equations else None)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         known = KnownRows(files.rows, digest_of(asked))

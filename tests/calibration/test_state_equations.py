@@ -237,6 +237,37 @@ def test_a_building_is_calibrated_with_little_more_than_a_call_per_parameter(
         assert found.mse <= 1.001 * alone.mse
 
 
+@dataclass(frozen=True)
+class Kicked(TwoRooms):
+    """One state jumps once, which no derivative tells."""
+
+    kick: float = 0.3
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        answer = super().simulate(theta)
+        y = answer.y.copy()
+        for row, one in enumerate(theta):
+            x = y[row, 30, 1:3] + [self.kick, 0.0]
+            for step, u in enumerate(weather()[30 * EVERY :], start=1):
+                x = solve_ivp(
+                    lambda _, x, u=u, one=one: self.slope(one, x, u), (0.0, STEP_S), x, rtol=1e-10, atol=1e-9
+                ).y[:, -1]
+                if step % EVERY == 0:
+                    y[row, 30 + step // EVERY] = [x[0] - 273.15, *x, *self.slope(one, x, u)]
+        return replace(answer, y=y)
+
+
+@pytest.mark.parametrize("kick", [0.1, 0.3])
+def test_what_jumps_between_is_not_told_and_nothing_is_sure(kick: float) -> None:
+    rooms = Kicked(kick=kick)
+    problem = problem_of(rooms, TRUTH)
+    found, guide = guided(problem, 0, max_calls=60)
+    assert not guide.is_sure
+    assert guide.model is None
+    alone = Adaptive(max_calls=60).minimize(problem, seed=0)
+    assert found.mse <= 1.1 * alone.mse
+
+
 def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() -> None:
     case = load_case(REPOSITORY / "fmus" / "office")
     with watching_states(case).open_model() as model:

@@ -210,6 +210,14 @@ def test_a_guide_needs_a_model_that_watches_its_states() -> None:
             StateGuide.of(problem)
 
 
+def test_a_state_at_rest_does_not_move_too_fast() -> None:
+    signals = Radiator(supply(3), radiates=False).signals
+    flow = SteppedFlow(signals, (Sum(0, (Term(0, factors=(0,)),)), Sum(1, (Term(1), Term(-1)))))
+    for rate in np.random.default_rng(0).uniform(1e-4, 1e-3, 20):
+        rates = [np.array([[-1e-4]]), np.array([[-rate, 293.17 * rate]])]
+        assert flow.fine_enough(np.array([[1.0], [293.17]]), rates) is not None
+
+
 def test_products_are_offered_as_far_as_they_are_few() -> None:
     signals = Radiator(supply(3), radiates=False).signals
     few = candidates_with_products(signals, 0)

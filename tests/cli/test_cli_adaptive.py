@@ -182,7 +182,7 @@ def test_it_says_how_it_does_on_days_that_it_did_not_see(project: Path, studies:
     ("arguments", "words"),
     [
         (("--method", "adaptive", "--n-train", "64"), "--n-train belongs to --method paper"),
-        (("--method", "adaptive", "--max-calls", "4"), "does not hold the first design of 5 simulations"),
+        (("--method", "adaptive", "--max-calls", "4"), "does not hold the least of 5 simulations"),
         (("--no-state-equations", "--max-calls", "13"), "does not hold the first design of 14 simulations"),
         (("--method", "adaptive", "--target", "-1"), "'-1' is not a positive number"),
         (("--method", "adaptive", "--parallel", "0"), "'0' is not a whole number of at least 1"),

@@ -40,7 +40,10 @@ LIMIT_S = 120.0
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with a calibrated wall."""
     return make_calibrated_wall(
-        tmp_path_factory.mktemp("template") / "project", "--max-calls", str(N_CALIBRATION)
+        tmp_path_factory.mktemp("template") / "project",
+        "--no-state-equations",
+        "--max-calls",
+        str(N_CALIBRATION),
     )
 
 
@@ -65,7 +68,8 @@ def held(undisturbed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = shutil.copytree(undisturbed, tmp_path_factory.mktemp("held") / "project")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
-        assert main(["calibrate", "wall", "--jobs", "1", "-q", "--max-calls", "48", *FEW]) == 0
+        calibrate = ("calibrate", "wall", "--jobs", "1", "-q", "--no-state-equations")
+        assert main([*calibrate, "--max-calls", "48", *FEW]) == 0
         assert main([*JUDGE_FEW, "-q"]) == 0
     return root
 

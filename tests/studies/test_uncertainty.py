@@ -140,6 +140,11 @@ def test_a_stand_in_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     assert found.interval == pytest.approx(alone.interval, abs=0.06)
 
 
+def test_a_stand_in_that_errs_a_little_is_found_out_too():
+    bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + 1.03 * theta[2] * t**2)
+    assert not judged_with(bent).by_equations
+
+
 def test_a_sample_is_as_narrow_as_its_density():
     sigma = 1e-6
     problem = posed(line(), [0.3, -0.4], sigma=sigma, uncertainty=sigma)
