@@ -3,7 +3,7 @@
 Solved equations cost nothing, so the whole box is looked at: the best of many random points are walked
 downhill, and the lowest end is asked. A guide is believed while its equations fit the rows that they are
 learnt from and it has not missed several points in a row; else the search goes on without it, until it tells
-a point right again.
+a point right again. It is sure where all coefficients are laws and, solved, they are what was simulated.
 """
 
 import math
@@ -41,7 +41,7 @@ N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
 FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
 FTOL = 1e-5
 
-# Rows that equations are first learnt from, by parameter; a product of three parameters takes six.
+# Rows after which equations are taken though some coefficient is no law, by parameter and at least.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
 
 LEAST_CALLS = LEAST_TO_LEARN + 1
@@ -55,7 +55,7 @@ Residuals = Callable[[FloatArray], FloatArray]
 
 
 def enough_for_equations(n_parameters: int) -> int:
-    """Return how many rows state equations are first learnt from."""
+    """Return how many rows of a first design state equations take at most."""
     return max(math.ceil(PER_PARAMETER * n_parameters), LEAST_ROWS)
 
 
