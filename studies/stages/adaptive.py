@@ -113,7 +113,8 @@ def adaptive_settings(
         before = (
             f"{n_calls_before} simulations to find the relevant parameters and " if n_calls_before else ""
         )
-        least = "the least" if state_equations else "the first design"
+        is_part = n_start < settings.design_size(n_parameters)
+        least = "the least" if is_part else "the first design"
         start = f"{least} of {n_start} simulations for {count(n_parameters, 'parameter')}"
         enough = n_calls_before + (1 if from_stored else 2 * n_start)
         raise InputError(
