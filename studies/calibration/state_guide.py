@@ -16,8 +16,8 @@ from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.coefficient import Points
+from studies.calibration.descent import descend_together, objectives
 from studies.calibration.equation_model import EquationModel
-from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_laws import Products
 from studies.calibration.proposals import SAME_POINT
@@ -36,10 +36,6 @@ MISSED, N_MISSED = 0.5, 4
 # exact equations tell it, and up to which they are believed: what is beyond, as a state that jumps, they do
 # not know. So many of the last rows are looked at; an error counts the first of their median more.
 TOLD, BELIEVED, N_TOLD = 1e-3, 2e-2, 16
-# Damped steps from all starts together.
-N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
-FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
-FTOL = 1e-5
 
 # Rows after which equations are taken though some coefficient is no law, by parameter and at least.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
@@ -49,9 +45,6 @@ LEAST_CALLS = LEAST_TO_LEARN + 1
 
 Seen = Callable[[FloatArray], StateRows]
 """Parameters (n, p) of rows that were answered last to what states did there, NaN where that is not known."""
-
-Residuals = Callable[[FloatArray], FloatArray]
-"""Points (n, p) to residuals (n, m), not finite where nothing is known."""
 
 
 def enough_for_equations(n_parameters: int) -> int:
@@ -213,7 +206,7 @@ class StateGuide:
         n_random = N_RANDOM_SURE if self.is_sure else N_RANDOM
         looks = rng.random((N_LOOKS if self.is_sure or self.n_asked < p else N_LOOKS_LATER, p))
         prior = self._problem.prior
-        best = np.argsort(_objectives(prior, looks, self._residuals(looks)), kind="stable")[:n_random]
+        best = np.argsort(objectives(prior, looks, self._residuals(looks)), kind="stable")[:n_random]
         rows = np.argsort(objective, kind="stable")[:N_ROWS]
         starts = np.concatenate([known[rows], self._ends, looks[best]])
         ends, values = descend_together(self._residuals, prior, starts)
@@ -227,7 +220,7 @@ class StateGuide:
             if self.is_sure and np.isfinite(objective[nearest]):
                 value = float(objective[nearest])
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
-        self.predicted = float(_objectives(prior, u[None], self._residuals(u[None]))[0])
+        self.predicted = float(objectives(prior, u[None], self._residuals(u[None]))[0])
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
 
     def _residuals(self, u: FloatArray) -> FloatArray:
@@ -235,87 +228,3 @@ class StateGuide:
         with np.errstate(all="ignore"):
             points = Points.of(self._problem.space, u)
             return self._problem.measurement.compared(self._equations.outputs(points))
-
-
-def _objectives(prior: Prior | None, u: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return the objectives, infinite where residuals are not finite. Shape (n,). [unit squared]."""
-    with np.errstate(all="ignore"):
-        mse = np.mean(residuals**2, axis=1)
-    if prior is not None:
-        mse = mse + prior.penalty(u)
-    return np.where(np.isfinite(mse), mse, np.inf)
-
-
-def descend_together(
-    residuals: Residuals, prior: Prior | None, starts: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Walk downhill from several points of the unit cube at once, by damped Gauss-Newton steps.
-
-    The residuals of all points that are needed are asked for together, differences included.
-
-    Args:
-        residuals: The function.
-        prior: Of the parameters, None where nothing is known.
-        starts: Shape (k, p). [1]
-
-    Returns:
-        Where the walks end, shape (k, p), and the objectives there, shape (k,). [unit squared]
-    """
-    u = np.clip(starts, 0.0, 1.0)
-    k, p = u.shape
-    here = residuals(u)
-    values = _objectives(prior, u, here)
-    damping = np.full(k, FIRST_DAMPING)
-    is_open = np.isfinite(values)
-    jacobian = np.zeros((k, here.shape[1], p))
-    is_stale = is_open.copy()
-    for _ in range(N_STEPS):
-        walks = np.flatnonzero(is_open)
-        if not walks.size:
-            break
-        stale = np.flatnonzero(is_open & is_stale)
-        if stale.size:
-            shift = np.where(u[stale] > 0.5, -SHIFT, SHIFT)
-            beside = u[stale, None] + shift[:, None] * np.eye(p)
-            there = residuals(beside.reshape(-1, p)).reshape(stale.size, p, -1)
-            with np.errstate(all="ignore"):
-                jacobian[stale] = ((there - here[stale, None]) / shift[..., None]).transpose(0, 2, 1)
-            is_stale[stale] = False
-            is_open[stale] = np.isfinite(jacobian[stale]).all(axis=(1, 2))
-            walks = np.flatnonzero(is_open)
-        trial = u[walks].copy()
-        for row, one in enumerate(walks):
-            trial[row] = _step(u[one], here[one], jacobian[one], damping[one], prior)
-        answers = residuals(trial)
-        found = _objectives(prior, trial, answers)
-        is_lower = found < values[walks]
-        gain = np.where(is_lower, values[walks] - found, 0.0)
-        lower, higher = walks[is_lower], walks[~is_lower]
-        is_open[lower] = gain[is_lower] > FTOL * values[lower]
-        u[lower], here[lower], values[lower] = trial[is_lower], answers[is_lower], found[is_lower]
-        is_stale[lower] = True
-        damping[lower] *= EASIER
-        damping[higher] *= HARDER
-        is_open[higher] = damping[higher] < HOPELESS
-    return u, values
-
-
-# A step that overflows leads nowhere.
-@np.errstate(all="ignore")
-def _step(
-    u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
-) -> FloatArray:
-    """Return where a damped Gauss-Newton step leads; what it pushes out of the box stays at its face."""
-    gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
-    hessian = 2.0 * (jacobian.T @ jacobian) / residuals.size
-    if prior is not None:
-        _, slope, curvature = prior.expand(u)
-        gradient, hessian = gradient + slope, hessian + curvature
-    free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
-    trial = u.copy()
-    if free.size and np.isfinite(hessian).all():
-        block = hessian[np.ix_(free, free)]
-        ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
-        step = np.linalg.solve(block + np.diag(ridge), -gradient[free])
-        trial[free] = np.clip(u[free] + np.clip(step, -MOST_STEP, MOST_STEP), 0.0, 1.0)
-    return trial

@@ -43,6 +43,12 @@ MOST_POWERS = 300
 Density = Callable[[FloatArray], FloatArray]
 """Logarithm of a density at points, shape (n, p); minus infinity outside its support."""
 
+OnShare = Callable[[float], None]
+"""Told about which share of the work is done."""
+
+LAST_SHARE = 0.3
+"""Share of the work that the last power's steps are, about."""
+
 
 @dataclass(frozen=True, eq=False)
 class Particles:
@@ -117,7 +123,14 @@ class Reference:
         return inverse_roots, centres, np.sum(np.log(np.diagonal(self.roots, axis1=1, axis2=2)), axis=1)
 
 
-def sample_density(log_density: Density, reference: Reference, *, seed: int, n_particles: int) -> Particles:
+def sample_density(
+    log_density: Density,
+    reference: Reference,
+    *,
+    seed: int,
+    n_particles: int,
+    on_share: OnShare | None = None,
+) -> Particles:
     """Sample a density over the unit cube.
 
     Args:
@@ -125,9 +138,11 @@ def sample_density(log_density: Density, reference: Reference, *, seed: int, n_p
         reference: Where the particles begin.
         seed: Seed of all draws.
         n_particles: How many.
+        on_share: Told how far it is.
     """
+    tell = on_share or (lambda share: None)
     with threadpool_limits(limits=1, user_api="blas"):
-        return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run()
+        return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(tell)
 
 
 @dataclass(eq=False)
@@ -167,7 +182,7 @@ class _Annealing:
         self._power = 0.0
         self._cloud = self._at(ndtri(np.clip(reference.draw(n_particles, rng), EDGE, 1.0 - EDGE)))
 
-    def run(self) -> Particles:
+    def run(self, on_share: OnShare) -> Particles:
         """Raise the power to 1."""
         n_powers, taken = 0, 0.0
         n_parameters = self._cloud.z.shape[1]
@@ -177,7 +192,12 @@ class _Annealing:
             self._power = power
             n_powers += 1
             n_sweeps = LAST_SWEEPS + 3 * n_parameters if power == 1.0 else SWEEPS + n_parameters
-            taken = float(np.mean([self._sweep() for _ in range(n_sweeps)]))
+            steps = list[float]()
+            for sweep in range(n_sweeps):
+                last = sweep / n_sweeps if power == 1.0 else 0.0
+                on_share((1.0 - LAST_SHARE) * power + LAST_SHARE * last)
+                steps.append(self._sweep())
+            taken = float(np.mean(steps))
         found = self._cloud[self._rng.permutation(len(self._cloud.z))]
         return Particles(ndtr(found.z), found.value, n_powers, taken)
 

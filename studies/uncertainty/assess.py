@@ -136,15 +136,13 @@ def assess(
             problem,
             posterior,
             sampling,
-            joined([*known_rows, around]),
+            # What was simulated, not solved.
+            joined([*known_rows, around.take(0)]),
             seed=seed,
+            on_share=lambda share: tell("sampling by state equations", round(100 * share), 100),
             on_calls=tell_calls,
         )
         if sample is not None:
-            # Of what was simulated, not solved.
-            every = joined([*known_rows, around.take(0), sample.drawn])
-            best = int(np.argmax(posterior.at(every.u, every.mse)))
-            sample = replace(sample, best_u=every.u[best], best_mse=float(every.mse[best]))
             return Assessment(noise, around.take(0), local, sample, 0, by_equations=True)
         known_rows, n_in_vain = [*known_rows, asked], asked.n
     tell("differences", 0, 2 * p)

@@ -64,21 +64,20 @@ class Posterior:
         inside = np.clip(u, 0.0, 1.0)
         return self._with_prior(u, predicted.log_likelihood(inside, self.noise.raised, doubt))
 
-    def precision(self, predicted: "Predicted", u: FloatArray, *, wider: float) -> FloatArray:
+    def precision(self, metric: FloatArray, *, wider: float) -> FloatArray:
         """Return the precision of what may lie around points: narrow where the density is.
 
         Args:
-            predicted: What a process predicts.
-            u: Points. Shape (n, p). [1]
+            metric: How fast the residuals change there, in noise: J' J / s². Shape (n, p, p). [1]
             wider: How much wider than the density; but never wider than the box. [1]
 
         Returns:
             Shape (n, p, p). [1]
         """
-        found = predicted.metric(np.clip(u, 0.0, 1.0), self.noise.raised)
-        widths = np.full(u.shape[1], np.inf) if self.prior is None else self.prior.width
-        precision: FloatArray = (found + np.diag(widths**-2.0)) / wider**2
-        return precision + BOX_PRECISION * np.eye(u.shape[1])
+        p = metric.shape[-1]
+        widths = np.full(p, np.inf) if self.prior is None else self.prior.width
+        precision: FloatArray = (metric + np.diag(widths**-2.0)) / wider**2
+        return precision + BOX_PRECISION * np.eye(p)
 
     def _with_prior(self, u: FloatArray, value: FloatArray) -> FloatArray:
         if self.prior is not None:

@@ -126,7 +126,6 @@ class PosteriorSampler:
         known: Evaluation,
         *,
         seed: int,
-        agreement: tuple[float, float] = AGREEMENT,
         on_calls: OnCalls | None = None,
     ) -> None:
         """Begin with what is known.
@@ -137,11 +136,9 @@ class PosteriorSampler:
             settings: How to sample.
             known: Rows that are known already.
             seed: Seed of all draws.
-            agreement: How much a batch and a sample have to be worth, see AGREEMENT. [1]
             on_calls: Told how many rows were asked so far.
         """
         self._problem, self._posterior, self._settings = problem, posterior, settings
-        self._agreement = agreement
         self._features = Features.of(problem.space)
         self._rng = np.random.default_rng(seed)
         self._on_calls = on_calls
@@ -194,7 +191,8 @@ class PosteriorSampler:
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
         self._hyper = process.hyper
         predicted = Predicted(process)
-        narrowest = self._posterior.precision(predicted, self._u[rows[:1]], wider=1.0)
+        raised = self._posterior.noise.raised
+        narrowest = self._posterior.precision(predicted.metric(self._u[rows[:1]], raised), wider=1.0)
         self._decimals = decimals_for(float(np.sqrt(np.diagonal(narrowest[0]).max())))
         good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
         succeeding = Succeeding(self._u, ~np.isfinite(self._mse), narrowest[0])
@@ -206,7 +204,7 @@ class PosteriorSampler:
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
         anywhere = self._particles(expected, Reference.even(self._u.shape[1]), n_particles)
         centres = np.concatenate([good, anywhere.u[:MOST_CENTRES]])
-        precision = self._posterior.precision(predicted, centres, wider=WIDER)
+        precision = self._posterior.precision(predicted.metric(centres, raised), wider=WIDER)
         return expected, Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
 
     def _particles(self, expected: LogDensity, around: Reference, n_particles: int) -> Particles:
@@ -254,9 +252,9 @@ class PosteriorSampler:
             parts.append(answer)
             new = self._posterior.at(u, answer.mse) - expected(u)
             ratios = np.append(ratios, new)
-            if self._has_another_round and not agrees(ratios, settings.n_batch, self._agreement):
+            if self._has_another_round and not agrees(ratios, settings.n_batch):
                 break
-        return joined(parts), ratios, agrees(ratios, settings.n_batch, self._agreement)
+        return joined(parts), ratios, agrees(ratios, settings.n_batch)
 
     def _ask(self, u: FloatArray) -> Evaluation:
         answer = self._problem.evaluate(u)
@@ -269,16 +267,15 @@ class PosteriorSampler:
         return answer
 
 
-def agrees(ratios: FloatArray, n_batch: int, agreement: tuple[float, float] = AGREEMENT) -> bool:
+def agrees(ratios: FloatArray, n_batch: int) -> bool:
     """Return whether a sample is worth enough.
 
     Args:
         ratios: Logarithms of the model's density over the predicted one. Shape (n,). [1]
         n_batch: Members up to which it is a first batch, which has to be worth more.
-        agreement: How much that and a sample have to be worth. [1]
     """
     share = effective_size(normalized(ratios)) / len(ratios)
-    return bool(np.isfinite(ratios).any()) and share >= agreement[len(ratios) > n_batch]
+    return bool(np.isfinite(ratios).any()) and share >= AGREEMENT[len(ratios) > n_batch]
 
 
 def decimals_for(steepness: float) -> int:

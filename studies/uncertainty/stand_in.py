@@ -1,37 +1,41 @@
-"""A posterior sample drawn with the help of a model that costs nothing and is as good as the real one.
+"""A posterior sample of a model that costs next to nothing and is as good as the real one.
 
-The surrogate is taught by the stand-in alone. The real model simulates the members of the sample, and each
-counts as much as the real density exceeds the one that the surrogate expected. Where the real density is
-another one than the stand-in's, or the sample loses its worth, there is no such sample.
+The stand-in's density itself is sampled: nothing of it is learnt, so a narrow bent valley is followed to its
+ends. The real model simulates the members of the sample, and each counts as much as the real density exceeds
+the stand-in's. Where the two are not the same density, there is no such sample.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray
+from studies.calibration.descent import descend_together, jacobians
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.uncertainty.annealing import Density, OnShare, Reference, sample_density
 from studies.uncertainty.density import Posterior
 from studies.uncertainty.rows import joined
 from studies.uncertainty.sample import (
-    AGREEMENT,
+    DECIMALS,
+    NEAR_BEST,
+    WIDER,
     OnCalls,
     PosteriorSample,
-    PosteriorSampler,
     Sampling,
     agrees,
+    decimals_for,
 )
 from studies.uncertainty.weights import normalized
 
 SAME_DENSITY = 0.25
 """Mean difference of the two logarithmic densities, but for a constant, up to which they are the same."""
 
-MOST_FREE = 600
-"""Rows that the stand-in may be asked; a surrogate's costs grow with the third power of their number."""
+N_PARTICLES = 600
+"""Points that stand for the density."""
 
-CLOSER = 0.7, 0.65
-"""A surrogate that is taught for nothing has to agree better; where it does not learn to, as usual."""
+N_LOOKS, N_RANDOM, N_ROWS = 400, 20, 5
+"""Random points, and how many of them and of the known rows, the best ones, are walked downhill."""
 
 
 class StandInSample(NamedTuple):
@@ -54,6 +58,7 @@ def sample_with(
     known: Evaluation,
     *,
     seed: int,
+    on_share: OnShare | None = None,
     on_calls: OnCalls | None = None,
 ) -> StandInSample:
     """Sample a posterior by a stand-in, and have the model simulate the sample.
@@ -65,16 +70,21 @@ def sample_with(
         settings: How to sample; the budget is of the physical model.
         known: Rows that are known already.
         seed: Seed of all draws.
+        on_share: Told how far the stand-in's density is sampled.
         on_calls: Told how many rows were asked of the physical model so far.
     """
-    free = replace(settings, max_calls=MOST_FREE)
-    for agreement in (CLOSER, AGREEMENT):
-        taught = PosteriorSampler(stand_in, posterior, free, known, seed=seed, agreement=agreement).sample()
-        if taught.drawn.n == settings.n_sample:
-            break
-    u = taught.drawn.u[: settings.max_calls]
-    solved = posterior.at(u, taught.drawn.mse[: len(u)])
-    expected = solved - taught.log_ratios[: len(u)]
+    rng = np.random.default_rng(seed)
+
+    def density(u: FloatArray) -> FloatArray:
+        return posterior.at(u, stand_in.mse(u))
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        around, decimals = _valleys(stand_in, posterior, density, known, rng)
+        particles = sample_density(
+            density, around, seed=int(rng.integers(2**31)), n_particles=N_PARTICLES, on_share=on_share
+        )
+    u = np.round(particles.u[: min(settings.n_sample, settings.max_calls)], decimals)
+    expected = density(u)
     parts, ratios = list[Evaluation](), np.empty(0)
     while len(ratios) < len(u):
         now = slice(len(ratios), len(ratios) + settings.n_batch)
@@ -83,20 +93,53 @@ def sample_with(
         if on_calls is not None:
             on_calls(len(ratios))
         is_left = settings.max_calls - len(ratios) >= 2 * settings.n_batch
-        is_same = _differ(ratios + expected[: len(ratios)] - solved[: len(ratios)]) <= SAME_DENSITY
-        if is_left and not (is_same and agrees(ratios, settings.n_batch)):
+        if is_left and not (_differ(ratios) <= SAME_DENSITY and agrees(ratios, settings.n_batch)):
             return StandInSample(None, joined(parts))
     drawn = joined(parts)
-    sample = replace(
-        taught,
+    every = joined([known, drawn])
+    best = int(np.argmax(posterior.at(every.u, every.mse)))
+    sample = PosteriorSample(
         drawn=drawn,
         weights=normalized(ratios),
         log_ratios=ratios,
+        particles=particles,
         n_calls=len(ratios),
         n_taught=0,
         n_known=known.n,
+        best_u=every.u[best],
+        best_mse=float(every.mse[best]),
     )
     return StandInSample(sample, drawn)
+
+
+def _valleys(
+    stand_in: CalibrationProblem,
+    posterior: Posterior,
+    density: Density,
+    known: Evaluation,
+    rng: np.random.Generator,
+) -> tuple[Reference, int]:
+    """Walk downhill from all over the cube, and from what is known.
+
+    Returns:
+        Where particles begin, and to how many decimals points are rounded.
+    """
+    p, residuals = stand_in.space.n_parameters, stand_in.residuals
+    looks = rng.random((N_LOOKS, p))
+    best = np.argsort(-density(looks), kind="stable")[:N_RANDOM]
+    rows = np.argsort(-posterior.at(known.u, known.mse), kind="stable")[:N_ROWS]
+    ends, _ = descend_together(residuals, stand_in.prior, np.concatenate([known.u[rows], looks[best]]))
+    value = density(ends)
+    ends = ends[value >= value.max() - NEAR_BEST]
+    slopes = jacobians(residuals, ends, residuals(ends))
+    is_told = np.isfinite(slopes).all(axis=(1, 2))
+    if not is_told.any():
+        return Reference.even(p), DECIMALS
+    scaled = slopes[is_told] / posterior.noise.raised
+    metric = scaled.transpose(0, 2, 1) @ scaled
+    steepness = float(np.sqrt(np.diagonal(posterior.precision(metric, wider=1.0), axis1=1, axis2=2).max()))
+    covariance = np.linalg.inv(posterior.precision(metric, wider=WIDER))
+    return Reference(ends[is_told], np.linalg.cholesky(covariance)), decimals_for(steepness)
 
 
 def _differ(differences: FloatArray) -> float:

@@ -16,11 +16,12 @@ from simulation.states import StateRows, StateSignals, WatchedModel, watching_st
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.coefficient import Coefficient, Points
+from studies.calibration.descent import descend_together
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.product_laws import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
-from studies.calibration.state_guide import StateGuide, descend_together
+from studies.calibration.state_guide import StateGuide
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, EVERY, N_STEPS = 600.0, 2, 120

@@ -1,0 +1,121 @@
+"""Walks downhill from several points of the unit cube at once, for residuals that cost next to nothing."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from studies.calibration.prior import Prior
+
+# Damped steps from all starts together.
+N_STEPS, SHIFT, MOST_STEP = 40, 1e-4, 0.3
+FIRST_DAMPING, EASIER, HARDER, HOPELESS = 1e-2, 0.2, 4.0, 1e8
+FTOL = 1e-5
+
+Residuals = Callable[[FloatArray], FloatArray]
+"""Points (n, p) to residuals (n, m), not finite where nothing is known."""
+
+
+def objectives(prior: Prior | None, u: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return the objectives, infinite where residuals are not finite. Shape (n,). [unit squared].
+
+    Args:
+        prior: Of the parameters, None where nothing is known.
+        u: Points. Shape (n, p). [1]
+        residuals: Those there. Shape (n, m). [unit]
+    """
+    with np.errstate(all="ignore"):
+        mse = np.mean(residuals**2, axis=1)
+    if prior is not None:
+        mse = mse + prior.penalty(u)
+    return np.where(np.isfinite(mse), mse, np.inf)
+
+
+def jacobians(residuals: Residuals, u: FloatArray, here: FloatArray) -> FloatArray:
+    """Return the residuals' slopes at several points, by differences that are asked for together.
+
+    Args:
+        residuals: The function.
+        u: Points. Shape (k, p). [1]
+        here: Residuals there. Shape (k, m). [unit]
+
+    Returns:
+        Shape (k, m, p), not finite where the residuals are not. [unit]
+    """
+    k, p = u.shape
+    shift = np.where(u > 0.5, -SHIFT, SHIFT)
+    beside = u[:, None] + shift[:, None] * np.eye(p)
+    there = residuals(beside.reshape(-1, p)).reshape(k, p, here.shape[1])
+    with np.errstate(all="ignore"):
+        return ((there - here[:, None]) / shift[..., None]).transpose(0, 2, 1)
+
+
+def descend_together(
+    residuals: Residuals, prior: Prior | None, starts: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Walk downhill from several points of the unit cube at once, by damped Gauss-Newton steps.
+
+    The residuals of all points that are needed are asked for together, differences included.
+
+    Args:
+        residuals: The function.
+        prior: Of the parameters, None where nothing is known.
+        starts: Shape (k, p). [1]
+
+    Returns:
+        Where the walks end, shape (k, p), and the objectives there, shape (k,). [unit squared]
+    """
+    u = np.clip(starts, 0.0, 1.0)
+    k, p = u.shape
+    here = residuals(u)
+    values = objectives(prior, u, here)
+    damping = np.full(k, FIRST_DAMPING)
+    is_open = np.isfinite(values)
+    jacobian = np.zeros((k, here.shape[1], p))
+    is_stale = is_open.copy()
+    for _ in range(N_STEPS):
+        walks = np.flatnonzero(is_open)
+        if not walks.size:
+            break
+        stale = np.flatnonzero(is_open & is_stale)
+        if stale.size:
+            jacobian[stale] = jacobians(residuals, u[stale], here[stale])
+            is_stale[stale] = False
+            is_open[stale] = np.isfinite(jacobian[stale]).all(axis=(1, 2))
+            walks = np.flatnonzero(is_open)
+        trial = u[walks].copy()
+        for row, one in enumerate(walks):
+            trial[row] = _step(u[one], here[one], jacobian[one], damping[one], prior)
+        answers = residuals(trial)
+        found = objectives(prior, trial, answers)
+        is_lower = found < values[walks]
+        gain = np.where(is_lower, values[walks] - found, 0.0)
+        lower, higher = walks[is_lower], walks[~is_lower]
+        is_open[lower] = gain[is_lower] > FTOL * values[lower]
+        u[lower], here[lower], values[lower] = trial[is_lower], answers[is_lower], found[is_lower]
+        is_stale[lower] = True
+        damping[lower] *= EASIER
+        damping[higher] *= HARDER
+        is_open[higher] = damping[higher] < HOPELESS
+    return u, values
+
+
+# A step that overflows leads nowhere.
+@np.errstate(all="ignore")
+def _step(
+    u: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float, prior: Prior | None
+) -> FloatArray:
+    """Return where a damped Gauss-Newton step leads; what it pushes out of the box stays at its face."""
+    gradient = 2.0 * (jacobian.T @ residuals) / residuals.size
+    hessian = 2.0 * (jacobian.T @ jacobian) / residuals.size
+    if prior is not None:
+        _, slope, curvature = prior.expand(u)
+        gradient, hessian = gradient + slope, hessian + curvature
+    free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
+    trial = u.copy()
+    if free.size and np.isfinite(hessian).all():
+        block = hessian[np.ix_(free, free)]
+        ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
+        step = np.linalg.solve(block + np.diag(ridge), -gradient[free])
+        trial[free] = np.clip(u[free] + np.clip(step, -MOST_STEP, MOST_STEP), 0.0, 1.0)
+    return trial
