@@ -32,7 +32,7 @@ def compiled(function: _Function) -> _Function:
     """Compile a function without the interpreter's lock, from the cache on disk where there can be one.
 
     Args:
-        function: The function, of a module in SOURCES.
+        function: The function, of a module in SOURCES, or of one whose functions call none of another module.
 
     Returns:
         The compiled function.

@@ -43,6 +43,8 @@ EXCLUDED_LEGS = 2
 ABSURD = 1e6
 # A search whose best error falls by this factor within so many rounds is not lost.
 FALLING, FALLING_ROUNDS = 0.5, 3
+# Rows that are asked where laws may act that no row has shown, before equations that may not be all end it.
+N_PROBES = 4
 
 
 class AdaptiveSearch:
@@ -81,6 +83,7 @@ class AdaptiveSearch:
         self._horizon = Horizon(problem.measurement)
         self._is_judged = False
         self._was_lost = False
+        self._has_probed = False
         self._hyper: tuple[FloatArray, ...] = ()
         self._radius = settings.radius
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
@@ -129,12 +132,10 @@ class AdaptiveSearch:
                     self._look_further()
                     continue
                 if self._is_home and self._may_end and self._idle:
-                    if self._is_too_large and len(self._unasked):
-                        # What has happened in no row so far, as a valve that closes, may fit better.
-                        self._ask_rest()
-                        self._idle = 0
-                        continue
-                    return self._reason
+                    if not self._asks_unseen():
+                        return self._reason
+                    self._idle = 0
+                    continue
                 self._turn()
             self._step()
 
@@ -154,6 +155,26 @@ class AdaptiveSearch:
         """Ask what state equations have left of the first design."""
         self._unasked, rest = self._unasked[:0], self._unasked
         self._ask(rest)
+
+    def _asks_unseen(self) -> bool:
+        """Ask for what has happened in no row so far, as a valve that closes: it may fit better.
+
+        Returns:
+            Whether there was anything to ask.
+        """
+        guide = self._guide
+        if guide is None or not guide.is_believed:
+            return False
+        if not self._has_probed and (self._is_too_large or guide.left_out.any()):
+            self._has_probed = True
+            n = math.ceil(N_PROBES / self._settings.n_parallel) * self._settings.n_parallel
+            best = self._u[int(np.argmin(self._objective))]
+            self._ask(guide.unseen(best, n, self._rng))
+            return True
+        if self._is_too_large and len(self._unasked):
+            self._ask_rest()
+            return True
+        return False
 
     @property
     def _is_guided(self) -> bool:

@@ -2,10 +2,11 @@
 
     dx_j/dt = sum_k a_jk(theta) f_jk(x, u),    y = sum_k c_k(theta) g_k(x, u).
 
-The terms f and g are states and inputs, their differences and products. They are found in what the states did
-(state_terms.py), and each one's coefficient is learnt over the parameters (coefficient.py). Trajectories
-bend in many ways where coefficients do not: ten rows of an office with 14 parameters tell its trajectories
-about as well as a thousand tell a surrogate that knows outputs alone. Whether a model moves so, the rows say.
+The terms f and g are states and inputs, their differences, products and functions. They are found in what the
+states did (state_terms.py), and each one's coefficient is learnt over the parameters (coefficient.py).
+Trajectories bend in many ways where coefficients do not: ten rows of an office with 14 parameters tell its
+trajectories about as well as a thousand tell a surrogate that knows outputs alone. Whether a model moves so,
+the rows say.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from studies.calibration.state_terms import (
     N_TIMES,
     Sum,
     candidates,
+    candidates_with_functions,
     candidates_with_products,
     chosen_terms,
     fitted,
@@ -102,7 +104,11 @@ def _sum(
     signals: StateSignals, own: int, x: FloatArray, inputs: FloatArray, target: FloatArray
 ) -> tuple[Sum, float]:
     """Find the terms of a state's derivative or, where own is -1, an output, and what they leave."""
-    for offered, enough in ((candidates, LEARNT), (candidates_with_products, PRODUCTS_LEARNT)):
+    for offered, enough in (
+        (candidates, LEARNT),
+        (candidates_with_products, PRODUCTS_LEARNT),
+        (candidates_with_functions, PRODUCTS_LEARNT),
+    ):
         terms = offered(signals, own)
         chosen, misfit = chosen_terms(terms, Sum(own, tuple(terms)).values(x, inputs), target)
         if misfit <= enough:
@@ -192,9 +198,18 @@ class StateEquations:
         ]
         return np.concatenate(pieces)
 
+    def states(self, points: Points) -> FloatArray:
+        """Solve the equations; return the states at all watched outputs. Shape (n, t, s). [FMU's units]."""
+        return self.flow.states(self._at_start(points), self._rates(points))
+
+    def coefficients(self, points: Points) -> FloatArray:
+        """Return all coefficients and first states. Shape (n, c)."""
+        by_sum = [self._at(j, points) for j in range(len(self.by_term))]
+        return np.concatenate([*by_sum, self._at_start(points).T], axis=1)
+
     def _outputs(self, points: Points) -> FloatArray:
         with np.errstate(all="ignore"):
-            states = self.flow.states(self._at_start(points), self._rates(points))
+            states = self.states(points)
             n_states = len(self.signals.states)
             first = self.signals.driven[:1]
             inputs = np.concatenate([first, self.signals.at_outputs])

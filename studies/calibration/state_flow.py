@@ -1,8 +1,8 @@
 """State equations solved: exactly, step by step, where they are linear in the states, else by small steps.
 
 Inputs are constant over a communication step. Equations that are linear then move by matrix exponentials;
-others by the classical Runge-Kutta method of fourth order, all points at once, in so many parts of a step
-that halving them would not matter.
+others by the classical Runge-Kutta method of fourth order, in so many parts of a step that halving them would
+not matter.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,8 @@ class LinearFlow:
     def of(cls, signals: StateSignals, sums: tuple[Sum, ...]) -> Self | None:
         """Return the flow, None where it is not linear or changes too often."""
         switches = sorted({term.factors for one in sums for term in one.terms if term.factors})
-        if any(factor < len(signals.states) for switch in switches for factor in switch):
+        is_curved = any(term.function for one in sums for term in one.terms)
+        if is_curved or any(factor < len(signals.states) for switch in switches for factor in switch):
             return None
         flow = cls(signals, sums, tuple(switches))
         return flow if len(np.unique(flow._switched(), axis=0)) <= MOST_MODES else None
@@ -116,7 +117,7 @@ class LinearFlow:
 
 @dataclass(frozen=True, eq=False)
 class SteppedFlow:
-    """Equations with products of states, solved by the classical Runge-Kutta method.
+    """Equations with products or functions of states, solved by the classical Runge-Kutta method.
 
     Attributes:
         signals: What is known of the states.
@@ -159,50 +160,36 @@ class SteppedFlow:
         Returns:
             The states at the outputs. Shape (n, t, s).
         """
-        signals, (n_states, n) = self.signals, start.shape
-        coefficients = np.concatenate(rates, axis=1).T
-        first_term = [0, *accumulate(len(one.terms) for one in self.sums)][:-1]
-        of, minus, factors = self._places()
-        # States, inputs, one, nothing: what a term's places point at.
-        columns = np.zeros((n_states + len(signals.inputs) + 2, n))
-        columns[-2] = 1.0
+        # Only who needs it waits for numba.
+        from studies.calibration.flow_steps import steps
 
-        def slope(x: FloatArray) -> FloatArray:
-            columns[:n_states] = x
-            values = columns[of]
-            values -= columns[minus]
-            values *= coefficients
-            for places in factors:
-                values *= columns[places]
-            return np.add.reduceat(values, first_term, axis=0)
-
-        h, x = signals.step_s / self.n_parts, start
-        states = np.full((1 + len(signals.driven) // signals.every, n_states, n), np.nan)
-        states[0] = start
-        for step, inputs in enumerate(signals.driven):
-            columns[n_states:-2] = inputs[:, None]
-            for _ in range(self.n_parts):
-                first = slope(x)
-                second = slope(x + 0.5 * h * first)
-                third = slope(x + 0.5 * h * second)
-                x = x + h / 6.0 * (first + 2.0 * (second + third) + slope(x + h * third))
-            if (step + 1) % signals.every == 0:
-                states[(step + 1) // signals.every] = x
-                if not np.isfinite(x).any():
-                    # All points have run away.
-                    break
-        return states.transpose(2, 0, 1)
-
-    def _places(self) -> tuple[IntArray, IntArray, list[IntArray]]:
-        """Return of every term the column, what is subtracted from it, and each of its factors."""
-        terms = [(one.own, term) for one in self.sums for term in one.terms]
-        one, nothing = -2, -1
-        most = max(len(term.factors) for _, term in terms)
-        return (
-            np.array([term.column if term.column >= 0 else one for _, term in terms]),
-            np.array([own if term.is_difference else nothing for own, term in terms]),
-            [
-                np.array([term.factors[rank] if rank < len(term.factors) else one for _, term in terms])
-                for rank in range(most)
-            ],
+        signals = self.signals
+        return steps(
+            np.ascontiguousarray(start.T),
+            np.concatenate(rates, axis=1),
+            signals.driven,
+            np.array([*accumulate(len(one.terms) for one in self.sums)]),
+            self._places(),
+            signals.step_s,
+            self.n_parts,
+            signals.every,
         )
+
+    def _places(self) -> IntArray:
+        """Return of every term where its parts are; see `flow_steps.steps`."""
+        from studies.calibration.flow_steps import NUMBERS
+
+        terms = [(one.own, term) for one in self.sums for term in one.terms]
+        nothing = len(self.signals.states) + len(self.signals.inputs) + 1
+        one, most = nothing - 1, max(len(term.factors) for _, term in terms)
+        rows = [
+            (
+                term.column if term.column >= 0 else one,
+                own if term.is_difference else nothing,
+                NUMBERS[term.function],
+                *term.factors,
+                *[one] * (most - len(term.factors)),
+            )
+            for own, term in terms
+        ]
+        return np.array(rows, dtype=np.int64)

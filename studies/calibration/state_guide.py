@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from simulation.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.coefficient import Points
@@ -119,6 +119,46 @@ class StateGuide:
     def is_learnt(self) -> bool:
         """Whether it has equations, believed or not."""
         return self._equations is not None
+
+    @property
+    def left_out(self) -> BoolArray:
+        """Which parameters are in no equation: what they do, as where a weir begins, no row has shown."""
+        p = self._problem.space.n_parameters
+        if self._equations is None:
+            return np.zeros(p, dtype=np.bool_)
+        moved = np.concatenate([np.full((1, p), 0.5), 0.5 + 0.17 * np.eye(p)])
+        with np.errstate(all="ignore"):
+            values = self._equations.coefficients(Points.of(self._problem.space, moved))
+        return np.asarray((values[1:] == values[0]).all(axis=1))
+
+    def unseen(self, u: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+        """Return points where laws may act that no row has shown.
+
+        These are a point with all that is left out at either end of its range, and points where states go
+        farthest beyond what any row has shown, by the equations.
+
+        Args:
+            u: The point. Shape (p,). [1]
+            n: How many are returned.
+            rng: Source of the points that are compared.
+
+        Returns:
+            Shape (n, p). [1]
+        """
+        assert self._equations is not None, "only a guide with equations is asked"
+        left_out = self.left_out
+        ends = [np.where(left_out, end, u) for end in (0.0, 1.0)] if left_out.any() else []
+        looks = rng.random((max(N_LOOKS, n), len(u)))
+        with np.errstate(all="ignore"):
+            states = self._equations.states(Points.of(self._problem.space, looks))
+        seen = np.concatenate([rows.x.reshape(-1, self.n_states) for rows in self._rows])
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        span = np.maximum(high - low, np.finfo(float).tiny)
+        beyond = np.concatenate([low - states.min(axis=1), states.max(axis=1) - high], axis=1)
+        # By turns the farthest of every state in either direction.
+        order = np.argsort(-np.nan_to_num(beyond / np.tile(span, 2), nan=-np.inf), axis=0)
+        farthest = looks[list(dict.fromkeys(order.reshape(-1).tolist()))]
+        return np.concatenate([*(end[None] for end in ends), farthest])[:n]
 
     @property
     def n_states(self) -> int:

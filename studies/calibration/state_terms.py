@@ -3,13 +3,14 @@
 A derivative is sought as a sum of few terms, each a state or an input, or the difference of one to the state
 itself where both have the same unit (heat flows between temperatures do), alone or times an input without
 unit (a switch). Where these do not suffice, products of two or three and fourth powers of temperatures are
-looked at, too. The derivatives that an FMU answers belong exactly to the states that it answers, so
-terms are complete where next to nothing is left. The search is orthogonal least squares (Chen, Billings and
-Luo 1989, doi:10.1080/00207178908953472) over several simulations at once, as in the sparse identification of
-dynamics (Brunton, Proctor and Kutz 2016, doi:10.1073/pnas.1517384113).
+looked at, too, and then functions of a state, an input or a difference. The derivatives that an FMU answers
+belong exactly to the states that it answers, so terms are complete where next to nothing is left. The search
+is orthogonal least squares (Chen, Billings and Luo 1989, doi:10.1080/00207178908953472) over several
+simulations at once, as in the sparse identification of dynamics (Brunton, Proctor and Kutz 2016,
+doi:10.1073/pnas.1517384113).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, islice
 from typing import NamedTuple
@@ -26,9 +27,21 @@ NEEDLESS = 1e-10
 MOST_TERMS = 16
 # Terms are chosen by so many rows, at so many times.
 N_ROWS, N_TIMES = 8, 400
-DIMENSIONLESS, TEMPERATURE = ("", "1"), "K"
+DIMENSIONLESS, TEMPERATURE, ANGLE = ("", "1"), "K", ("", "1", "rad")
 # Products beyond are not looked at.
 MOST_CANDIDATES = 800
+
+FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "root": lambda v: np.sign(v) * np.sqrt(np.abs(v)),
+    "square": lambda v: v * np.abs(v),
+    "natural convection": lambda v: v * np.cbrt(np.abs(v)),
+    "magnitude": np.abs,
+    "sine": np.sin,
+    "cosine": np.cos,
+}
+"""Functions that equations of flows, drag, natural convection, friction and angles are made of."""
+
+OF_ANGLES = ("sine", "cosine")
 
 
 class Term(NamedTuple):
@@ -38,11 +51,13 @@ class Term(NamedTuple):
         column: Position among the states and then the inputs; -1 for the constant.
         is_difference: Whether it is the difference to the state itself.
         factors: Positions of what it is multiplied with.
+        function: Name of the function that is taken before that, "" for none.
     """
 
     column: int
     is_difference: bool = False
     factors: tuple[int, ...] = ()
+    function: str = ""
 
     def values(self, columns: FloatArray, own: FloatArray) -> FloatArray:
         """Return the term over time.
@@ -57,6 +72,8 @@ class Term(NamedTuple):
         values = columns[..., self.column] if self.column >= 0 else np.ones(columns.shape[:-1])
         if self.is_difference:
             values = values - own
+        if self.function:
+            values = FUNCTIONS[self.function](values)
         for factor in self.factors:
             values = values * columns[..., factor]
         return values
@@ -138,6 +155,32 @@ def candidates_with_products(signals: StateSignals, own: int) -> list[Term]:
         if len(found) + len(terms) < MOST_CANDIDATES:
             found += terms
     return [*dict.fromkeys(found), Term(-1)]
+
+
+def candidates_with_functions(signals: StateSignals, own: int) -> list[Term]:
+    """Return the same and functions, also times an input without unit (a valve), as far as they are few."""
+    units, n_states = signals.units, len(signals.states)
+    columns = sorted({*_allowed(signals, own), own} - {-1})
+    alone = [
+        Term(one, is_difference, function=name)
+        for name in FUNCTIONS
+        for one in columns
+        for is_difference in (False, True)
+        if not is_difference or (own >= 0 and one != own and units[one] == units[own])
+        if name not in OF_ANGLES or units[one] in ANGLE
+    ]
+    opened = [
+        term._replace(factors=(one,))
+        for one in columns
+        if one >= n_states and units[one] in DIMENSIONLESS
+        for term in alone
+        if term.column != one
+    ]
+    found = candidates_with_products(signals, own)[:-1]
+    for terms in (alone, opened):
+        if len(found) + len(terms) < MOST_CANDIDATES:
+            found += terms
+    return [*found, Term(-1)]
 
 
 def _allowed(signals: StateSignals, own: int) -> list[int]:

@@ -280,7 +280,8 @@ def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() 
             for doubtful in (0.1, 1e-4)
         ]
     assert found[0].n_calls < 14
-    assert found[1].n_calls == 14 + found[0].n_calls - 4
+    # Four points where laws may act that no row has shown, and the rest of the design.
+    assert found[1].n_calls == 4 + 14 + found[0].n_calls - 4
     assert all(one.converged for one in found)
 
 
