@@ -1,8 +1,9 @@
-"""Laws of few products: a coefficient as one product of parameters or their reciprocals, or a sum of two.
+"""Laws of few products: a coefficient as one product of parameters or their reciprocals, or a sum of such.
 
-Coefficients of physical models are mostly such: 1 / (R C), (U - V) / C, 1 / (R + S). All powers are 1 or -1,
-so that no more than the amounts are to be found, and four or five simulations tell which of thousands of
-products is meant: what is written into a model fits to rounding, all others by chance to a few per cent.
+Coefficients of physical models are mostly such: 1 / (R C), (U - V) / C, 1 / (R + S), (A U + B V + W) / C. All
+powers are 1 or -1, so that no more than the amounts are to be found, and two or three simulations more than
+amounts tell which of thousands of products are meant: what is written into a model fits to rounding, all
+others by chance to a few per cent.
 """
 
 from dataclasses import dataclass
@@ -15,15 +16,18 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 
-# Weighted squares, as a share of those around the mean, below which a law is exact. Pairs are so many that
-# with few rows some would fit the errors of a coefficient that is one product: there, the second counts.
+# Weighted squares, as a share of those around the mean, below which a law is exact. Sums of two are so many
+# that with few rows some would fit the errors of a coefficient that is one product: there, the second counts.
 EXACT, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
 # Rows more than amounts, before chance can be told from a law.
 SPARE_ROWS = 2
-# Products of so many parameters are looked at, and of so many in sums, as far as they are few.
-MOST_FACTORS, MOST_SUMMED, MOST_PRODUCTS, MOST_PAIRED = 3, 2, 20_000, 1_000
-# What is looked at closely of all pairs; squared sines below which two products are one.
-N_BEST, SAME_PRODUCT = 8, 1e-10
+# The same of longer sums, of which there are more: they have to be what is written into a model.
+EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
+# Products of so many parameters are looked at, and in sums, as far as they are few.
+MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
+# All sums of two are looked at; of longer ones those that begin with the best shorter ones, so many. So many
+# are looked at closely. Squared sines below which a product is made up by others.
+MOST_SUMMED, N_BEGINNINGS, N_BEST, SAME_PRODUCT = 3, 200, 8, 1e-10
 # Values count by themselves, but not those that happen to be next to nothing. [root mean square]
 NEXT_TO_NOTHING = 1e-3
 
@@ -55,7 +59,7 @@ class Products:
                     row[list(chosen)] = signs
                     more.append(row)
             powers += more
-            if n_factors <= MOST_SUMMED and len(powers) <= MOST_PAIRED:
+            if len(powers) <= MOST_PAIRED:
                 n_paired = len(powers)
         return cls(np.array(powers), n_paired)
 
@@ -111,20 +115,25 @@ def product_law(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     single, left = _single(table * weight[:, None], values * weight, weight)
     if left < EXACT:
         return _fitted(products.powers[[single]], theta, values, weight)
-    if len(values) < 2 + SPARE_ROWS or products.n_paired < 2:
-        return None
-    found, laws = list[float](), list[ProductLaw]()
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
-    for is_reciprocal, goal in enumerate(goals):
-        weight = _weight(goal)
-        scaled = table[:, : products.n_paired] * weight[:, None]
-        for pair in _pairs(scaled, goal * weight):
-            law = _fitted(products.powers[list(pair)], theta, goal, weight)
-            found.append(_left((law.at(theta) - goal) * weight, goal * weight, weight))
-            laws.append(ProductLaw(law.amounts, law.powers, bool(is_reciprocal)))
-    exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
-    best = int(np.argmin(found))
-    return laws[best] if found[best] < exact else None
+    beginnings: list[IntArray | None] = [None] * len(goals)
+    for n_summed in range(2, min(MOST_SUMMED, products.n_paired) + 1):
+        if len(values) < n_summed + (SPARE_ROWS if n_summed == 2 else SPARE_ROWS_OF_LONG):
+            break
+        found, laws = list[float](), list[ProductLaw]()
+        for kind, goal in enumerate(goals):
+            weight = _weight(goal)
+            scaled = table[:, : products.n_paired] * weight[:, None]
+            sums = _longer(scaled, goal * weight, beginnings[kind])
+            beginnings[kind] = sums
+            for chosen in sums[:N_BEST]:
+                law = _fitted(products.powers[chosen], theta, goal, weight)
+                found.append(_left((law.at(theta) - goal) * weight, goal * weight, weight))
+                laws.append(ProductLaw(law.amounts, law.powers, bool(kind)))
+        exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
+        if found and min(found) < (exact if n_summed == 2 else EXACT_OF_LONG):
+            return laws[int(np.argmin(found))]
+    return None
 
 
 def _weight(values: FloatArray) -> FloatArray:
@@ -145,17 +154,38 @@ def _single(table: FloatArray, values: FloatArray, weight: FloatArray) -> tuple[
     return best, _left(values - table[:, best] * amounts[best], values, weight)
 
 
-def _pairs(table: FloatArray, values: FloatArray) -> list[tuple[int, int]]:
-    """Return the pairs of products (n, m) that explain values the best."""
+def _longer(table: FloatArray, values: FloatArray, beginnings: IntArray | None) -> IntArray:
+    """Return the sums, one product longer than their beginnings, that explain values the best.
+
+    Args:
+        table: Weighted products. Shape (n, m).
+        values: Weighted values. Shape (n,).
+        beginnings: Which products they begin with, None for any single one. Shape (b, k).
+
+    Returns:
+        Which products they are of, the best first. Shape (at most N_BEGINNINGS, k + 1).
+    """
     norms = np.sqrt(np.square(table).sum(axis=0))
     table = table / np.where(norms > 0.0, norms, 1.0)
-    cosines, along = table.T @ table, values @ table
-    sines = 1.0 - cosines**2
-    both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
-    explained = np.where(sines > SAME_PRODUCT, both / np.maximum(sines, SAME_PRODUCT), -np.inf)
-    first, second = np.triu_indices(len(cosines), 1)
-    best = np.argsort(explained[first, second], kind="stable")[-N_BEST:]
-    return [(int(first[one]), int(second[one])) for one in best]
+    m = table.shape[1]
+    if beginnings is None:
+        beginnings = np.arange(m)[:, None]
+    explained = np.empty((len(beginnings), m))
+    for row, chosen in enumerate(beginnings):
+        basis = np.linalg.qr(table[:, chosen])[0]
+        rest = table - basis @ (basis.T @ table)
+        left = values - basis @ (basis.T @ values)
+        squares = np.square(rest).sum(axis=0)
+        gain = np.where(
+            squares > SAME_PRODUCT, (left @ rest) ** 2 / np.maximum(squares, SAME_PRODUCT), -np.inf
+        )
+        explained[row] = float(values @ values) - float(left @ left) + gain
+    order = np.argsort(-explained, axis=None, kind="stable")[: 2 * len(explained[0]) + 4 * N_BEGINNINGS]
+    sums = np.column_stack([beginnings[order // m], order % m])[np.isfinite(explained.reshape(-1)[order])]
+    # Whatever they began with, sums of the same products are one.
+    _, first = np.unique(np.sort(sums, axis=1), axis=0, return_index=True)
+    kept: IntArray = sums[np.sort(first)][:N_BEGINNINGS]
+    return kept
 
 
 def _fitted(powers: IntArray, theta: FloatArray, values: FloatArray, weight: FloatArray) -> ProductLaw:

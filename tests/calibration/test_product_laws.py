@@ -50,7 +50,26 @@ def test_a_law_is_found_from_four_rows_and_holds_everywhere(name: str) -> None:
         np.testing.assert_allclose(found.at(fresh), law(fresh), rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", [4, 5, 8])
+LONG: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "house": lambda t: (
+        (80.0 * column(t, "R") + 20.0 * column(t, "S") + 9.0 * column(t, "U")) / column(t, "C")
+    ),
+    "in series": lambda t: 1.0 / (2.0 * column(t, "R") + 0.2 * column(t, "S") + 0.9 * column(t, "U")),
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_sums_of_three_are_found_from_three_rows_more(name: str) -> None:
+    law = LONG[name]
+    fresh = SPACE.from_unit(np.random.default_rng(1).random((50, 14)))
+    for seed in range(10):
+        theta = rows(seed, 6)
+        found = product_law(PRODUCTS, theta, law(theta))
+        assert found is not None
+        np.testing.assert_allclose(found.at(fresh), law(fresh), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [4, 5, 7, 8])
 def test_what_is_no_law_is_taken_for_none(n: int) -> None:
     for seed in range(10):
         theta, rng = rows(seed, n), np.random.default_rng(seed)
