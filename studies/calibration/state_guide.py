@@ -72,6 +72,7 @@ class StateGuide:
         self._answered = np.empty((0, problem.measurement.n_samples))
         self._structure: Structure | None = None
         self._n_examined = 0
+        self._is_refuted = False
         self._equations: StateEquations | None = None
         self.predicted: float | None = None
         self._ends = self._u
@@ -119,6 +120,13 @@ class StateGuide:
     def is_learnt(self) -> bool:
         """Whether it has equations, believed or not."""
         return self._equations is not None
+
+    @property
+    def without_effect(self) -> tuple[str, ...]:
+        """Names of the parameters that are in none of the equations that it believes."""
+        names = self._problem.space.names
+        is_out = self.left_out if self.is_sure else np.zeros(len(names), dtype=np.bool_)
+        return tuple(name for name, out in zip(names, is_out, strict=True) if out)
 
     @property
     def left_out(self) -> BoolArray:
@@ -190,12 +198,19 @@ class StateGuide:
         self._u = np.concatenate([self._u, answer.u[told]])
         self._rows.append(StateRows(*(part[told] for part in rows)))
         self._answered = np.concatenate([self._answered, answer.residuals[told]])
+        was_told = self.is_sure and self.n_asked > 0
         self._equations = self._learnt()
+        if was_told and self._equations is not None and not self._equations.is_exact:
+            # Laws that held and hold no more: this row is of another regime, whatever it has in common.
+            self._equations, self._is_refuted = None, True
+            self.why_not = "not all simulations follow the same ones"
         self._untold = self._left_untold()
 
     def _learnt(self) -> StateEquations | None:
         rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
         signals, n = self._signals, len(self._u)
+        if self._is_refuted:
+            return None
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
             if n < max(2 * self._n_examined, LEAST_TO_LEARN):
@@ -204,7 +219,7 @@ class StateGuide:
             structure = Structure.of(signals, rows)
             self.misfit = structure.misfit
             if not structure.misfit <= LEARNT:
-                self.why_not = "they are no sums of states, inputs and products of these"
+                self.why_not = "no sums of states, inputs, products and functions make them up"
                 return None
             self._structure = structure
         found, self.misfit = self._structure.fitted(signals, rows)

@@ -71,10 +71,9 @@ def _doubt(found: Summary) -> str:
     if target is not None and found["mse"] <= target:
         return "the search ended at its target; without --target it goes on"
     if found["converged"]:
-        return (
-            "the surrogate expects no deeper valley in the box: the model lacks something, or a bound is in "
-            "the way"
-        )
+        is_guided = found.get("state_equations", {}).get("are_believed", False)
+        who = "state equations know of" if is_guided else "surrogate expects"
+        return f"the {who} no deeper valley in the box: the model lacks something, or a bound is in the way"
     return (
         "there may be a deeper valley, or the model lacks something; try more --max-calls, another --seed, "
         "or studies run"

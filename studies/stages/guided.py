@@ -12,7 +12,7 @@ from simulation.store.stored_model import StoredModel
 from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_guide import StateGuide
-from studies.report.wording import count
+from studies.report.wording import count, listed
 
 
 def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
@@ -66,6 +66,7 @@ def guided_numbers(guide: StateGuide | None, physical: StoredModel) -> dict[str,
             "misfit": guide.misfit if np.isfinite(guide.misfit) else None,
             "are_believed": guide.is_believed,
             "why_not": None if guide.is_learnt else why_not,
+            "without_effect": list(guide.without_effect),
         }
     }
 
@@ -75,8 +76,13 @@ def equations_in_words(found: Mapping[str, Any]) -> str:
     states, calls = count(found["n_states"], "state"), count(found["n_calls"], "call")
     if found["are_believed"]:
         end = f"learnt, and {calls} went where they expect the lowest error"
+        if found.get("without_effect"):
+            end += (
+                f"; {listed(found['without_effect'])} changed nothing in any simulation: any value would do"
+            )
     elif found["why_not"] is None:
         end = f"learnt, but their last predictions were wrong, after {calls}; the search went on without"
     else:
-        end = f"not learnt, for {found['why_not']}; the search did without"
+        how = f"given up after {calls}" if found["n_calls"] else "not learnt"
+        end = f"{how}, for {found['why_not']}; the search did without"
     return f"State equations of {states}: {end}"

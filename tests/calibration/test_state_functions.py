@@ -206,6 +206,28 @@ WEIR = Moving(
 )
 
 
+HEATER = Moving(
+    box(UA=(50.0, 150.0), C=(5e5, 2e7), Kp=(300.0, 3000.0), PMax=(1e3, 3e4)),
+    ("K", "K"),
+    900.0,
+    pulses(268.0, 290.0, 7)[:, None],
+    lambda ua, c, kp, p_max, t, out: [(ua * (out - t) + np.minimum(p_max, kp * (294.0 - t))) / c],
+    lambda ua, c, kp, p_max: [293.0 + 0.0 * c],
+)
+
+
+def test_laws_that_held_and_hold_no_more_are_given_up() -> None:
+    """A heater that is never off at full power, as in no row before, moves by terms that are known."""
+    truth = HEATER.parameter_space.to_unit(np.array([100.0, 5e6, 1000.0, 1400.0]))
+    problem = measured(HEATER, truth, 0.15)
+    for seed in range(3):
+        guide = StateGuide.of(problem)
+        found = Adaptive(max_calls=150, doubtful_mse=0.09).minimize(problem, seed=seed, guide=guide)
+        assert found.mse <= 1.05 * problem.mse(truth[None])[0], seed
+        assert not guide.is_believed
+        assert guide.without_effect == ()
+
+
 def test_a_law_that_no_row_has_shown_is_looked_for_before_equations_end_a_search() -> None:
     """Over a weir that lies high flows nothing; where nothing did, the equations know of none."""
     truth = WEIR.parameter_space.to_unit(np.array([1.5, 0.006, 1.0, 0.01]))
@@ -216,6 +238,7 @@ def test_a_law_that_no_row_has_shown_is_looked_for_before_equations_end_a_search
     guide.note(problem.evaluate(rows))
     assert guide.is_sure
     assert guide.left_out.tolist() == [False, False, True, True]
+    assert guide.without_effect == ("hWeir", "kWeir")
     points = guide.unseen(truth, 6, np.random.default_rng(0))
     assert points.shape == (6, 4)
     assert points[0].tolist() == [*truth[:2], 0.0, 0.0]

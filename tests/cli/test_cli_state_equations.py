@@ -72,7 +72,7 @@ def test_it_is_made_again_to_the_last_digit(project: Path, studies: Run) -> None
 def test_where_nothing_can_be_learnt_it_says_so(project: Path, studies: Run) -> None:
     answer = studies("calibrate", "thermostat", "--max-calls", "6", "--jobs", "1")
     assert answer.code == 0, answer.err
-    assert "State equations of 3 states: not learnt, for they are no sums of states, inputs" in answer.out
+    assert "State equations of 3 states: not learnt, for no sums of states, inputs" in answer.out
     assert not numbers_of(project, "thermostat")["state_equations"]["are_believed"]
 
 
