@@ -2,10 +2,12 @@
 
 Inputs are constant over a communication step. Equations that are linear then move by matrix exponentials;
 others by the classical Runge-Kutta method of fourth order, in so many parts of a step that halving them would
-not matter.
+not matter. Points share the cores; each one's numbers are the same whatever it is solved beside.
 """
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Self
@@ -163,17 +165,26 @@ class SteppedFlow:
         # Only who needs it waits for numba.
         from studies.calibration.flow_steps import steps
 
-        signals = self.signals
-        return steps(
-            np.ascontiguousarray(start.T),
-            np.concatenate(rates, axis=1),
-            signals.driven,
-            np.array([*accumulate(len(one.terms) for one in self.sums)]),
-            self._places(),
-            signals.step_s,
-            self.n_parts,
-            signals.every,
-        )
+        signals, places = self.signals, self._places()
+        ends = np.array([*accumulate(len(one.terms) for one in self.sums)])
+        coefficients = np.concatenate(rates, axis=1)
+        n_threads = min(os.cpu_count() or 1, start.shape[1])
+
+        def solved(rows: IntArray) -> FloatArray:
+            return steps(
+                np.ascontiguousarray(start.T[rows]),
+                coefficients[rows],
+                signals.driven,
+                ends,
+                places,
+                signals.step_s,
+                self.n_parts,
+                signals.every,
+            )
+
+        with ThreadPoolExecutor(n_threads) as threads:
+            parts = np.array_split(np.arange(start.shape[1]), n_threads)
+            return np.concatenate([*threads.map(solved, parts)])
 
     def _places(self) -> IntArray:
         """Return of every term where its parts are; see `flow_steps.steps`."""

@@ -22,6 +22,10 @@ from simulation.states import StateSignals
 
 # Sums of squares, as a share of the derivative's, that a complete sum of terms leaves.
 COMPLETE = 1e-16
+# Above, they are looked for once more.
+NEARLY_COMPLETE = 1e-14
+# Squared sine between two terms below which they are one.
+SAME_TERM = 1e-10
 # A term without which less than this is left is none.
 NEEDLESS = 1e-10
 MOST_TERMS = 16
@@ -199,6 +203,9 @@ def spread(n: int, most: int) -> IntArray:
 def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
     """Choose the fewest terms that make up a target in every row, each row with coefficients of its own.
 
+    They are chosen one after the other; where those are not all, once more from the two that explain most
+    together, of which neither may explain much alone.
+
     Args:
         terms: The f candidates, the last of them the constant.
         values: Their values. Shape (n, t, f).
@@ -209,30 +216,55 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     """
     if not target.any():
         return [len(terms) - 1], 0.0
-    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
     norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
     values = values / np.where(norm > 0.0, norm, 1.0)
+    chosen, left = _added(values, target, [])
+    if left > NEARLY_COMPLETE and len(terms) > 2:
+        again, left_again = _added(values, target, _best_pair(values, target))
+        if left_again < left:
+            chosen, left = again, left_again
+    return chosen, left
+
+
+def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[list[int], float]:
+    """Add terms to those that are begun with, take needless ones away; return them and what they leave."""
+    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
     chosen, left, rest = list[int](), target.copy(), values.copy()
-    while len(chosen) < min(MOST_TERMS, len(terms), target.shape[1] - 1):
+    while len(chosen) < min(MOST_TERMS, values.shape[2], target.shape[1] - 1):
         squares = np.square(rest).sum(axis=1)
-        # What is left of a column after those before it is rounding.
-        is_new = squares > 1e-20
-        gain = np.where(is_new, np.einsum("nt,ntf->nf", left, rest) ** 2, 0.0) / np.where(
-            is_new, squares, 1.0
-        )
-        share = (gain / size[:, None]).mean(axis=0)
-        share[chosen] = -1.0
-        best = int(np.argmax(share))
-        if share[best] <= 0.0:
-            break
+        if len(chosen) < len(begun):
+            best = begun[len(chosen)]
+        else:
+            # What is left of a column after those before it is rounding.
+            is_new = squares > 1e-20
+            along = np.einsum("nt,ntf->nf", left, rest) ** 2
+            gain = np.where(is_new, along, 0.0) / np.where(is_new, squares, 1.0)
+            share = (gain / size[:, None]).mean(axis=0)
+            share[chosen] = -1.0
+            best = int(np.argmax(share))
+            if share[best] <= 0.0:
+                break
         chosen.append(best)
         axis = rest[..., best] / np.sqrt(np.maximum(squares[:, best], 1e-300))[:, None]
         rest = rest - axis[..., None] * np.einsum("nt,ntf->nf", axis, rest)[:, None]
         left = left - axis * np.einsum("nt,nt->n", axis, left)[:, None]
         if unexplained(values, target, chosen) <= COMPLETE:
             break
-    chosen = _without_needless(values, target, chosen or [len(terms) - 1])
+    chosen = _without_needless(values, target, chosen or [values.shape[2] - 1])
     return chosen, unexplained(values, target, chosen)
+
+
+def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
+    """Return the two terms (n, t, f) that explain most of a target (n, t) together, mean over rows."""
+    explained = np.zeros((values.shape[2],) * 2)
+    for columns, goal in zip(values, target, strict=True):
+        along = goal @ columns / np.sqrt(goal @ goal + np.finfo(float).tiny)
+        cosines = columns.T @ columns
+        both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
+        squares = 1.0 - cosines**2
+        share = np.where(squares > SAME_TERM, both / np.maximum(squares, SAME_TERM), 0.0)
+        explained += np.nan_to_num(np.minimum(share, 1.0), nan=0.0)
+    return [int(one) for one in np.unravel_index(int(np.argmax(explained)), explained.shape)]
 
 
 class Fit(NamedTuple):
