@@ -23,10 +23,10 @@ such a change the optimum is often found in one to three calls. The result says 
 --again it begins with what has been stored since.
 
 State equations say how the FMU's states move, and not only what its sensors would show. They are learnt from
-the states and derivatives that an FMU answers in every simulation. Where these are sums of states, inputs and
-products of these (resistances and capacities, flows times temperatures, radiation, reactions) a calibration
-mostly takes five to ten simulations, of 14 parameters as of 4; where they are not, the search goes on
-without, and says so. --no-state-equations does without in any case; --state-equations says why an FMU's
+the states and derivatives that an FMU answers in every simulation. Where these are sums of states, inputs,
+products of these and simple functions (resistances and capacities, flows times temperatures, radiation,
+reactions, tanks) a calibration mostly takes five to ten simulations, of 14 parameters as of 4; where they are
+not, the search goes on without, and says so. --no-state-equations does without in any case; --state-equations says why an FMU's
 states cannot be read.
 
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
