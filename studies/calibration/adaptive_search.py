@@ -165,9 +165,10 @@ class AdaptiveSearch:
         guide = self._guide
         if guide is None or not guide.is_believed:
             return False
-        if not self._has_probed and (self._is_too_large or guide.left_out.any()):
+        n = math.ceil(N_PROBES / self._settings.n_parallel) * self._settings.n_parallel
+        is_affordable = self._settings.max_calls - self._recorder.n_calls >= n
+        if not self._has_probed and is_affordable and (self._is_too_large or guide.left_out.any()):
             self._has_probed = True
-            n = math.ceil(N_PROBES / self._settings.n_parallel) * self._settings.n_parallel
             best = self._u[int(np.argmin(self._objective))]
             self._ask(guide.unseen(best, n, self._rng))
             return True
@@ -252,6 +253,8 @@ class AdaptiveSearch:
             # The best point is known, and more rows would teach nothing: it is only looked for again.
             self.expected_gain = max(promise / centre_objective, 0.0) if centre_objective > 0.0 else 0.0
             self._idle += 1
+            if self._guide is not None:
+                self._guide.forget_proposal()
             return
         predicted = self._guide.predicted if self._guide is not None else None
         if self._is_far and not self._is_home:

@@ -1,7 +1,7 @@
 """A coefficient of a state equation as a function of the parameters, learnt from few simulations.
 
 Coefficients of physical models are quotients and products of few parameters, such as 1 / (R C), or sums of
-two such (product_laws.py), now and then a broken power or a polynomial: where few features explain a
+a few such (product_laws.py), now and then a broken power or a polynomial: where few features explain a
 coefficient or its logarithm exactly they are what it is. All others are Gaussian processes, of their
 logarithm where they keep their sign.
 """

@@ -9,12 +9,13 @@ others by chance to a few per cent.
 from dataclasses import dataclass
 from itertools import combinations, product
 from math import comb
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
+from studies.calibration.state_terms import spread
 
 # Weighted squares, as a share of those around the mean, below which a law is exact. Sums of two are so many
 # that with few rows some would fit the errors of a coefficient that is one product: there, the second counts.
@@ -25,6 +26,8 @@ SPARE_ROWS = 2
 EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
 # Products of so many parameters are looked at, and in sums, as far as they are few.
 MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
+# So many rows tell which products may be meant.
+MOST_ROWS = 12
 # All sums of two are looked at; of longer ones those that begin with the best shorter ones, so many. So many
 # are looked at closely. Squared sines below which a product is made up by others.
 MOST_SUMMED, N_BEGINNINGS, N_BEST, SAME_PRODUCT = 3, 200, 8, 1e-10
@@ -98,7 +101,7 @@ class ProductLaw:
 
 
 def product_law(products: Products, theta: FloatArray, values: FloatArray) -> ProductLaw | None:
-    """Explain values exactly by one product, or by the sum of two or its reciprocal.
+    """Explain values exactly by one product, or by the sum of two or three or its reciprocal.
 
     Args:
         products: Those of the box.
@@ -110,30 +113,55 @@ def product_law(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     """
     if len(values) < 1 + SPARE_ROWS:
         return None
-    table = products.at(theta)
-    weight = _weight(values)
-    single, left = _single(table * weight[:, None], values * weight, weight)
-    if left < EXACT:
-        return _fitted(products.powers[[single]], theta, values, weight)
+    # A part of the rows tells which products may be meant, all of them whether they are.
+    some = spread(len(values), MOST_ROWS)
+    table = products.at(theta[some])
+    laws = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
+    if laws[0].left < EXACT:
+        return laws[0].law
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
-    beginnings: list[IntArray | None] = [None] * len(goals)
+    table = table[:, : products.n_paired]
+    beginnings = dict[int, IntArray]()
     for n_summed in range(2, min(MOST_SUMMED, products.n_paired) + 1):
         if len(values) < n_summed + (SPARE_ROWS if n_summed == 2 else SPARE_ROWS_OF_LONG):
             break
-        found, laws = list[float](), list[ProductLaw]()
+        laws = []
         for kind, goal in enumerate(goals):
-            weight = _weight(goal)
-            scaled = table[:, : products.n_paired] * weight[:, None]
-            sums = _longer(scaled, goal * weight, beginnings[kind])
-            beginnings[kind] = sums
-            for chosen in sums[:N_BEST]:
-                law = _fitted(products.powers[chosen], theta, goal, weight)
-                found.append(_left((law.at(theta) - goal) * weight, goal * weight, weight))
-                laws.append(ProductLaw(law.amounts, law.powers, bool(kind)))
+            weight = _weight(goal[some])
+            scaled, sought = table * weight[:, None], goal[some] * weight
+            scaled = scaled / np.maximum(np.sqrt(np.square(scaled).sum(axis=0)), np.finfo(float).tiny)
+            explained = _pairs(scaled, sought) if n_summed == 2 else _longer(scaled, sought, beginnings[kind])
+            beginnings[kind] = _best_sums(explained, beginnings.get(kind))
+            laws += [
+                _judged(products.powers[chosen], theta, goal, is_reciprocal=bool(kind))
+                for chosen in beginnings[kind][:N_BEST]
+            ]
+        if not laws:
+            break
         exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
-        if found and min(found) < (exact if n_summed == 2 else EXACT_OF_LONG):
-            return laws[int(np.argmin(found))]
+        best = min(laws, key=lambda one: one.left)
+        if best.left < (exact if n_summed == 2 else EXACT_OF_LONG):
+            return best.law
     return None
+
+
+class _Judged(NamedTuple):
+    """A law and what it leaves of weighted values, see `_left`."""
+
+    law: ProductLaw
+    left: float
+
+
+def _judged(
+    powers: IntArray, theta: FloatArray, values: FloatArray, *, is_reciprocal: bool = False
+) -> _Judged:
+    """Fit amounts of products to values; tell what they leave."""
+    weight = _weight(values)
+    columns = values_of(powers, theta) * weight[:, None]
+    norms = np.sqrt(np.square(columns).sum(axis=0))
+    amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
+    left = _left(columns @ amounts - values * weight, values * weight, weight)
+    return _Judged(ProductLaw(amounts, powers, is_reciprocal), left)
 
 
 def _weight(values: FloatArray) -> FloatArray:
@@ -146,50 +174,49 @@ def _left(error: FloatArray, values: FloatArray, weight: FloatArray) -> float:
     return float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
 
 
-def _single(table: FloatArray, values: FloatArray, weight: FloatArray) -> tuple[int, float]:
-    """Return which product (n, m) explains values alone the best, and what it leaves. [1]."""
+def _single(table: FloatArray, values: FloatArray) -> int:
+    """Return which product (n, m) explains values alone the best."""
+    weight = _weight(values)
+    table, values = table * weight[:, None], values * weight
     amounts = (values @ table) / np.maximum(np.square(table).sum(axis=0), np.finfo(float).tiny)
-    errors = np.square(values[:, None] - table * amounts).sum(axis=0)
-    best = int(np.argmin(errors))
-    return best, _left(values - table[:, best] * amounts[best], values, weight)
+    return int(np.argmin(np.square(values[:, None] - table * amounts).sum(axis=0)))
 
 
-def _longer(table: FloatArray, values: FloatArray, beginnings: IntArray | None) -> IntArray:
-    """Return the sums, one product longer than their beginnings, that explain values the best.
+def _pairs(table: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what all pairs of columns (n, m) of length 1 explain of values (n,). Shape (m, m)."""
+    cosines, along = table.T @ table, values @ table
+    sines = 1.0 - cosines**2
+    both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
+    explained = np.where(sines > SAME_PRODUCT, both / np.maximum(sines, SAME_PRODUCT), -np.inf)
+    return np.asarray(np.where(np.tri(len(cosines), dtype=np.bool_), -np.inf, explained))
+
+
+def _longer(table: FloatArray, values: FloatArray, beginnings: IntArray) -> FloatArray:
+    """Return what sums that begin so (b, k) explain with one more column (n, m) of values. Shape (b, m)."""
+    basis = np.linalg.qr(table[:, beginnings].transpose(1, 0, 2))[0]
+    rest = table - basis @ (basis.transpose(0, 2, 1) @ table)
+    along = basis.transpose(0, 2, 1) @ values
+    left = values - np.einsum("bnk,bk->bn", basis, along)
+    squares = np.square(rest).sum(axis=1)
+    gain = np.einsum("bn,bnm->bm", left, rest) ** 2 / np.maximum(squares, SAME_PRODUCT)
+    return np.where(squares > SAME_PRODUCT, np.square(along).sum(axis=1)[:, None] + gain, -np.inf)
+
+
+def _best_sums(explained: FloatArray, beginnings: IntArray | None) -> IntArray:
+    """Return which products the sums are of that explain the most, the best first. Shape (at most b, k).
 
     Args:
-        table: Weighted products. Shape (n, m).
-        values: Weighted values. Shape (n,).
-        beginnings: Which products they begin with, None for any single one. Shape (b, k).
-
-    Returns:
-        Which products they are of, the best first. Shape (at most N_BEGINNINGS, k + 1).
+        explained: By beginning and by the product that is added. Shape (b, m).
+        beginnings: None where these are single products. Shape (b, k - 1).
     """
-    norms = np.sqrt(np.square(table).sum(axis=0))
-    table = table / np.where(norms > 0.0, norms, 1.0)
-    m = table.shape[1]
+    m = explained.shape[1]
     if beginnings is None:
         beginnings = np.arange(m)[:, None]
-    explained = np.empty((len(beginnings), m))
-    for row, chosen in enumerate(beginnings):
-        basis = np.linalg.qr(table[:, chosen])[0]
-        rest = table - basis @ (basis.T @ table)
-        left = values - basis @ (basis.T @ values)
-        squares = np.square(rest).sum(axis=0)
-        gain = np.where(
-            squares > SAME_PRODUCT, (left @ rest) ** 2 / np.maximum(squares, SAME_PRODUCT), -np.inf
-        )
-        explained[row] = float(values @ values) - float(left @ left) + gain
-    order = np.argsort(-explained, axis=None, kind="stable")[: 2 * len(explained[0]) + 4 * N_BEGINNINGS]
-    sums = np.column_stack([beginnings[order // m], order % m])[np.isfinite(explained.reshape(-1)[order])]
-    # Whatever they began with, sums of the same products are one.
-    _, first = np.unique(np.sort(sums, axis=1), axis=0, return_index=True)
-    kept: IntArray = sums[np.sort(first)][:N_BEGINNINGS]
-    return kept
-
-
-def _fitted(powers: IntArray, theta: FloatArray, values: FloatArray, weight: FloatArray) -> ProductLaw:
-    columns = values_of(powers, theta) * weight[:, None]
-    norms = np.sqrt(np.square(columns).sum(axis=0))
-    amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
-    return ProductLaw(amounts, powers)
+    # A sum of k products may have been begun in k ways.
+    n = min(MOST_SUMMED * N_BEGINNINGS, explained.size)
+    order = np.argpartition(-explained, n - 1, axis=None)[:n]
+    order = order[np.argsort(-explained.reshape(-1)[order], kind="stable")]
+    order = order[np.isfinite(explained.reshape(-1)[order])]
+    sums = np.sort(np.column_stack([beginnings[order // m], order % m]), axis=1)
+    _, first = np.unique(sums, axis=0, return_index=True)
+    return np.asarray(sums[np.sort(first)][:N_BEGINNINGS])

@@ -9,7 +9,7 @@ trajectories about as well as a thousand tell a surrogate that knows outputs alo
 the rows say.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -189,16 +189,24 @@ class StateEquations:
         Returns:
             Reported outputs, not finite where the equations run away. Shape (n, t, k). [per output]
         """
-        # In pieces of so many points that the states of a long simulation fit into memory.
+        return np.concatenate([self._outputs(piece) for piece in self._pieces(points)])
+
+    def reach(self, points: Points) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the greatest value of every state at points. Shapes (n, s). [FMU's units]."""
+        found = [
+            (states.min(axis=1), states.max(axis=1))
+            for states in (self._states(piece) for piece in self._pieces(points))
+        ]
+        return np.concatenate([least for least, _ in found]), np.concatenate([most for _, most in found])
+
+    def _pieces(self, points: Points) -> Iterator[Points]:
+        """Yield points in pieces of so many that the states of a long simulation fit into memory."""
         per_point = len(self.signals.driven) * len(self.signals.states)
         n_at_once = max(MOST_VALUES // per_point, 1)
-        pieces = [
-            self._outputs(points.part(slice(first, first + n_at_once)))
-            for first in range(0, len(points.x), n_at_once)
-        ]
-        return np.concatenate(pieces)
+        for first in range(0, len(points.x), n_at_once):
+            yield points.part(slice(first, first + n_at_once))
 
-    def states(self, points: Points) -> FloatArray:
+    def _states(self, points: Points) -> FloatArray:
         """Solve the equations; return the states at all watched outputs. Shape (n, t, s). [FMU's units]."""
         return self.flow.states(self._at_start(points), self._rates(points))
 
@@ -209,7 +217,7 @@ class StateEquations:
 
     def _outputs(self, points: Points) -> FloatArray:
         with np.errstate(all="ignore"):
-            states = self.states(points)
+            states = self._states(points)
             n_states = len(self.signals.states)
             first = self.signals.driven[:1]
             inputs = np.concatenate([first, self.signals.at_outputs])

@@ -5,7 +5,6 @@ others by the classical Runge-Kutta method of fourth order, in so many parts of 
 not matter. Points share the cores; each one's numbers are the same whatever it is solved beside.
 """
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from scipy.linalg import expm
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.states import StateSignals
+from simulation.workers.parallel import available_cores
 from studies.calibration.state_terms import Sum
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
@@ -168,7 +168,7 @@ class SteppedFlow:
         signals, places = self.signals, self._places()
         ends = np.array([*accumulate(len(one.terms) for one in self.sums)])
         coefficients = np.concatenate(rates, axis=1)
-        n_threads = min(os.cpu_count() or 1, start.shape[1])
+        n_threads = max(min(available_cores(), start.shape[1]), 1)
 
         def solved(rows: IntArray) -> FloatArray:
             return steps(

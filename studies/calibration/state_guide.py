@@ -36,6 +36,8 @@ MISSED, N_MISSED = 0.5, 4
 # exact equations tell it, and up to which they are believed: what is beyond, as a state that jumps, they do
 # not know. So many of the last rows are looked at; an error counts the first of their median more.
 TOLD, BELIEVED, N_TOLD = 1e-3, 2e-2, 16
+# Range of a state that hardly moves, as a share of its size.
+AT_REST = 1e-6
 
 # Rows after which equations are taken though some coefficient is no law, by parameter and at least.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
@@ -158,15 +160,20 @@ class StateGuide:
         ends = [np.where(left_out, end, u) for end in (0.0, 1.0)] if left_out.any() else []
         looks = rng.random((max(N_LOOKS, n), len(u)))
         with np.errstate(all="ignore"):
-            states = self._equations.states(Points.of(self._problem.space, looks))
+            least, greatest = self._equations.reach(Points.of(self._problem.space, looks))
         seen = np.concatenate([rows.x.reshape(-1, self.n_states) for rows in self._rows])
         low, high = seen.min(axis=0), seen.max(axis=0)
-        span = np.maximum(high - low, np.finfo(float).tiny)
-        beyond = np.concatenate([low - states.min(axis=1), states.max(axis=1) - high], axis=1)
-        # By turns the farthest of every state in either direction.
-        order = np.argsort(-np.nan_to_num(beyond / np.tile(span, 2), nan=-np.inf), axis=0)
-        farthest = looks[list(dict.fromkeys(order.reshape(-1).tolist()))]
-        return np.concatenate([*(end[None] for end in ends), farthest])[:n]
+        # Of a state at rest rounding is no reach.
+        span = np.maximum(high - low, AT_REST * np.abs(seen).max(axis=0) + np.finfo(float).tiny)
+        beyond = np.concatenate([low - least, greatest - high], axis=1) / np.tile(span, 2)
+        beyond = np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
+        # By turns the farthest of every state in either direction, those first that go farthest.
+        columns = np.argsort(-beyond.max(axis=0), kind="stable")
+        order = np.argsort(-beyond[:, columns[beyond.max(axis=0)[columns] > 0.0]], axis=0, kind="stable")
+        farthest = list(dict.fromkeys([*order.reshape(-1).tolist(), *range(len(looks))]))
+        # An end that was asked already tells nothing new.
+        fresh = [end[None] for end in ends if np.abs(self._u - end).max(axis=1).min() > SAME_POINT]
+        return np.concatenate([*fresh, looks[farthest]])[:n]
 
     @property
     def n_states(self) -> int:
@@ -179,6 +186,9 @@ class StateGuide:
         Args:
             answer: The rows; failed ones teach nothing.
         """
+        if self._is_refuted:
+            return
+        was_confirmed = self.is_sure and self.n_asked > 0
         good = np.isfinite(answer.mse)
         # Equations know nothing of failures, and would lead there again and again.
         self._has_failed = self.predicted is not None and not good[0]
@@ -195,22 +205,24 @@ class StateGuide:
         told = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows], axis=0)
         if not told.any():
             return
+        told_before = self._untold_of(answer.u[told], answer.residuals[told]) <= TOLD
         self._u = np.concatenate([self._u, answer.u[told]])
         self._rows.append(StateRows(*(part[told] for part in rows)))
         self._answered = np.concatenate([self._answered, answer.residuals[told]])
-        was_told = self.is_sure and self.n_asked > 0
         self._equations = self._learnt()
-        if was_told and self._equations is not None and not self._equations.is_exact:
+        if was_confirmed and not told_before and self._equations is not None and not self._equations.is_exact:
             # Laws that held and hold no more: this row is of another regime, whatever it has in common.
             self._equations, self._is_refuted = None, True
             self.why_not = "not all simulations follow the same ones"
-        self._untold = self._left_untold()
+        self._untold = self._untold_of(self._u[-N_TOLD:], self._answered[-N_TOLD:])
+
+    def forget_proposal(self) -> None:
+        """Forget a point that was proposed and is not asked."""
+        self.predicted = None
 
     def _learnt(self) -> StateEquations | None:
         rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
         signals, n = self._signals, len(self._u)
-        if self._is_refuted:
-            return None
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
             if n < max(2 * self._n_examined, LEAST_TO_LEARN):
@@ -236,13 +248,12 @@ class StateGuide:
             self.why_not = "they move too fast to be solved in time"
         return equations
 
-    def _left_untold(self) -> float:
+    def _untold_of(self, u: FloatArray, answered: FloatArray) -> float:
         """Return how exact equations, solved, differ from what was simulated, as a share of errors. [1]."""
         if self._equations is None or not self._equations.is_exact:
             return 0.0
-        answered = self._answered[-N_TOLD:]
         with np.errstate(all="ignore"):
-            error = np.mean((self._residuals(self._u[-N_TOLD:]) - answered) ** 2, axis=1)
+            error = np.mean((self._residuals(u) - answered) ** 2, axis=1)
         mse = np.mean(answered**2, axis=1)
         shares = error / (mse + TOLD * np.median(mse))
         return float(np.max(np.where(np.isfinite(shares), shares, np.inf)))

@@ -264,7 +264,8 @@ def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
         squares = 1.0 - cosines**2
         share = np.where(squares > SAME_TERM, both / np.maximum(squares, SAME_TERM), 0.0)
         explained += np.nan_to_num(np.minimum(share, 1.0), nan=0.0)
-    return [int(one) for one in np.unravel_index(int(np.argmax(explained)), explained.shape)]
+    first, second = np.unravel_index(int(np.argmax(explained)), explained.shape)
+    return [int(first), int(second)] if explained[first, second] > 0.0 else []
 
 
 class Fit(NamedTuple):
@@ -308,7 +309,7 @@ def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -
 def _without_needless(values: FloatArray, target: FloatArray, chosen: list[int]) -> list[int]:
     limit = max(NEEDLESS, 10.0 * unexplained(values, target, chosen))
     while len(chosen) > 1:
-        without = [[term for term in chosen if term != one] for one in chosen]
+        without = [chosen[:rank] + chosen[rank + 1 :] for rank in range(len(chosen))]
         left = [unexplained(values, target, others) for others in without]
         least = int(np.argmin(left))
         if left[least] > limit:

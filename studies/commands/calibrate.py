@@ -26,8 +26,8 @@ State equations say how the FMU's states move, and not only what its sensors wou
 the states and derivatives that an FMU answers in every simulation. Where these are sums of states, inputs,
 products of these and simple functions (resistances and capacities, flows times temperatures, radiation,
 reactions, tanks) a calibration mostly takes five to ten simulations, of 14 parameters as of 4; where they are
-not, the search goes on without, and says so. --no-state-equations does without in any case; --state-equations says why an FMU's
-states cannot be read.
+not, the search goes on without, and says so. --no-state-equations does without in any case; --state-equations
+says why an FMU's states cannot be read.
 
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
 searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and

@@ -77,9 +77,7 @@ def equations_in_words(found: Mapping[str, Any]) -> str:
     if found["are_believed"]:
         end = f"learnt, and {calls} went where they expect the lowest error"
         if found.get("without_effect"):
-            end += (
-                f"; {listed(found['without_effect'])} changed nothing in any simulation: any value would do"
-            )
+            end += f"; {listed(found['without_effect'])} changed nothing in any simulation"
     elif found["why_not"] is None:
         end = f"learnt, but their last predictions were wrong, after {calls}; the search went on without"
     else:
