@@ -253,8 +253,7 @@ class AdaptiveSearch:
             # The best point is known, and more rows would teach nothing: it is only looked for again.
             self.expected_gain = max(promise / centre_objective, 0.0) if centre_objective > 0.0 else 0.0
             self._idle += 1
-            if self._guide is not None:
-                self._guide.forget_proposal()
+            self._forget_proposal()
             return
         predicted = self._guide.predicted if self._guide is not None else None
         if self._is_far and not self._is_home:
@@ -337,8 +336,14 @@ class AdaptiveSearch:
             return False
         return self._leg[-1] > (1.0 - owed) * self._leg[-1 - rounds]
 
+    def _forget_proposal(self) -> None:
+        """Tell the guide that its last point is not asked."""
+        if self._guide is not None:
+            self._guide.predicted = None
+
     def _turn(self) -> None:
         """End a leg: from the best row go elsewhere, from elsewhere back to it."""
+        self._forget_proposal()
         leaves = self._is_home and (self._settings.n_elsewhere > 0 or self._is_doubtful)
         self._n_elsewhere += leaves
         # A valley that still falls is followed to another place; from its bottom the search goes far.

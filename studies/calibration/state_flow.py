@@ -21,6 +21,8 @@ from studies.calibration.state_terms import Sum
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
 MOST_MODES = 64
+# Products of matrices that an exponential takes.
+EXPONENTIAL = 30
 # Parts of a communication step, and the change by halving them that is small: relative to how a state moves,
 # or to one that is at rest.
 MOST_PARTS, SMALL_CHANGE, ROUNDING = 64, 1e-2, 1e-9
@@ -49,6 +51,13 @@ class LinearFlow:
             return None
         flow = cls(signals, sums, tuple(switches))
         return flow if len(np.unique(flow._switched(), axis=0)) <= MOST_MODES else None
+
+    @property
+    def n_operations(self) -> int:
+        """About what a solution takes."""
+        n_states, n_all = len(self.signals.states), len(self.signals.states) + len(self.signals.inputs) + 1
+        n_modes = len(np.unique(self._switched(), axis=0))
+        return len(self.signals.driven) * n_states * n_all + EXPONENTIAL * n_modes * n_all**3
 
     def _switched(self) -> FloatArray:
         """Return what terms are multiplied with over the steps. Shape (m, w)."""
@@ -130,6 +139,12 @@ class SteppedFlow:
     signals: StateSignals
     sums: tuple[Sum, ...]
     n_parts: int = 1
+
+    @property
+    def n_operations(self) -> int:
+        """About what a solution takes."""
+        n_places = sum(3 + len(term.factors) for one in self.sums for term in one.terms)
+        return 4 * len(self.signals.driven) * self.n_parts * n_places
 
     def fine_enough(self, start: FloatArray, rates: Sequence[FloatArray]) -> Self | None:
         """Return the flow with steps that tell some points' states well, None where that takes too many.

@@ -216,10 +216,6 @@ class StateGuide:
             self.why_not = "not all simulations follow the same ones"
         self._untold = self._untold_of(self._u[-N_TOLD:], self._answered[-N_TOLD:])
 
-    def forget_proposal(self) -> None:
-        """Forget a point that was proposed and is not asked."""
-        self.predicted = None
-
     def _learnt(self) -> StateEquations | None:
         rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
         signals, n = self._signals, len(self._u)

@@ -5,7 +5,7 @@ and the list of stored rows that was written when the stage first began: interru
 """
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
 from studies.uncertainty.findings import LEVEL, compensations, correlation, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
+from studies.uncertainty.stand_in import particles_for
 
 LEAST_BUDGET, BUDGET_PER_PARAMETER = 100, 20
 """Most calls unless others are asked for; a sample that is good earlier ends earlier."""
@@ -210,15 +211,19 @@ def judge_calibration_point(
         if known.n and known.mse.min() < FITS_BETTER * float(case.measurement.mse(y[None])[0]):
             # What a calibration that ended early has left over is not noise.
             noise = noise_of(settings.noise, case.measurement, known.y[np.argmin(known.mse)], n_parameters)
+        stand_in = None if guide is None else guide.model
+        sampling = sampling_within(settings.max_calls, n_parameters)
+        if stand_in is not None:
+            sampling = replace(sampling, n_of_stand_in=particles_for(stand_in.equations.flow.n_operations))
         found = assess(
             problem,
             theta,
             y,
             noise=noise,
             known=known,
-            sampling=sampling_within(settings.max_calls, n_parameters),
+            sampling=sampling,
             seed=study.profile.seed,
-            stand_in=None if guide is None else guide.model,
+            stand_in=stand_in,
             on_phase=bars,
         )
     if not np.isfinite(found.sample.drawn.mse).any():

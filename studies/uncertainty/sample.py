@@ -63,6 +63,7 @@ class Sampling:
         n_batch: Rows per round.
         n_particles: Points that stand for the last surrogate's density.
         n_drawn_from: And for an earlier one's, of which no more than the sample is drawn.
+        n_of_stand_in: And for a stand-in's, which is asked at each of them again and again.
     """
 
     max_calls: int
@@ -70,6 +71,7 @@ class Sampling:
     n_batch: int = 8
     n_particles: int = 1200
     n_drawn_from: int = 400
+    n_of_stand_in: int = 600
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,7 @@ class PosteriorSample:
         drawn: The sample as the model answered. n rows.
         weights: What each counts; sum 1. Shape (n,). [1]
         log_ratios: Logarithm of the model's density over the predicted one. Shape (n,). [1]
-        particles: On the last surrogate, which knows every simulated row.
+        particles: On the last surrogate, which knows every simulated row, or on the stand-in.
         n_calls: Rows asked of the model.
         n_taught: Those of them that are not in the sample: they taught the surrogate.
         n_known: Rows known before.

@@ -14,7 +14,7 @@ from simulation.arrays import FloatArray
 from studies.calibration.descent import descend_together, jacobians
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.uncertainty.annealing import Density, OnShare, Reference, sample_density
-from studies.uncertainty.density import Posterior
+from studies.uncertainty.density import Posterior, roots_of
 from studies.uncertainty.rows import joined
 from studies.uncertainty.sample import (
     DECIMALS,
@@ -31,8 +31,8 @@ from studies.uncertainty.weights import normalized
 SAME_DENSITY = 0.25
 """Mean difference of the two logarithmic densities, but for a constant, up to which they are the same."""
 
-N_PARTICLES = 600
-"""Points that stand for the density."""
+LEAST_PARTICLES, CHEAP = 150, 4e5
+"""Points that stand for the density at least, where an answer takes more operations than the second."""
 
 N_LOOKS, N_RANDOM, N_ROWS = 400, 20, 5
 """Random points, and how many of them and of the known rows, the best ones, are walked downhill."""
@@ -48,6 +48,16 @@ class StandInSample(NamedTuple):
 
     sample: PosteriorSample | None
     asked: Evaluation
+
+
+def particles_for(n_operations: float) -> int:
+    """Return how many particles a stand-in's density is sampled with.
+
+    Args:
+        n_operations: What one of its answers takes.
+    """
+    n = Sampling.n_of_stand_in
+    return int(np.clip(n * CHEAP / max(n_operations, 1.0), LEAST_PARTICLES, n))
 
 
 def sample_with(
@@ -81,7 +91,11 @@ def sample_with(
     with threadpool_limits(limits=1, user_api="blas"):
         around, decimals = _valleys(stand_in, posterior, density, known, rng)
         particles = sample_density(
-            density, around, seed=int(rng.integers(2**31)), n_particles=N_PARTICLES, on_share=on_share
+            density,
+            around,
+            seed=int(rng.integers(2**31)),
+            n_particles=settings.n_of_stand_in,
+            on_share=on_share,
         )
     u = np.round(particles.u[: min(settings.n_sample, settings.max_calls)], decimals)
     expected = density(u)
@@ -92,7 +106,7 @@ def sample_with(
         ratios = np.append(ratios, posterior.at(u[now], parts[-1].mse) - expected[now])
         if on_calls is not None:
             on_calls(len(ratios))
-        is_left = settings.max_calls - len(ratios) >= 2 * settings.n_batch
+        is_left = settings.max_calls - len(ratios) >= settings.n_batch
         if is_left and not (_differ(ratios) <= SAME_DENSITY and agrees(ratios, settings.n_batch)):
             return StandInSample(None, joined(parts))
     drawn = joined(parts)
@@ -138,8 +152,9 @@ def _valleys(
     scaled = slopes[is_told] / posterior.noise.raised
     metric = scaled.transpose(0, 2, 1) @ scaled
     steepness = float(np.sqrt(np.diagonal(posterior.precision(metric, wider=1.0), axis1=1, axis2=2).max()))
-    covariance = np.linalg.inv(posterior.precision(metric, wider=WIDER))
-    return Reference(ends[is_told], np.linalg.cholesky(covariance)), decimals_for(steepness)
+    return Reference(ends[is_told], roots_of(posterior.precision(metric, wider=WIDER))), decimals_for(
+        steepness
+    )
 
 
 def _differ(differences: FloatArray) -> float:

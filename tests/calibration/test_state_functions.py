@@ -9,11 +9,12 @@ import pytest
 from simulation.arrays import FloatArray
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.states import StateSignals, WatchedModel
+from simulation.states import StateRows, StateSignals, WatchedModel
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.flow_steps import NUMBERS
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.state_equations import LEARNT, Structure
 from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_guide import StateGuide
 from studies.calibration.state_terms import FUNCTIONS, Sum, Term
@@ -188,6 +189,47 @@ def test_compiled_steps_know_the_functions_of_terms() -> None:
         three = slope(x + 30.0 * two)
         expected = x + 10.0 * (one + 2.0 * two + 2.0 * three + slope(x + 60.0 * three))
         np.testing.assert_allclose(flow.states(start, rates)[:, 1, 0], expected, rtol=1e-12)
+
+
+def test_a_point_is_solved_alike_whatever_it_is_solved_beside() -> None:
+    terms = (Term(2), Term(1, True, function="root"))
+    flow = SteppedFlow(TANKS.signals, (Sum(0, terms), Sum(1, (Term(0, True, function="root"),))))
+    start = np.random.default_rng(0).random((2, 7))
+    rates = [np.column_stack([np.full(7, 0.5), np.linspace(0.001, 0.01, 7)]), np.full((7, 1), 0.01)]
+    together = flow.states(start, rates)
+    # One that runs away stays alone with it.
+    wild = [np.where(np.arange(7)[:, None] == 3, 1e300, rates[0]), rates[1]]
+    with np.errstate(all="ignore"):
+        beside = flow.states(start, wild)
+    assert not np.isfinite(beside[3, -1]).any()
+    for row in range(7):
+        alone = flow.states(start[:, [row]], [one[[row]] for one in rates])
+        np.testing.assert_array_equal(alone[0], together[row])
+        assert row == 3 or np.array_equal(beside[row], together[row])
+    assert flow.states(start[:, :0], [one[:0] for one in rates]).shape == (0, N_STEPS + 1, 2)
+
+
+def test_states_that_rest_beside_an_output_that_moves_end_nothing() -> None:
+    signals = Moving(box(a=(1.0, 2.0)), ("m",), 1.0, np.empty((N_STEPS, 0)), list, list).signals
+    time = np.arange(N_STEPS + 1.0)
+    x = np.ones((4, N_STEPS + 1, 1))
+    rows = StateRows(x, 0.0 * x, np.sin(time)[None, :, None] * x)
+    assert not Structure.of(signals, rows).misfit < LEARNT
+
+
+def test_points_are_asked_where_either_state_goes_farthest() -> None:
+    problem = measured(TANKS, np.full(5, 0.6), 0.01)
+    guide = StateGuide.of(problem)
+    design = 0.4 + 0.2 * np.random.default_rng(0).random((6, 5))
+    guide.note(problem.evaluate(design))
+    assert guide.is_sure
+    seen = problem.model.seen(problem.space.from_unit(design)).x
+    points = guide.unseen(design[0], 4, np.random.default_rng(1))
+    model = WatchedModel(TANKS, TANKS.signals)
+    x = model.seen(model.simulate(problem.space.from_unit(points)).theta).x
+    for state in range(2):
+        assert x[..., state].max() > seen[..., state].max()
+        assert x[..., state].min() < seen[..., state].min()
 
 
 WEIR = Moving(

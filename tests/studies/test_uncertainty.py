@@ -26,6 +26,7 @@ from studies.uncertainty.identifiability import difference_rows, identifiability
 from studies.uncertainty.noise import Noise, noise_of
 from studies.uncertainty.rows import MOST_KNOWN, MOST_ROWS, telling_rows
 from studies.uncertainty.sample import Sampling
+from studies.uncertainty.stand_in import CHEAP, LEAST_PARTICLES, particles_for
 from studies.uncertainty.weights import effective_size, normalized, quantiles
 
 TIME = np.linspace(0.0, 1.0, 60)
@@ -164,6 +165,38 @@ def test_a_stand_in_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     assert found.n_differences == 6
     assert found.sample.n_taught >= Sampling.n_batch
     assert found.interval == pytest.approx(alone.interval, abs=0.06)
+
+
+def test_a_stand_in_that_is_wrong_is_found_out_with_the_least_budget() -> None:
+    bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + (theta[2] + 0.3) * t**2)
+    found = judged_with(bent, max_calls=2 * 3 + 2 * Sampling.n_batch)
+    assert not found.by_equations
+    assert found.n_calls <= 22
+
+
+def test_what_costs_more_is_asked_at_fewer_points() -> None:
+    assert particles_for(1.0) == particles_for(CHEAP) == Sampling.n_of_stand_in
+    assert particles_for(2.0 * CHEAP) == Sampling.n_of_stand_in // 2
+    assert particles_for(1e12) == LEAST_PARTICLES
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-8, 1e-10])
+def test_a_stand_in_may_leave_a_direction_open_beside_the_narrowest_one(sigma: float) -> None:
+    """A product of two parameters, a third one without effect: singular but for the box."""
+    model = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + 0.0 * theta[2])
+    problem, theta = posed(model, [1.5, 0.7, 1.2], sigma=sigma, uncertainty=sigma), np.array([1.5, 0.7, 1.2])
+    y = problem.model.simulate(theta[None]).y[0]
+    noise = noise_of("sensor", problem.measurement, y, 3)
+    found = assess(
+        problem, theta, y, noise=noise, known=None,
+        sampling=sampling_within(60, 3), seed=0, stand_in=model,
+    )  # fmt: skip
+    u = found.sample.particles.u
+    assert found.by_equations
+    # Of the open parameter a twentieth lies beyond either end, as of an even density: few came so far.
+    assert found.interval[[0, 2], 2] == pytest.approx([0.05, 0.95], abs=0.1)
+    known = np.log(np.prod(problem.space.from_unit(u)[:, :2], axis=1) / (1.5 * 0.7))
+    assert np.std(known) == pytest.approx(sigma / np.sqrt(TIME @ TIME) / (1.5 * 0.7), rel=0.3)
 
 
 def test_a_stand_in_that_errs_a_little_is_found_out_too():
