@@ -2,11 +2,11 @@
 
     dx_j/dt = sum_k a_jk(theta) f_jk(x, u),    y = sum_k c_k(theta) g_k(x, u).
 
-The terms f and g are states and inputs, their differences, products and functions. They are found in what the
-states did (state_terms.py), and each one's coefficient is learnt over the parameters (coefficient.py).
-Trajectories bend in many ways where coefficients do not: ten rows of an office with 14 parameters tell its
-trajectories about as well as a thousand tell a surrogate that knows outputs alone. Whether a model moves so,
-the rows say.
+The terms f and g are states and inputs, their differences, products and functions (state_terms.py). Which of
+them they are is found in what the states did (term_choice.py), and each one's coefficient is learnt over the
+parameters (coefficient.py). Trajectories bend in many ways where coefficients do not: ten rows of an office
+with 14 parameters tell its trajectories about as well as a thousand tell a surrogate that knows outputs
+alone. Whether a model moves so, the rows say.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,10 +27,9 @@ from studies.calibration.state_terms import (
     candidates,
     candidates_with_functions,
     candidates_with_products,
-    chosen_terms,
-    fitted,
     spread,
 )
+from studies.calibration.term_choice import chosen_terms, fitted
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave.
 LEARNT = 1e-9
