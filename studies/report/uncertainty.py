@@ -236,7 +236,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
     if r.best_mse < FITS_BETTER * r.mse:
         said.append(
             f"A simulated set fits better than the calibration: MSE {significant(r.best_mse)} instead of "
-            f"{significant(r.mse)} {squared(unit)}; calibrate with more calls."
+            f"{significant(r.mse)} {squared(unit)}; calibrate with --from-stored begins with it."
         )
     # What nothing below may be trusted without comes first.
     said.insert(len(said) if r.is_trusted else 0, sample_sentence(r))
