@@ -205,12 +205,12 @@ class StateGuide:
         told = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows], axis=0)
         if not told.any():
             return
-        told_before = self._untold_of(answer.u[told], answer.residuals[told]) <= TOLD
+        is_missed = was_confirmed and self._untold_of(answer.u[told], answer.residuals[told]) > TOLD
         self._u = np.concatenate([self._u, answer.u[told]])
         self._rows.append(StateRows(*(part[told] for part in rows)))
         self._answered = np.concatenate([self._answered, answer.residuals[told]])
         self._equations = self._learnt()
-        if was_confirmed and not told_before and self._equations is not None and not self._equations.is_exact:
+        if is_missed and self._equations is not None and not self._equations.is_exact:
             # Laws that held and hold no more: this row is of another regime, whatever it has in common.
             self._equations, self._is_refuted = None, True
             self.why_not = "not all simulations follow the same ones"

@@ -45,8 +45,8 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
     values = values / np.where(norm > 0.0, norm, 1.0)
     chosen, left = _added(values, target, [])
-    if left > NEARLY_COMPLETE and len(terms) > 2:
-        again, left_again = _added(values, target, _best_pair(values, target))
+    if left > NEARLY_COMPLETE and len(terms) > 2 and (pair := _best_pair(values, target)):
+        again, left_again = _added(values, target, pair)
         if left_again < left:
             chosen, left = again, left_again
     return chosen, left

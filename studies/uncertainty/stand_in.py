@@ -152,9 +152,8 @@ def _valleys(
     scaled = slopes[is_told] / posterior.noise.raised
     metric = scaled.transpose(0, 2, 1) @ scaled
     steepness = float(np.sqrt(np.diagonal(posterior.precision(metric, wider=1.0), axis1=1, axis2=2).max()))
-    return Reference(ends[is_told], roots_of(posterior.precision(metric, wider=WIDER))), decimals_for(
-        steepness
-    )
+    around = Reference(ends[is_told], roots_of(posterior.precision(metric, wider=WIDER)))
+    return around, decimals_for(steepness)
 
 
 def _differ(differences: FloatArray) -> float:
