@@ -17,7 +17,7 @@ class ProjectPaths:
 
     Args:
         root: folder that holds `fmus/`, `data/` and `mlruns/`.
-        storage: PostgreSQL URL of trials, Optuna's and MLflow's stores; None for files below the root.
+        storage: PostgreSQL URL of Optuna's and MLflow's stores; None for files below the root.
     """
 
     root: Path
@@ -51,6 +51,18 @@ class ProjectPaths:
         return f"sqlite:///{self.tracking_database.resolve().as_posix()}"
 
     @property
+    def optuna_database(self) -> Path:
+        """Optuna's SQLite file."""
+        return self.mlruns / "optuna.db"
+
+    @property
+    def optuna_url(self) -> str:
+        """URL by which `optuna.load_study` finds the studies; on a server it holds the user's password."""
+        if self.storage is not None:
+            return in_schema(self.storage, "optuna")
+        return f"sqlite:///{self.optuna_database.resolve().as_posix()}"
+
+    @property
     def artifacts(self) -> Path:
         """Root of MLflow's artifacts."""
         return self.mlruns / "artifacts"
@@ -58,14 +70,6 @@ class ProjectPaths:
     def generated(self, case_name: str) -> Path:
         """Folder of the simulated trajectories of a case."""
         return self.data / case_name / "generated"
-
-    def champions(self, label: str) -> Path:
-        """Folder of the best surrogate per training-set size."""
-        return self.mlruns / "champions" / label
-
-    def champion(self, label: str, n_train: int) -> Path:
-        """Folder of the best surrogate for one training-set size."""
-        return self.champions(label) / size_name(n_train)
 
     def results(self, label: str) -> Path:
         """Folder of stage manifests and calibration results."""

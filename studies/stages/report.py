@@ -35,9 +35,9 @@ from studies.stages.results import (
     validation_record,
 )
 from studies.stages.tracking import log_report
+from studies.stages.tuned_trials import learning_curves, trials_record, tuned_by_size
 from studies.stages.uncertainty_results import stored_posteriors
 from studies.tracking.origin import versions
-from studies.tuning.tuned_trials import learning_curves, trials_record, tuned_trials
 
 
 def report_stage(study: Study) -> Outcome:
@@ -58,6 +58,11 @@ def report_stage(study: Study) -> Outcome:
         "references": [vars(known) for known in study.case.references],
         "parameters": [vars(parameter) for parameter in study.case.parameter_space.parameters],
         "results": {file.name: _sha256(file) for file in _source_files(study)},
+        "trials": [
+            [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials]]
+            for baseline in (False, True)
+            for one in tuned_by_size(study, baseline=baseline).values()
+        ],
         "versions": versions(),
     }
 
@@ -104,7 +109,7 @@ def show_report(study: Study, outcome: Outcome) -> None:
 
 
 def _report_data(study: Study) -> ReportData:
-    case, trials = study.case, tuned_trials(study)
+    case, tuned = study.case, tuned_by_size(study)
     return ReportData(
         label=study.label,
         title=case.title,
@@ -122,8 +127,8 @@ def _report_data(study: Study) -> ReportData:
         uncertainties=tuple(
             uncertainty_record(stored.numbers, stored.arrays) for stored in stored_posteriors(study)
         ),
-        trials=trials_record(trials),
-        learning_curves=learning_curves(trials),
+        trials=trials_record(tuned),
+        learning_curves=learning_curves(study, tuned),
         references=tuple(Reference(**vars(known)) for known in case.references),
         provenance=_provenance(study),
     )
@@ -158,7 +163,7 @@ def _surrogate_settings(profile: Profile) -> tuple[tuple[str, str], ...]:
     return (
         ("training-set sizes", ", ".join(map(str, data.n_train))),
         ("validation and test", f"{data.n_validation} and {data.n_test} simulations"),
-        ("tuning", f"{count(budget.n_trials, 'trial')} per size, variant {budget.variant}"),
+        ("tuning", f"{count(budget.n_trials, 'trial')} per size, surrogate {budget.surrogate}"),
         ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
         ("polish", f"at most {count(profile.polish.max_calls, 'call')}, ftol {profile.polish.ftol:g}"),
     )
@@ -183,7 +188,7 @@ def _told(settings: dict[str, Any]) -> str:
 def _source_files(study: Study) -> list[Path]:
     files = [file for stored in stored_calibrations(study) for file in (stored.files.numbers,)]
     files += [stored.files.numbers for stored in stored_posteriors(study)]
-    files += [study.results / name for name in ("simulate.json", "sensitivity.json", "tune.json")]
+    files += [study.results / name for name in ("simulate.json", "sensitivity.json")]
     return [file for file in files if file.is_file()]
 
 

@@ -121,6 +121,21 @@ def simulate_stage(study: Study) -> Outcome:
     )
 
 
+def missing_rows(study: Study) -> tuple[int, int]:
+    """Return how many rows of all sets are not stored yet, and how many there are."""
+    data, space, seeds = study.profile.data, study.case.parameter_space, set_seeds(study.profile)
+    sizes = {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
+    designs = [uniform_design(space, n, seeds[name]) for name, n in sizes.items()]
+    total, folder = sum(sizes.values()), store_folder(study.paths, study.case)
+    if not folder.is_dir():
+        return total, total
+    try:
+        with SimulationStore.at(folder) as store:
+            return total - sum(int(store.find(theta).sum()) for theta in designs), total
+    except InputError:
+        return total, total
+
+
 def show_sets(study: Study, outcome: Outcome) -> None:
     """Print the simulated sets."""
     found = outcome.summary
