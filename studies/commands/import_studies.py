@@ -4,6 +4,7 @@ import argparse
 
 from studies.commands.study import OK
 from studies.console import Column, Console
+from studies.marker import mark_project
 from studies.paths import find_project
 
 HELP = "take over the studies and results of an archive that studies export has written"
@@ -32,7 +33,9 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.keeping.importing import import_archive
     from studies.keeping.wording import told_contents
 
-    done = import_archive(find_project(chosen.storage), Path(chosen.file).expanduser(), console)
+    paths = find_project(chosen.storage)
+    done = import_archive(paths, Path(chosen.file).expanduser(), console)
+    mark_project(paths.root, console)
     columns = [Column("study"), Column("new trials", True), Column("here before", True)]
     contents = told_contents(
         n_studies=sum(n > 0 for n in done.new.values()),

@@ -245,4 +245,4 @@ def _stage_error(kind: type[Exception]) -> Iterator[None]:
 
 def _study_summary(study: Study, summary: dict[str, Any]) -> dict[str, Any]:
     """Return a summary whose champion is named relative to the project, so that it can be moved."""
-    return {**summary, "champion": study.paths.show(Path(summary["champion"]))}
+    return {**summary, "champion": study.paths.recorded(Path(summary["champion"]))}
