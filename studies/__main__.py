@@ -1,6 +1,6 @@
 """Run the command line as `python -m studies`."""
 
-from studies.cli import main
+from studies.entry import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

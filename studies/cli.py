@@ -67,13 +67,16 @@ examples:
   studies calibrate                        the office, in fewest FMU calls: no surrogate, nothing to tune
   studies run                              the office with surrogates, quick profile: minutes on two cores
   studies run office-recorded --window 8-16
-  studies check fmus/office/case.toml      what is wrong with a case, and what to do
+  studies check office                     what is wrong with a case, and what to do
   studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
   studies status --live                    what runs, how far it is, when it will be finished
   studies ui                               compare the runs in MLflow
 
-where results land (label = <case>-<profile>):
+The project is the nearest folder with a file studies.toml, from the working folder upwards. Where there is
+none, it is the working folder, and the first command that writes makes the file.
+
+where results land in the project (label = <case>-<profile>):
   data/<case>/generated/    simulations          mlruns/reports/<label>/index.html    the report
   mlruns/results/<label>/   numbers              mlruns/artifacts/                    weights, pictures
   mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.db                     Optuna

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
@@ -30,14 +29,14 @@ class Calibration:
         stage: its name, such as `calibrate-n0064`.
         manifest: what the stage left: inputs, summary, files, versions, wall time.
         numbers: all its numbers.
-        root: folder of the project.
+        paths: the project.
     """
 
     label: str
     stage: str
     manifest: Mapping[str, Any]
     numbers: Mapping[str, Any]
-    root: Path
+    paths: ProjectPaths
 
     @property
     def name(self) -> str:
@@ -103,7 +102,7 @@ class Calibration:
         made_from += [(one["place"], one["sha256"], False) for one in recipe.get("files", ())]
         found = []
         for place, digest, is_text in made_from:
-            file = self.root / place
+            file = self.paths.located(place)
             with suppress(OSError, UnicodeDecodeError):
                 now = text_digest(file.read_text(encoding="utf-8-sig")) if is_text else file_digest(file)
                 found += [] if now == digest else [file.name]
@@ -156,5 +155,5 @@ def read_project(paths: ProjectPaths) -> Project:
         manifest = read_json(file)
         numbers = read_json(file.with_name(f"calibration-{file.stem.removeprefix('calibrate-')}.json"))
         if manifest is not None and numbers is not None:
-            found.append(Calibration(file.parent.name, file.stem, manifest, numbers, paths.root))
+            found.append(Calibration(file.parent.name, file.stem, manifest, numbers, paths))
     return Project(paths, read_studies(paths), found)

@@ -46,7 +46,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         "label": study.label,
         "case": {
             "name": case.name,
-            "place": study.paths.show(case.path),
+            "place": study.paths.recorded(case.path),
             "text": text,
             "text_sha256": text_digest(text),
             "digest": case.digest,
@@ -58,7 +58,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
             {
                 "role": role,
                 "declared": place,
-                "place": study.paths.show((case.path.parent / place).resolve()),
+                "place": study.paths.recorded((case.path.parent / place).resolve()),
                 "sha256": file_digest(case.path.parent / place),
             }
             for role, place in files

@@ -20,7 +20,8 @@ from simulation.case import load_case
 from simulation.errors import InputError
 from studies.comparison import Compared, compare, n_equal, shortened
 from studies.console import Column, Console
-from studies.paths import ProjectPaths, find_case
+from studies.embedded import EMBEDDED
+from studies.paths import ProjectPaths
 from studies.profile import profile_from
 from studies.recipe import checked, file_digest, text_digest
 from studies.stages.pipeline import Study, read_json
@@ -134,7 +135,7 @@ def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_j
         InputError: the case, one of its files or a key of the profile is not as it was.
     """
     told = recipe["case"]
-    file = find_case(paths, str(told["name"]))
+    file = _case_file(paths, str(told["place"]))
     if text_digest(file.read_text(encoding="utf-8-sig")) != told["text_sha256"]:
         begin = f"{paths.show(file)} has changed since"
     else:
@@ -162,6 +163,19 @@ def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_j
         label=str(recipe["label"]),
         command=str(recipe["command"]),
     )
+
+
+def _case_file(paths: ProjectPaths, place: str) -> Path:
+    """Return the case file of a record, which may lie in the project or among the embedded cases alone.
+
+    Raises:
+        InputError: it is not there, or the record names another place.
+    """
+    file = paths.located(place)
+    inside = (paths.root.resolve(), EMBEDDED.resolve())
+    if not any(file.resolve().is_relative_to(folder) for folder in inside) or not file.is_file():
+        raise InputError(f"the case file {place!r} of this run is not in the project; put it there again")
+    return file
 
 
 def _digest(file: Path) -> str:

@@ -45,7 +45,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     checked, diagnosis = check_stage(study)
     if not diagnosis.is_sound:
         show_diagnosis(console, study.label, diagnosis)
-        console.document({"command": "run", "label": study.label, "stages": [checked.to_dict()]})
+        console.document({"command": "run", "label": study.label, "stages": [checked.to_dict(study.paths)]})
         return FAILED
     say_warnings(console, diagnosis)
     simulated = simulate_stage(study)

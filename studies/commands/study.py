@@ -1,6 +1,7 @@
 """What commands share: a study put together from the words of the command line, its results handed over."""
 
 import argparse
+import os
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError, MachineError
 from studies.console import Console
-from studies.paths import find_case, find_project
+from studies.marker import mark_project
+from studies.paths import ProjectPaths, find_case, find_project
 
 if TYPE_CHECKING:
     from simulation.case import Case
@@ -48,6 +50,8 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     if given.get("max_calls") and chosen.command != "uncertainty":
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
+    if not given.get("dry_run"):
+        _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.case_reading import read_case_file
     from simulation.workers.parallel import available_cores
@@ -81,6 +85,8 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     # Before anything else: some stages take away what is no longer whole before they begin.
     refuse_other_case(study)
     refuse_old_project(paths)
+    if not given.get("dry_run"):
+        mark_project(paths.root, console)
     if paths.storage is not None and chosen.command != "check" and not given.get("dry_run"):
         from studies.tuning.storage import open_storage
 
@@ -100,6 +106,17 @@ def refuse_old_project(paths: "ProjectPaths") -> None:
             f"{paths.show(paths.mlruns)} holds studies of version 0.2 ({', '.join(old)}), which this version "
             "does not read; move that folder away, or work in another folder"
         )
+
+
+def _keep_compiled_loops(paths: ProjectPaths) -> None:
+    """Keep numba's compiled loops in the project where the installed package cannot be written.
+
+    Elsewhere they lie beside the package's byte code. numba's own choice would be the home folder.
+    """
+    import simulation
+
+    if not os.access(Path(simulation.__file__).parent, os.W_OK):
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(paths.mlruns / "compiled"))
 
 
 def _load_case(file: Path, window: "Window | None") -> "Case":
@@ -158,7 +175,7 @@ def hand_over(study: "Study", command: str, outcomes: "list[Outcome]", **extra: 
             "profile": study.profile.name,
             "label": study.label,
             "note": study.case.note,
-            "stages": [outcome.to_dict() for outcome in outcomes],
+            "stages": [outcome.to_dict(study.paths) for outcome in outcomes],
             **extra,
         }
     )

@@ -127,7 +127,8 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         log_calibration(study, stored, digest_of(inputs), started_s=started_s, wall_s=wall_s)
         left_out = ("recipe", "environment")
         kept = {k: v for k, v in numbers.items() if not k.endswith("_history") and k not in left_out}
-        return {**kept, "file": study.paths.show(files.numbers), "wall": wall}, [files.numbers, files.arrays]
+        kept |= {"file": study.paths.recorded(files.numbers), "wall": wall}
+        return kept, [files.numbers, files.arrays]
 
     return run_stage(
         study,

@@ -66,10 +66,10 @@ def report_stage(study: Study) -> Outcome:
         "versions": versions(),
     }
 
-    drawn, digest = folder / "drawn.json", digest_of(inputs)
+    drawn, index, digest = folder / "drawn.json", folder / "index.html", digest_of(inputs)
 
     def work() -> tuple[Summary, list[Path]]:
-        started_s, index = time.time(), folder / "index.html"
+        started_s = time.time()
         # Where MLflow could not be told, the command is typed again: what is drawn is not drawn once more.
         if read_manifest(study.paths, drawn, digest) is None:
             drawn.unlink(missing_ok=True)
@@ -90,7 +90,7 @@ def report_stage(study: Study) -> Outcome:
             wall_s=time.time() - started_s,
         )
         drawn.unlink(missing_ok=True)
-        summary = {"index": study.paths.show(index), "n_files": sum(1 for _ in folder.iterdir())}
+        summary = {"index": study.paths.recorded(index), "n_files": sum(1 for _ in folder.iterdir())}
         return summary, [index]
 
     return run_stage(
@@ -99,7 +99,7 @@ def report_stage(study: Study) -> Outcome:
         what=f"tables and figures of {study.label}",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"{summary['index']} is up to date",
+        reuse_note=lambda summary: f"{study.paths.show(index)} is up to date",
     )
 
 

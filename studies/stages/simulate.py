@@ -138,13 +138,15 @@ def missing_rows(study: Study) -> tuple[int, int]:
 
 def show_sets(study: Study, outcome: Outcome) -> None:
     """Print the simulated sets."""
-    found = outcome.summary
+    found, paths = outcome.summary, study.paths
+    files = {name: paths.show(paths.root / file) for name, file in found["files"].items()}
     study.console.table(
         f"{study.label}: simulations",
         [Column("set"), Column("rows", True), Column("failed", True), Column("file")],
-        [[name, found["n"][name], found["n_failed"][name], found["files"][name]] for name in found["files"]],
+        [[name, found["n"][name], found["n_failed"][name], file] for name, file in files.items()],
     )
-    study.console.result(f"all simulations: {found['store']} (its _README.txt says how to read them)")
+    store = paths.show(paths.root / found["store"])
+    study.console.result(f"all simulations: {store} (its _README.txt says how to read them)")
 
 
 def set_files(study: Study, summary: Summary) -> dict[str, Path]:
@@ -171,7 +173,7 @@ def sensitivity_stage(study: Study) -> Outcome:
         started_s = time.time()
         found, indices = estimate_indices(study, n_rows)
         indices.save(file)
-        summary = {**found, "file": study.paths.show(file)}
+        summary = {**found, "file": study.paths.recorded(file)}
         when = {"started_s": started_s, "wall_s": time.time() - started_s}
         made = environment()
         log_sensitivity(study, summary, digest_of(inputs), file=file, recipe=recipe, made_with=made, **when)

@@ -98,7 +98,10 @@ def test_what_nothing_needs_is_shown_and_goes(paths: ProjectPaths, studies: Run)
     assert [store for store, _ in bad_findings(studies, "--repair")] == []
 
 
-def test_a_study_goes_from_everywhere_with_its_case(paths: ProjectPaths, studies: Run) -> None:
+def test_a_study_goes_from_everywhere_with_its_case(
+    paths: ProjectPaths, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("studies.paths.EMBEDDED", paths.root)  # there the office would still be found
     entry, _ = the_study(paths)
     shutil.rmtree(paths.fmus / "office")
     assert found(studies) == {"studies without case or profile": [entry.name]}

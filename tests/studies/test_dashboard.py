@@ -26,7 +26,7 @@ def test_it_starts_shows_the_studies_and_ends_with_ctrl_c(
 ) -> None:
     pytest.importorskip("optuna_dashboard", reason="Optuna Dashboard is not installed")
     spec = make_spec()
-    (tmp_path / "pyproject.toml").touch()
+    (tmp_path / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     paths = ProjectPaths(tmp_path)
     run_study(spec, paths=paths, n_trials=2, emit=ignore)
     store = StudyStore(spec, paths)
