@@ -1,6 +1,7 @@
 """The best surrogate per training-set size: a logged model of its trial's run, in MLflow's registry."""
 
 import tempfile
+import time
 import warnings
 from importlib.metadata import version
 from pathlib import Path
@@ -10,6 +11,7 @@ import pelsvae
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, size_name
 from studies.report.wording import difference_unit
+from studies.tracking.quiet_mlflow import Metric
 from studies.tracking.runs import RunStore
 from studies.tuning.declaration import Declaration
 
@@ -95,6 +97,10 @@ def _logged(runs: RunStore, spec: Declaration, best: "TrialView", name: str) -> 
         _save_pyfunc(spec, weights, folder, model.model_id, best.run_id)
         client.log_model_artifacts(model.model_id, str(folder))
     client.finalize_logged_model(model.model_id, "READY")
+    # Once more with the model's id: MLflow's page of models shows a model's errors beside its settings.
+    now = round(1000.0 * time.time())
+    metrics = [Metric(key, value, now, 0, model_id=model.model_id) for key, value in best.metrics.items()]
+    client.log_batch(best.run_id, metrics=metrics)
     client.log_outputs(best.run_id, [LoggedModelOutput(model.model_id, step=best.n_epochs)])
     unit = difference_unit(spec.output_unit)
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())

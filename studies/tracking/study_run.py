@@ -121,8 +121,15 @@ def leaderboard_note(studies: "Sequence[TunedStudy]", note: str) -> str:
         cells += ["–" if study.gain is None else percent(study.gain)]
         cells += ["–" if beside is None else significant(beside.metrics["test/mae"]), study.n_ended]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
-    head_line = "Best surrogate per training-set size; errors on the test set."
-    return "\n\n".join(part for part in (head_line, "\n".join(lines), note) if part)
+    # MLflow's page shows the first line alone until it is unfolded.
+    said = [
+        f"{study.spec.n_train}: {' / '.join(shown(best.settings.get(name)) for name in names)} → "
+        f"{significant(best.metrics['test/mae'])}, {significant(best.metrics['test/p90'])}"
+        for study in tuned
+        if (best := study.best) is not None
+    ]
+    first = f"Best per n_train ({' / '.join(names)} → test MAE, P90{behind}): {' · '.join(said)}"
+    return "\n\n".join(part for part in (first, "\n".join(lines), note) if part)
 
 
 def shown(value: Any) -> str:

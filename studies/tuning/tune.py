@@ -66,6 +66,7 @@ class _Size:
     workers: dict["subprocess.Popen[bytes]", IO[bytes]] = field(default_factory=dict)
     n_deaths: int = 0
     n_ended: int = 0
+    results: dict[str, TunedStudy] = field(default_factory=dict)
 
     @property
     def is_unfinished(self) -> bool:
@@ -139,11 +140,14 @@ def tune(
             busy = [size for size in largest_first if size.workers]
             for part in (part for size in busy for part in size.parts):
                 on_trials(part.spec, part.trials)
+            for size in largest_first:
+                if not size.workers and size not in waiting and not size.results:
+                    size.results = {part.spec.name: _close(part, runs, paths) for part in size.parts}
             if not busy and not waiting:
                 break
             time.sleep(POLL_S)
-        parts = {part.spec.name: part for size in largest_first for part in size.parts}
-        found = [_close(parts[spec.name], runs, paths) for spec in specs]
+    results = {name: one for size in largest_first for name, one in size.results.items()}
+    found = [results[spec.name] for spec in specs]
     runs.describe(specs[0].label, leaderboard_note(found, specs[0].note))
     return found
 
@@ -170,7 +174,7 @@ def _look_after(size: _Size, storage: RDBStorage, paths: ProjectPaths, runs: Run
         TuningError: a worker failed, or died again and again before it ended a trial.
     """
     for worker in [one for one in size.workers if one.poll() is not None]:
-        with size.workers.pop(worker) as messages:
+        with size.workers.pop(worker) as messages, worker:  # which closes its standard input
             messages.seek(0)
             lines = messages.read().decode(errors="replace").strip().splitlines()
         if worker.returncode == 0:
@@ -206,11 +210,12 @@ def _stopped_at_the_end(
     try:
         yield
     except BaseException:
-        workers = [worker for size in sizes for worker in size.workers]
+        workers = {worker: messages for size in sizes for worker, messages in size.workers.items()}
         for worker in workers:
             worker.kill()
-        for worker in workers:
-            worker.wait()
+        for worker, messages in workers.items():
+            with messages, worker:  # waits for its end
+                pass
         for part in (part for size in sizes for part in size.parts):
             # What cannot be done now, as where the storage is away, the next command does.
             with suppress(Exception):
