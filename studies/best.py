@@ -13,14 +13,13 @@ from studies.report.wording import (
     listed,
     percent,
     quantity,
+    setting,
     shown_unit,
     significant,
 )
 from studies.status import calibration_values
 from studies.storage_url import hide_passwords
-from studies.tracking.registry import model_uri
-from studies.tracking.study_run import shown
-from studies.tuning.results import TunedStudy, importances
+from studies.tuning.results import TunedStudy
 
 
 def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
@@ -77,14 +76,13 @@ def _values(project: Project, one: TunedStudy) -> dict[str, Any]:
         "surrogate": one.spec.surrogate,
         "trial": best.number,
         "run_id": best.run_id,
-        "model_uri": model_uri(one.spec.label, one.spec.n_train),
+        "model_uri": one.spec.model_uri,
         "params": dict(best.params),
         "mae": best.metrics["test/mae"],
         "p90": best.metrics["test/p90"],
         "metrics": dict(best.metrics),
         "unit": difference_unit(one.spec.output_unit),
         "gain_over_default": one.gain,
-        "importances": importances(one),
         "n_trials": one.n_ended,
         "n_proposed_by_sampler": one.n_proposed,
         "pca_gp": dict(beside.best.metrics) if beside and beside.best else {},
@@ -116,7 +114,7 @@ def _models(project: Project, label: str, found: Sequence[TunedStudy]) -> Table:
         rows.append(
             [
                 study.spec.n_train,
-                *(shown(best.settings.get(name)) for name in names),
+                *(setting(best.settings.get(name)) for name in names),
                 Said(significant(best.metrics["test/mae"]), "strong"),
                 significant(best.metrics["test/p90"]),
                 significant(best.metrics["val/mae"]),
@@ -155,7 +153,7 @@ def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
         Said(
             f'  optuna.load_study(study_name="{best.spec.name}", storage="{storage}")\n'
             f'  mlflow.set_tracking_uri("{tracking}")\n'
-            f'  mlflow.pyfunc.load_model("{model_uri(best.spec.label, best.spec.n_train)}").predict(theta)',
+            f'  mlflow.pyfunc.load_model("{best.spec.model_uri}").predict(theta)',
             "dim",
         ),
     ]

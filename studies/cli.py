@@ -47,44 +47,49 @@ COMMANDS = (
 DESCRIPTION = """\
 Calibrate a simulation model (an FMU) with a PELS-VAE surrogate.
 
-A study is a case x a profile: the case says what is calibrated (FMU, parameters with bounds, inputs,
-measurement, window), the profile how much may be spent on it. `studies run` does everything in order:
+A study combines a case and a profile. The case declares the FMU, the parameters with their bounds, the
+inputs, the measurement and the window. The profile sets the budget and the search space. `studies run` does
+all stages in order:
 
-  check         the doctor: is the case sound, how long does a simulation take
+  check         test the case and the speed of a simulation
   simulate      training, validation and test simulations
   sensitivity   Sobol indices per time step
   tune          Optuna chooses latent dimension, hidden width and beta of a PELS-VAE, one study per
-                training-set size; every trial is an MLflow run that can be watched while it trains
+                training-set size; each trial is an MLflow run that shows its curves during training
   calibrate     screen the box on the surrogate, polish on the FMU
   report        tables and figures on one page
 
-`studies calibrate` alone needs no surrogate and the fewest simulations. After either, `studies uncertainty`
-says how sure the calibration is.
+`studies calibrate` alone needs no surrogate and the fewest simulations. After both, `studies uncertainty`
+shows how sure the calibration is.
 """
 EPILOG = """\
 examples:
-  studies new Room.fmu                     a case file for an FMU of your own; then check, then calibrate
-  studies calibrate                        the office, in fewest FMU calls: no surrogate, nothing to tune
+  studies new Room.fmu                     a case file for your own FMU; then check, then calibrate
+  studies calibrate                        the office, in fewest FMU calls, without a surrogate
   studies run                              the office with surrogates, quick profile: minutes on two cores
   studies run office-recorded --window 8-16
   studies check office                     what is wrong with a case, and what to do
-  studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
+  studies tune --n-train 64 --trials 40    more trials for one size; finished trials are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
-  studies status --live                    what runs, how far it is, when it will be finished
+  studies status --live                    running trials, progress, time to go
   studies ui                               compare the runs in MLflow
 
-The project is the nearest folder with a file studies.toml, from the working folder upwards. Where there is
-none, it is the working folder, and the first command that writes makes the file.
+The project is the nearest folder with a file studies.toml, from the working folder upwards. Without such a
+file it is the working folder, and the first command that writes makes the file.
 
-where results land in the project (label = <case>-<profile>):
+files of the project (label = <case>-<profile>):
   data/<case>/generated/    simulations          mlruns/reports/<label>/index.html    the report
   mlruns/results/<label>/   numbers              mlruns/artifacts/                    weights, pictures
   mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.db                     Optuna
 
-Finished work is never done twice: interrupt any command, type it again, and it goes on.
+Finished work is not repeated. Interrupt any command, type it again, and it goes on.
 
-Exit codes: 0 good, 1 a check or a stage failed or the machine is in the way (disk, memory), 2 the input is
-wrong, 130 interrupted, 141 nobody read on.
+exit codes:
+  0    success
+  1    a check or a stage failed, or the machine did (disk, memory)
+  2    the input is wrong
+  130  interrupted
+  141  the reader of the output closed it
 """
 
 
@@ -119,12 +124,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             try:
                 return _told(console, error)
             except OSError:
-                # what was to be told of it cannot be written either
+                # The report cannot be written either.
                 return FAILED
 
 
 def _make_writable() -> None:
-    """See to it that whatever is said can be written, where nobody listens and where signs are missing."""
+    """Make standard output and error writable, also if they are closed or cannot encode a character."""
     sys.stdout, sys.stderr = sys.stdout or _nobody(), sys.stderr or _nobody()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
@@ -136,18 +141,18 @@ def _nobody() -> TextIO:
 
 
 def _told(console: Console, error: BaseException) -> int:
-    """Say what has ended a command, and return its exit code."""
+    """Report the error that ended a command, and return its exit code."""
     if isinstance(error, InputError) and not isinstance(error, MachineError):
         return _bad_input(console, " ".join(str(error).split()))
     if isinstance(error, BrokenPipeError):
-        # whoever read our output has left; there is nobody to tell, and nothing has failed
+        # The reader of the output closed it: nothing has failed, and nothing can be reported.
         sys.stdout = None
         return UNHEARD
     return _failed(console, error)
 
 
 def _understand(arguments: Sequence[str]) -> argparse.Namespace:
-    """Parse the command line; what is wrong with it is said with the help that explains it.
+    """Parse the command line; an error names the help that explains it.
 
     Raises:
         _UsageError: there is no such command or option, or a value is wrong.
@@ -237,13 +242,13 @@ def _bad_input(console: Console, line: str) -> int:
 def _interrupted(console: Console, arguments: Sequence[str]) -> int:
     interrupt_heeded()
     again = hide_passwords(shlex.join(["studies", *arguments]))
-    console.warn(f"interrupted; what is finished is kept, go on with: {again}")
+    console.warn(f"interrupted; finished work is kept, go on with: {again}")
     console.document({"error": "interrupted", "go_on_with": again})
     return INTERRUPTED
 
 
 def _failed(console: Console, error: BaseException) -> int:
-    """Say that a stage failed in one line; anything unforeseen keeps its traceback, for a report to us."""
+    """Report a failed stage in one line; an unforeseen error also prints its traceback."""
     from studies.environment import explain
     from studies.stages.pipeline import StageError
 

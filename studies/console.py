@@ -1,4 +1,4 @@
-"""What a user sees on the terminal: stages, progress with time to go, tables.
+"""Output on the terminal: stages, progress with time to go, tables.
 
 Progress and stage lines go to stderr. Results go to stdout: tables for people, or one JSON document.
 """
@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
-"""How something is said: what is good, to be looked at, or of less weight."""
+"""Tone of a text: good, bad, a warning, strong, or of less weight."""
 
-# Of a progress bar's line, what its times, its percentage and a short bar take.
+# Columns of a progress line for its times, its percentage and a short bar.
 _BAR_COLUMNS = 38
 
 OnProgress = Callable[[int, int], None]
-"""Called with what is done and what there is to do."""
+"""Called with the steps done and the steps in total."""
 
 
 class OnBar(Protocol):
-    """Is told how far the works are that go on side by side."""
+    """Receives the progress of tasks that run at the same time."""
 
     def __call__(self, what: str, done: float, total: float, news: str = "") -> None:
-        """Hear the name of a work, what is done, what there is to do, and what was found so far."""
+        """Take the name of a task, the steps done, the steps in total, and its latest result."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Column:
 
     Args:
         title: heading.
-        is_number: numbers stand right.
-        spare: columns with a larger number are left out first where the terminal is too narrow; 0 never is.
+        is_number: align the cells to the right.
+        spare: in a narrow terminal, columns with a larger number are left out first; 0 is always shown.
     """
 
     title: str
@@ -79,11 +79,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Facts:
-    """What is known of one thing, a line each; facts without a text are left out.
+    """Facts, one per line; facts without a text are left out.
 
     Args:
         title: above them.
-        facts: pairs of a word and what it says.
+        facts: pairs of a word and its text.
     """
 
     title: str
@@ -91,16 +91,16 @@ class Facts:
 
 
 Block = Table | Facts | Said
-"""What stands on its own: a table, facts, or a text of one or several lines."""
+"""A table, facts, or a text of one or several lines."""
 
 
 @dataclass(frozen=True)
 class Console:
-    """Tells the user what happens.
+    """Writes progress and results for the user.
 
     Args:
         as_json: the result is one JSON document on stdout and tables are left out.
-        quiet: nothing but results and errors.
+        quiet: only results and errors.
     """
 
     as_json: bool = False
@@ -108,11 +108,11 @@ class Console:
 
     @property
     def is_live(self) -> bool:
-        """Whether there are progress bars: somebody watches stderr."""
+        """Whether progress bars are shown: standard error is a terminal."""
         return not self.quiet and sys.stderr.isatty()
 
     def say(self, line: str) -> None:
-        """Write one line of news to stderr."""
+        """Write one line of progress to stderr."""
         if not self.quiet:
             _write(sys.stderr, line)
 
@@ -130,10 +130,10 @@ class Console:
 
     @contextmanager
     def progress(self, what: str, total: int) -> Iterator[OnProgress]:
-        """Show how far a long work is and how long it will go on.
+        """Show the progress of a long task and its time to go.
 
         Yields:
-            a function to call with (done, total); a new total replaces the first.
+            a function to call with (done, total); a new total replaces the old one.
         """
         with self.bars() as bars:
             bars(what, 0, total)
@@ -141,10 +141,10 @@ class Console:
 
     @contextmanager
     def bars(self) -> Iterator[OnBar]:
-        """Show several works that go on side by side.
+        """Show several tasks that run at the same time.
 
         Yields:
-            a function to call with (name of the work, done, total); a new name is a new bar.
+            a function to call with (name of the task, done, total); a new name adds a bar.
         """
         if not self.is_live:
             yield lambda what, done, total, news="": None
@@ -177,7 +177,7 @@ class Console:
             if what not in tasks:
                 tasks[what] = progress.add_task(what, total=total)
             said = f"{what}{news}"
-            # In a narrow window the times are worth more than the end of the words.
+            # In a narrow window, the times matter more than the end of the text.
             room = max(progress.console.width - _BAR_COLUMNS, 12)
             said = said if len(said) <= room else said[: room - 1] + "…"
             progress.update(tasks[what], completed=done, total=total, description=said)
@@ -197,11 +197,11 @@ class Console:
             print_blocks(blocks)
 
     def watch(self, look: Callable[[], Sequence[Block]], *, period_s: float = 1.0) -> None:
-        """Show tables and texts over and over until Ctrl-C; once where nobody watches.
+        """Show tables and texts again and again until Ctrl-C; once if the output is no terminal.
 
         Args:
-            look: returns what to show; may take its time.
-            period_s: shortest pause between two looks. [s]
+            look: returns the tables and texts; may be slow.
+            period_s: shortest time between two calls. [s]
         """
         if self.as_json or self.quiet or not sys.stdout.isatty():
             self.show(look())
@@ -222,7 +222,7 @@ class Console:
 
 
 def format_seconds(seconds: float) -> str:
-    """Return a duration as people say it."""
+    """Return a duration with a unit that is easy to read."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 90:

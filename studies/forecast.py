@@ -1,6 +1,6 @@
 """What a command would do: simulations to go, trials to go, and their time where earlier trials show it."""
 
-import statistics
+from dataclasses import replace
 from typing import Any
 
 from studies.console import Column, Table, format_seconds
@@ -26,14 +26,11 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
     sizes = []
     for n_train in data.n_train:
         found = known.get((n_train, False))
-        n_ended = 0 if found is None else found.n_ended
-        n_left = max(tuning.n_trials - n_ended, 0)
-        times = [] if found is None else [trial.wall_s for trial in found.trials if trial.wall_s > 0.0]
-        left_s = n_left * statistics.fmean(times) if times else None
-        rows.append(
-            [f"trials, n_train {n_train}", f"{n_left} of {tuning.n_trials}", _time(left_s if n_left else 0.0)]
-        )
-        sizes.append({"n_train": n_train, "n_left": n_left, "training_s": left_s if n_left else 0.0})
+        n_left = tuning.n_trials if found is None else max(tuning.n_trials - found.n_ended, 0)
+        left_s = None if found is None else replace(found, n_planned=tuning.n_trials).to_go_s
+        time = "unknown before the first trial" if left_s is None else format_seconds(left_s)
+        rows.append([f"trials, n_train {n_train}", f"{n_left} of {tuning.n_trials}", time])
+        sizes.append({"n_train": n_train, "n_left": n_left, "training_s": left_s})
     if whole:
         n_base = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
         rows.append(["simulations for Sobol indices, at most", n_base, MISSING])
@@ -47,7 +44,3 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
         "sizes": sizes,
         "store": study.paths.show(store_folder(study.paths, study.case)),
     }
-
-
-def _time(seconds: float | None) -> str:
-    return "unknown before the first trial" if seconds is None else format_seconds(seconds)

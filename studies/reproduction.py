@@ -7,7 +7,7 @@ is compared with the project, never written into it: the case and its files must
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from studies.console import Column, Console
 from studies.embedded import EMBEDDED
 from studies.paths import ProjectPaths
 from studies.profile import profile_from
-from studies.recipe import checked, file_digest, text_digest
+from studies.recipe import checked, text_digest
 from studies.stages.pipeline import Study, read_json
 from studies.stages.results import read_arrays
 from studies.tracking.origin import environment
@@ -44,7 +44,7 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
 
     Args:
         paths: the project.
-        name: id of an MLflow run or its first digits, or a calibration as `studies status` names it.
+        name: id of an MLflow run, or a calibration as `studies status` names it.
         console: says what is done.
         n_jobs: processes for simulations.
 
@@ -56,7 +56,7 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
             not here as it was.
     """
     runs = run_store(paths)
-    run = _find(runs, paths, name)
+    run = _find(runs, name)
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
         record = read_json(runs.fetch(run_id, "recipe.json", Path(scratch))) or {}
@@ -67,8 +67,6 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
             "training": lambda: _trial(run, runs, study, record),
             "calibration": lambda: _calibration(run, runs, study, recipe, Path(scratch)),
             "adaptive": lambda: _adaptive(run, runs, study, recipe, Path(scratch)),
-            "uncertainty": lambda: _uncertainty(run, runs, study, recipe, Path(scratch)),
-            "sensitivity": lambda: _sensitivity(run, runs, study, record, Path(scratch)),
         }
         kind = str(recipe.get("kind"))
         if kind not in makers:
@@ -101,26 +99,17 @@ def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> No
     console.result(verdict)
 
 
-def _find(runs: RunStore, paths: ProjectPaths, name: str) -> "Run":
-    """Find a run by the begin of its id, or the latest one of a calibration's name."""
-    from mlflow.entities import ViewType
+def _find(runs: RunStore, name: str) -> "Run":
+    """Find a run by its id, or the latest one of a calibration's name."""
+    from mlflow.exceptions import MlflowException
 
-    experiments = runs.client.search_experiments(view_type=ViewType.ACTIVE_ONLY)
-    if re.fullmatch(r"[0-9a-f]{6,32}", name):
-        ids = [one.experiment_id for one in experiments]
-        found, token = [], None
-        while token is None or token:
-            page = runs.client.search_runs(ids, max_results=1000, page_token=token)
-            found += [run for run in page if run.info.run_id.startswith(name)]
-            token = page.token or ""
-        if len(found) == 1:
-            return found[0]
-        raise InputError(f"{len(found)} runs of MLflow begin with {name!r}; `studies ui` shows their ids")
-    label, _, stage = name.partition("/")
-    if label in {one.name for one in experiments} and stage:
-        kinds = ("calibration", "uncertainty", "sensitivity")
-        for run in reversed([run for kind in kinds for run in runs.find(label, {"role": kind})]):
-            if stage in (run.info.run_name, run.info.run_name.removesuffix(" calibration")):
+    with suppress(MlflowException):
+        if re.fullmatch(r"[0-9a-f]{32}", name):
+            return runs.client.get_run(name)
+        label, _, stage = name.partition("/")
+        found = runs.client.get_experiment_by_name(label)
+        for run in reversed(runs.find(label, {"role": "calibration"}) if found else []):
+            if stage == run.info.run_name.removesuffix(" calibration"):
                 return run
     raise InputError(
         f"nothing is called {name!r}; give the id of an MLflow run (`studies best --json` has those of the "
@@ -136,24 +125,16 @@ def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_j
     """
     told = recipe["case"]
     file = _case_file(paths, str(told["place"]))
-    if text_digest(file.read_text(encoding="utf-8-sig")) != told["text_sha256"]:
-        begin = f"{paths.show(file)} has changed since"
-    else:
-        begin = ""
     case = load_case(file, window_d=tuple(recipe["window_d"]))
-    now = {"case": case.digest, "measurement": case.measurement.digest}
-    was = {"case": told["digest"], "measurement": told["measurement_digest"]}
-    for what, digest in was.items():
-        if now[what] != digest:
-            changed = [
-                str(one["role"])
-                for one in recipe["files"]
-                if _digest(file.parent / str(one["declared"])) != one["sha256"]
-            ]
-            which = begin or f"{' and '.join(changed) or what} of {paths.show(file)} changed since"
-            raise InputError(
-                f"this cannot be made again: {which}; restore what it was ({what} {digest[:12]})"
-            )
+    checks = (
+        (str(told["text_sha256"]), text_digest(file.read_text(encoding="utf-8-sig")), "the file itself"),
+        (str(told["digest"]), case.digest, "its FMU or its inputs"),
+        (str(told["measurement_digest"]), case.measurement.digest, "its measurement"),
+    )
+    for was, now, what in checks:
+        if was != now:
+            place = paths.show(file)
+            raise InputError(f"{place}: {what} changed since this was made; restore it ({was[:12]})")
     return Study(
         case=case,
         profile=profile_from(recipe["profile"], "the recipe"),
@@ -176,10 +157,6 @@ def _case_file(paths: ProjectPaths, place: str) -> Path:
     if not any(file.resolve().is_relative_to(folder) for folder in inside) or not file.is_file():
         raise InputError(f"the case file {place!r} of this run is not in the project; put it there again")
     return file
-
-
-def _digest(file: Path) -> str:
-    return file_digest(file) if file.is_file() else ""
 
 
 def _say_differences(console: Console, was: Mapping[str, str]) -> None:
@@ -286,44 +263,6 @@ def _adaptive(
             state_equations="state_equations" in recorded[0],
         )
     return _without(recorded, numbers), (numbers, arrays)
-
-
-def _uncertainty(
-    run: "Run", runs: RunStore, study: Study, recipe: Mapping[str, Any], folder: Path
-) -> tuple[Recorded, Made]:
-    from studies.stages.restriction import restriction_of
-    from studies.stages.uncertainty import UncertaintySettings, judge_calibration_point
-
-    recorded = _recorded(run, runs, folder, "uncertainty")
-    point = recipe["calibration"]
-    theta = np.array([point["theta"][name] for name in study.case.parameter_space.names])
-    known = _known(recorded)
-    with _apart(study) as apart:
-        numbers, arrays, _ = judge_calibration_point(
-            apart,
-            point["name"],
-            theta,
-            UncertaintySettings(**recipe["settings"]),
-            lambda *_: known,
-            restriction_of(recipe),
-            state_equations=point.get("state_equations", False),
-        )
-    return _without(recorded, numbers), (numbers, arrays)
-
-
-def _sensitivity(
-    run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any], folder: Path
-) -> tuple[Recorded, Made]:
-    from studies.stages.simulate import estimate_indices
-
-    arrays = read_arrays(runs.fetch(run.info.run_id, "sensitivity.npz", folder))
-    n_rows = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
-    with _apart(study) as apart:
-        summary, indices = estimate_indices(apart, n_rows)
-    made = folder / "made.npz"
-    indices.save(made)
-    numbers = {key: value for key, value in record.get("numbers", {}).items() if key in summary}
-    return (numbers, arrays), (dict(summary), read_arrays(made))
 
 
 def _known(recorded: Recorded) -> Any:

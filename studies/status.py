@@ -1,15 +1,13 @@
 """What `studies status` shows: a line per study, the trials that run, and the calibrations."""
 
 import math
-import statistics
 import time
 from collections.abc import Sequence
 from typing import Any
 
 from studies.console import Block, Column, Said, Table, format_seconds
 from studies.finished import FIRST_WORDS, Calibration, Project
-from studies.report.wording import MISSING, count, difference_unit, quantity, significant
-from studies.tracking.study_run import shown
+from studies.report.wording import MISSING, count, difference_unit, quantity, setting, significant
 from studies.tuning.results import TrialView, TunedStudy
 
 N_BAR = 12
@@ -53,16 +51,9 @@ def status_document(project: Project) -> dict[str, Any]:
                 "best_params": dict(study.best.params) if study.best else {},
                 "best_metrics": dict(study.best.metrics) if study.best else {},
                 "unit": difference_unit(study.spec.output_unit),
-                "trials_per_h": _pace(study),
-                "to_go_s": _to_go_s(study),
+                "to_go_s": study.to_go_s,
             }
             for study in project.studies
-        ],
-        "running": [
-            {"study": study.spec.name, "trial": one.number, "epoch": one.n_epochs, "began_s": one.began_s}
-            for study in project.studies
-            for one in study.trials
-            if one.state == "running"
         ],
         "calibrations": [calibration_values(one) for one in project.calibrations],
     }
@@ -98,7 +89,8 @@ def _studies(project: Project, tuned: Sequence[TunedStudy]) -> Table:
         key, best = (study.spec.label, study.spec.n_train), study.best
         beside, n_failed = baselines.get(key), study.count("failed")
         name = study.spec.name if alike.count(key) > 1 else study.spec.name.rsplit("/", 1)[0]
-        pace, to_go_s = _pace(study), _to_go_s(study)
+        n_timed = sum(trial.wall_s > 0.0 for trial in study.trials)
+        left = MISSING if study.to_go_s is None else format_seconds(study.to_go_s)
         rows.append(
             [
                 name,
@@ -106,15 +98,11 @@ def _studies(project: Project, tuned: Sequence[TunedStudy]) -> Table:
                 study.count("pruned"),
                 Said(str(n_failed), "bad") if n_failed else 0,
                 study.count("running"),
-                *(shown(best.settings.get(one)) if best else MISSING for one in names),
+                *(setting(best.settings.get(one)) if best else MISSING for one in names),
                 *(_error(best, one) for one in ("test/mae", "test/p90")),
                 _error(beside, "test/mae"),
-                MISSING if pace is None else f"{pace:.0f}",
-                "done"
-                if study.n_ended >= study.n_planned
-                else MISSING
-                if to_go_s is None
-                else format_seconds(to_go_s),
+                f"{3600.0 * n_timed / study.wall_s:.0f}" if n_timed else MISSING,
+                "done" if study.to_go_s == 0.0 else left,
             ]
         )
     unit = f", in {units.pop()}" if len(units) == 1 else ""
@@ -124,18 +112,6 @@ def _studies(project: Project, tuned: Sequence[TunedStudy]) -> Table:
 
 def _error(best: TrialView | None, name: str) -> str:
     return significant(best.metrics[name]) if best is not None and name in best.metrics else MISSING
-
-
-def _pace(study: TunedStudy) -> float | None:
-    """Return how many trials end in an hour of training, None before the first."""
-    times = [trial.wall_s for trial in study.trials if trial.wall_s > 0.0]
-    return 3600.0 / statistics.fmean(times) if times else None
-
-
-def _to_go_s(study: TunedStudy) -> float | None:
-    """Return the training time of what is left of a study, on one core. [s]."""
-    pace, n_left = _pace(study), max(study.n_planned - study.n_ended, 0)
-    return 0.0 if not n_left else None if pace is None else 3600.0 * n_left / pace
 
 
 def _total(tuned: Sequence[TunedStudy]) -> str:

@@ -7,13 +7,14 @@ from studies.console import Console
 
 HELP = "show the best model per size and the best calibration of each case"
 MORE = """\
-what happens: of each label (case and profile) and training-set size, the completed trial of least validation
-error is shown with its hyperparameters, and PCA + GP beside it. "tuning" is the part of the default
-configuration's validation error that tuning took away. Below: how to read study and model in Python, and each
-case's best calibration on its latest measurement. Changes nothing.
+what happens: the table shows the best trial of each label (case and profile) and training-set size. Best
+means the least validation error among completed trials. Beside its hyperparameters and errors stand the
+errors of PCA + GP. The column "tuning" is the change of the validation error against the default
+configuration. Below the table: Python lines that load the study and the model, and the best calibration of
+each case on its latest measurement. The command changes nothing.
 
 examples:
-  studies best                             everything there is
+  studies best                             all labels and sizes
   studies best office --n-train 64         one case, one size
   studies best office-quick --json         one label, for programs
 """

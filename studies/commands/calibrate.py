@@ -7,48 +7,52 @@ from studies.commands import options, values
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-HELP = "find the parameters that fit best"
+HELP = "find the parameters that fit the measurement best"
 MORE = """\
-what happens: a small design fills the box; then every simulation goes where the lowest error is expected
-(--method adaptive), by the model's state equations or by a Gaussian process of all residuals so far. It
-needs the case alone: no training set, no initial guess. It stops when little gain is expected, at the latest
-after --max-calls; with --target only at that error or then, or where state equations know no lower one. Every
-simulation is stored at once: interrupted, even killed, the same command reads them and goes on. --parallel Q
-asks Q rows per round (fewer rounds, more calls), spread over --jobs. Lands in
-mlruns/results/<label>/calibration-adaptive.json and .npz, in MLflow and, with studies report, on a page.
+what happens: the command needs the case alone: no training set and no initial guess. A small design fills
+the box of the parameters. Each further simulation is placed where the lowest error is expected. This
+prediction comes from the model's state equations or from a Gaussian process of all residuals so far. The
+search stops when it expects little gain, at the latest after --max-calls. With --target it goes on until
+that error, --max-calls, or until the state equations know no lower error. Each simulation is stored at
+once: after an interruption or a kill, the same command reads the stored ones and goes on. --parallel Q runs
+Q simulations per round, spread over --jobs: fewer rounds, but more calls. Results:
+mlruns/results/<label>/calibration-adaptive.json and .npz, a run in MLflow, a page by studies report.
 
---from-stored begins with what is stored of this model, 250 simulations at most, whatever they were made for:
-training sets, an earlier calibration, other data, weights, priors or bounds. They cost nothing, and after
-such a change the optimum is often found in one to three calls. The result says how many they were. With
---again it begins with what has been stored since.
+--from-stored begins with the stored simulations of this model, at most 250. They may come from training
+sets or from an earlier calibration, also with other data, weights, priors or bounds. They cost no call.
+After such a change the optimum is often found in one to three calls. The result gives their number. With
+--again the calibration begins with everything that is stored by now.
 
-State equations say how the FMU's states move, and not only what its sensors would show. They are learnt from
-the states and derivatives that an FMU answers in every simulation. Where these are sums of states, inputs,
-products of these and simple functions (resistances and capacities, flows times temperatures, radiation,
-reactions, tanks) a calibration mostly takes five to ten simulations, of 14 parameters as of 4; where they are
-not, the search goes on without, and says so. --no-state-equations does without in any case; --state-equations
-says why an FMU's states cannot be read.
+State equations describe how the states of the FMU change. They are learnt from the states and derivatives
+that the FMU returns in each simulation. They are found where the derivatives are sums of states, inputs,
+their products and simple functions. Examples are resistances and capacities, flows times temperatures,
+radiation, reactions and tanks. Then a calibration mostly takes five to ten simulations, with 4 parameters
+or with 14. Where no equations are found, the search uses the outputs alone and says so.
+--no-state-equations always uses the outputs alone. --state-equations requires states and says why those of
+an FMU cannot be read.
 
---n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
-searches the whole box on the surrogate of the size's best trial; the FMU is asked at the found point (the
-screening gap) and polished from there by LS-TRF. Lands in calibration-n<size>.json and .npz.
+--n-train 64 uses the method of the paper with the surrogate of 64 simulations; --method paper uses it for
+all tuned sizes. Differential evolution searches the whole box on the surrogate. One FMU call checks the
+point that it finds; the difference of the errors is the screening gap. LS-TRF polishes from there on the
+FMU. Results: calibration-n<size>.json and .npz.
 
---most-relevant 6 calibrates the six parameters that matter most and fixes the others at their priors,
-estimates or middles. Which matter is read from `studies sensitivity` where its result lies, else asked of the
-FMU by Morris' method: four simulations per parameter and four more, 60 for 14 parameters. What the fixing
-cost is asked at the end where calls are left: one per parameter and one more. All of them are counted (and
-in --max-calls). The result says what was fixed at what and lies beside that of all parameters: ...-relevant6.
+--most-relevant 6 calibrates the six most relevant parameters. It fixes the others at their priors,
+estimates or middle values. The relevance is read from the results of `studies sensitivity`. Without these
+it is estimated on the FMU by Morris' method: four calls per parameter and four more, which is 60 for 14
+parameters. If calls are left at the end, the effect of fixing is tested: one call per parameter and one
+more. All these calls are counted, also in --max-calls. The result names the fixed parameters with their
+values; its files end in -relevant6.
 
-A parameter's prior (case.toml: prior = { about = 0.7, within_factor = 1.5 }) is heeded by both methods.
+Both methods use the priors of the parameters (case.toml: prior = { about = 0.7, within_factor = 1.5 }).
 
 examples:
   studies calibrate                        the office, 100 FMU calls at most
   studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
   studies calibrate my-case --target 0.0121 --json
   studies calibrate my-case --from-stored  after a change of data, weights, priors or bounds: a few calls
-  studies calibrate my-case --most-relevant 6   of 14: 60 of the 100 calls say which six, 15 what that cost
-  studies calibrate --n-train 64           from the surrogate that 64 simulations taught
-  studies calibrate --n-train 64 --again   once more: the same numbers
+  studies calibrate my-case --most-relevant 6   six of 14 parameters: 60 of the 100 calls find them
+  studies calibrate --n-train 64           from the surrogate that was trained with 64 simulations
+  studies calibrate --n-train 64 --again   repeat it: the same numbers
 """
 
 
@@ -60,34 +64,34 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--method",
         choices=("adaptive", "paper"),
         help="adaptive (default): fewest FMU calls, no training set; "
-        "paper (default with --n-train): screen on the surrogate, polish",
+        "paper (default with --n-train): screen on the surrogate, polish on the FMU",
     )
     command.add_argument(
         "--parallel",
         type=values.whole(1, 64),
         metavar="Q",
-        help="adaptive: simulations side by side; default: 1",
+        help="adaptive: simulations per round; default: 1",
     )
     command.add_argument(
         "--from-stored",
         action="store_true",
-        help="adaptive: begin with the simulations of this model that are stored",
+        help="adaptive: begin with the stored simulations of this model",
     )
     command.add_argument(
         "--state-equations",
         action=argparse.BooleanOptionalAction,
-        help="adaptive: learn the FMU's state equations, or do without; default: where it shows its states",
+        help="adaptive: learn state equations or not; default: yes if the FMU gives its states",
     )
     options.add_most_relevant(
         command,
-        "calibrate the K most relevant parameters, fix the others at prior, estimate or middle; without "
-        "Sobol indices, to find them takes 4 calls per parameter and 4 more",
+        "calibrate the K most relevant parameters and fix the others at prior, estimate or middle; without "
+        "Sobol indices, finding them takes 4 calls per parameter and 4 more",
     )
-    options.add_sizes(command, "paper: sizes to calibrate with; default: all that have a surrogate")
+    options.add_sizes(command, "paper: training-set sizes; default: all that have a surrogate")
     options.add_calibration(
         command,
         max_calls="most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)",
-        target="adaptive: go on until this error; paper: also say how many calls reached it",
+        target="adaptive: go on until this error; paper: also show the calls that reached it",
     )
 
 
@@ -95,7 +99,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     if chosen.method == "adaptive" and chosen.n_train:
         raise InputError(
-            "--n-train belongs to --method paper; the adaptive one has no training set, leave it away"
+            "--n-train belongs to --method paper; the adaptive method has no training set, remove --n-train"
         )
     is_paper = chosen.method == "paper" or bool(chosen.n_train)
     only_adaptive = {
@@ -107,7 +111,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     for option, is_given in only_adaptive.items():
         if is_paper and is_given:
             raise InputError(
-                f"{option} belongs to --method adaptive; leave it or --n-train and --method away"
+                f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
             )
     return _from_surrogates(chosen, console) if is_paper else _adaptively(chosen, console)
 

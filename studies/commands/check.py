@@ -8,13 +8,13 @@ from studies.console import Console
 
 HELP = "examine a case and say what is wrong and what to do"
 MORE = """\
-what happens: reads the case, checks names, units, bounds and data against the FMU, simulates the
-estimates and the corners of the box, moves every parameter and every input, asks again in another process
-and at half the communication step, watches the memory, and says what the profile will cost. The FMU runs in
-processes of its own: a crash or a hang is a line in the table. It simulates for two minutes at most and says
-what a slow model had to go without; --thorough leaves nothing out. What it simulates is kept for the study,
-and `studies run` does not examine again what was found sound.
-Exit code 1 if anything fails; each finding says what to do.
+what happens: the command reads the case and compares names, units, bounds and data with the FMU. It
+simulates the estimates and the corners of the box, and changes each parameter and each input. It repeats a
+simulation in another process and with half the communication step, watches the memory, and estimates the
+cost of the profile. The FMU runs in separate processes: a crash or a hang becomes a line of the table. The
+check simulates for two minutes at most and names what it skipped for a slow model; --thorough skips
+nothing. The study uses the simulations of the check again, and `studies run` does not repeat a check that
+passed. The exit code is 1 if anything fails. Each finding says what to do.
 
 examples:
   studies check                            the office
@@ -28,7 +28,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     options.add_case(command)
     command.add_argument(
-        "--thorough", action="store_true", help="do every examination, however long the simulations take"
+        "--thorough", action="store_true", help="skip no check, however long the simulations take"
     )
 
 

@@ -8,10 +8,11 @@ from studies.paths import find_project
 
 HELP = "check a published recording and store it as a case's CSV"
 MORE = """\
-what happens: reads a recording as published (variables TRoom, TEnv, TSupply, FlowSupply, TRLTSupply,
-RLTFlow, IrrGH every 1800 s and Occupancy every 600 s, first column time in s), checks it, and writes
-data/office-recorded/recording_1800s.csv and occupancy_600s.csv for the case office-recorded. The embedded
-cases that read them are copied into fmus/ of the project, where they find them.
+what happens: the command reads a recording as it was published, with the time in s in the first column.
+TRoom, TEnv, TSupply, FlowSupply, TRLTSupply, RLTFlow and IrrGH have values every 1800 s, Occupancy every
+600 s. The command checks the recording and writes data/office-recorded/recording_1800s.csv and
+occupancy_600s.csv for the case office-recorded. The embedded cases that read these files are copied into
+fmus/ of the project.
 
 examples:
   studies import-recording identification_data.mat
@@ -23,7 +24,10 @@ examples:
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     command.add_argument(
-        "files", nargs="+", metavar="FILE", help="a .mat, the FMU that holds it, CSV files, a folder"
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help="a .mat file, an FMU that contains it, CSV files, or a folder",
     )
 
 
@@ -41,7 +45,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     )
     mark_project(paths.root, console)
     for file in adopt_cases(paths.root, "office-recorded"):
-        console.say(f"{paths.show(file)}: the embedded case, now in this project with the recording")
+        console.say(f"{paths.show(file)}: copied from the embedded case, because it reads this recording")
     files = [paths.show(file) for file in report.files]
     console.table(
         f"imported from {report.source}",

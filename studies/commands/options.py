@@ -30,23 +30,21 @@ def add_case(command: argparse.ArgumentParser) -> None:
         "--seed",
         type=values.whole(0, 2**32 - 1),
         metavar="N",
-        help="seed of every draw; default: the profile's",
+        help="seed of all random numbers; default: the profile's",
     )
     command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: as many as there are cores"
+        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
     )
 
 
 def add_simulation(command: argparse.ArgumentParser) -> None:
-    """What commands that simulate may be told."""
-    command.add_argument(
-        "--retry-failed", action="store_true", help="ask simulations again that failed before"
-    )
+    """Options of commands that simulate."""
+    command.add_argument("--retry-failed", action="store_true", help="retry failed simulations")
     command.add_argument(
         "--dask",
         type=values.address,
         metavar="ADDRESS",
-        help="simulate on a Dask cluster, e.g. tcp://scheduler:8786; default: processes of this machine",
+        help="simulate on a Dask cluster, e.g. tcp://scheduler:8786; default: on this machine",
     )
 
 
@@ -73,21 +71,21 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
         "--parallel",
         type=values.whole(1, 1000),
         metavar="N",
-        help="trials of one size that run side by side; default 1, which makes the trials repeatable",
+        help="trials of one size at the same time; default: 1, which makes the trials repeatable",
     )
     command.add_argument(
         "--max-hours",
         type=values.positive,
         metavar="H",
-        help="no trial begins later than this; the same command goes on with the rest",
+        help="start no trial after H hours; the same command continues later",
     )
     command.add_argument(
-        "--dry-run", action="store_true", help="say what would be done and how long it takes; write nothing"
+        "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
     )
     command.add_argument(
         "--surrogate",
         choices=("refined", "paper", "pca-gp"),
-        help="refined: a PELS-VAE of networks (default); paper: with the paper's settings; "
+        help="refined: a PELS-VAE of networks (default); paper: the same with the settings of the paper; "
         "pca-gp: PCA and Gaussian processes",
     )
 
@@ -96,7 +94,7 @@ def add_calibration(
     command: argparse.ArgumentParser,
     *,
     max_calls: str = "most FMU calls of one polish; default: the profile's",
-    target: str = "also say how many calls reached this error",
+    target: str = "also show the calls that reached this error",
 ) -> None:
     """How far a calibration goes.
 
@@ -107,22 +105,22 @@ def add_calibration(
     """
     command.add_argument("--max-calls", type=values.whole(1), metavar="N", help=max_calls)
     command.add_argument("--target", type=values.positive, metavar="MSE", help=target)
-    command.add_argument("--again", action="store_true", help="calibrate once more though it is finished")
+    command.add_argument("--again", action="store_true", help="repeat a finished calibration")
 
 
 def add_storage(command: argparse.ArgumentParser) -> None:
-    """Where trials, Optuna's studies and MLflow's runs lie."""
+    """Database of Optuna's studies and MLflow's runs."""
     command.add_argument(
         "--storage",
         metavar="URL",
-        help="PostgreSQL of Optuna and MLflow, e.g. postgresql://user@host/database; "
+        help="PostgreSQL database of Optuna and MLflow, e.g. postgresql://user@host/database; "
         "default: $STUDIES_STORAGE, else files in mlruns/",
     )
 
 
 def add_output(command: argparse.ArgumentParser) -> None:
-    """What is said, and how."""
+    """Form and amount of the output."""
     command.add_argument(
-        "--json", action="store_true", help="one JSON document on stdout, everything else on stderr"
+        "--json", action="store_true", help="write one JSON document to stdout, all else to stderr"
     )
-    command.add_argument("-q", "--quiet", action="store_true", help="only results and errors")
+    command.add_argument("-q", "--quiet", action="store_true", help="write only results and errors")

@@ -6,10 +6,10 @@ from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-HELP = "put tables and figures of all results on one page"
+HELP = "write tables and figures of all results into one page"
 MORE = """\
-what happens: gathers all stored results of the label into mlruns/reports/<label>/index.html with its
-figures.
+what happens: the command writes the stored results of a label into mlruns/reports/<label>/index.html, with
+tables and figures.
 
 examples:
   studies report

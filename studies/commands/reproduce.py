@@ -5,22 +5,21 @@ import argparse
 from studies.commands import values
 from studies.console import Console
 
-HELP = "make a recorded result again and compare every number"
+HELP = "repeat a recorded result and compare every number"
 MORE = """\
-RUN is the id of an MLflow run, or its first digits: that of a trial (`studies best --json` has those of the
-best ones), a calibration, its uncertainty or the sensitivity. Calibrations also go by their names in
-`studies status`, such as office-quick/adaptive.
+RUN is the id of an MLflow run, of a trial or a calibration. `studies best --json` lists the ids of the best
+trials. A calibration may also be given by its name in `studies status`, for example office-quick/adaptive.
 
-what happens: case, settings and seed are taken from what the run holds. The case file, the FMU and the
-recordings must be here as they were (by SHA-256); else one line says which changed. What differs of code,
-packages and machine is printed. Then the result is made again and every number is compared to the last digit.
-A calibration simulates all of its calls again. Nothing that is stored is changed. Exit code 0 where all
-numbers are equal, 1 where one differs, 2 where something that is needed is missing.
+what happens: the command takes case, settings and seed from the run. The case file, the FMU and the
+recordings must be unchanged (SHA-256); else one line names the changed file. It lists differences of code,
+packages and machine. Then it repeats the work and compares every number to the last digit. A calibration
+runs all of its simulations again. Stored results are not changed. The exit code is 0 if all numbers are
+equal, 1 if one differs, and 2 if something is missing.
 
 examples:
   studies reproduce office-quick/adaptive
   studies reproduce office-quick/n0064
-  studies reproduce 1f0c9a52 --json        a run of MLflow
+  studies reproduce "$RUN_ID" --json       a run of MLflow
 """
 
 
@@ -28,7 +27,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     command.add_argument("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration")
     command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: as many as there are cores"
+        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
     )
 
 

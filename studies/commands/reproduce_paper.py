@@ -13,19 +13,20 @@ if TYPE_CHECKING:
     from studies.paper.plan import Plan
     from studies.stages.pipeline import Study
 
-HELP = "make the paper's tables and figures again, and say where we agree"
+HELP = "repeat the tables and figures of the paper and compare them"
 MORE = """\
-what happens: every table and figure of the paper as a stage of its own, from the same simulations, trainings
-and calibrations as the other commands. Finished items are skipped, an interrupted one goes on where it
-stopped. Beside each stands the paper's value and whether we agree. The page lands in
-mlruns/reports/<label>/paper/index.html, numbers (JSON), tables (CSV, Markdown) and pictures (PNG) in
-mlruns/results/<label>/paper/<item>/, all of it in MLflow.
+what happens: each table and figure of the paper is a stage of its own. The stages share simulations,
+trainings and calibrations with the other commands. Finished items are skipped; an interrupted item goes on
+where it stopped. Each item shows the value of the paper and whether both agree. The page is
+mlruns/reports/<label>/paper/index.html. Numbers (JSON), tables (CSV, Markdown) and pictures (PNG) are in
+mlruns/results/<label>/paper/<item>/ and in MLflow.
 
---budget small (default) takes about an hour on two cores, --budget full up to twelve; the full one goes on
-from the small one's trainings. --profile another one: its sizes and trials, e.g. smoke to see it work.
+--budget small (default) takes about an hour on two cores, --budget full up to twelve. The full budget uses
+the trainings of the small one. --profile takes sizes and trials of another profile, for example smoke as a
+test.
 
 examples:
-  studies reproduce-paper --dry-run                         what would be done, and how long it takes
+  studies reproduce-paper --dry-run                         the plan and its duration
   studies reproduce-paper --only fig5 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
   studies reproduce-paper office-recorded --export data/paper-results/office-recorded.json
@@ -46,23 +47,27 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="CASE",
         help="name, file or folder of a case; default: office",
     )
-    command.add_argument("--only", nargs="+", metavar="ITEM", help=f"these items alone: {names}")
-    command.add_argument("--row", metavar="NAME", help="with --only table3: this row of it alone")
+    command.add_argument("--only", nargs="+", metavar="ITEM", help=f"only these items: {names}")
+    command.add_argument("--row", metavar="NAME", help="with --only table3: only this row")
     command.add_argument("--budget", default="small", metavar="NAME", help="small (default) or full")
     command.add_argument(
         "--profile", metavar="NAME", help="sizes and trials of another profile; default: paper"
     )
-    command.add_argument("--trials", type=values.whole(1), metavar="N", help="trials per size instead")
-    command.add_argument("--seed", type=values.whole(0, 2**32 - 1), metavar="N", help="seed of every draw")
     command.add_argument(
-        "--seeds", type=values.whole(1, 1000), metavar="N", help="how many seeds the robust statistics get"
-    )
-    command.add_argument("--jobs", type=values.whole(1), metavar="N", help="processes; default: one per core")
-    command.add_argument(
-        "--again", action="store_true", help="make the items again from their finished stages"
+        "--trials", type=values.whole(1), metavar="N", help="trials per size; default: the profile's"
     )
     command.add_argument(
-        "--dry-run", action="store_true", help="say what would be done and how long it takes; write nothing"
+        "--seed", type=values.whole(0, 2**32 - 1), metavar="N", help="seed of all random numbers"
+    )
+    command.add_argument(
+        "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of the robust statistics"
+    )
+    command.add_argument(
+        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
+    )
+    command.add_argument("--again", action="store_true", help="repeat the items from their finished stages")
+    command.add_argument(
+        "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
     )
     command.add_argument(
         "--export", type=Path, metavar="FILE", help="also write the numbers of all items to one JSON file"
@@ -141,7 +146,7 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
     from studies.report.wording import listed
 
     if chosen.dry_run and chosen.export is not None:
-        raise InputError("--dry-run writes nothing and --export a file; leave one of them away")
+        raise InputError("--dry-run writes nothing, but --export writes a file; remove one of them")
     if chosen.row is None:
         return
     flags = (("--export", chosen.export), ("--again", chosen.again), ("--dry-run", chosen.dry_run))
@@ -149,7 +154,7 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
     if {item.name for item in chosen_items(chosen.only or ["table3"])} != {"table3"}:
         beside.insert(0, f"--only {' '.join(chosen.only)}")
     if beside:
-        raise InputError(f"--row makes one row of table3 and nothing else; leave {listed(beside)} away")
+        raise InputError(f"--row computes one row of table3 and nothing else; remove {listed(beside)}")
 
 
 def _one_row(plan: "Plan", name: str, console: Console) -> int:

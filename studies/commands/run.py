@@ -6,15 +6,16 @@ from studies.commands import options
 from studies.commands.study import FAILED, foretell, hand_over, open_study
 from studies.console import Console
 
-HELP = "do everything in order, skipping what is finished"
+HELP = "do all stages in order and skip finished ones"
 MORE = """\
 what happens: check, simulate, sensitivity, tune, calibrate (every size), report. Optuna tunes the latent
-dimension, the hidden width and beta of a PELS-VAE for each training-set size. A finished stage is skipped, an
-interrupted one goes on where it stopped. The report lands in mlruns/reports/<label>/index.html.
+dimension, the width of the hidden layers and beta of a PELS-VAE for each training-set size. A finished
+stage is skipped; an interrupted stage goes on where it stopped. The report is
+mlruns/reports/<label>/index.html.
 
 examples:
   studies run                              the office, quick profile
-  studies run --dry-run                    what would be done, and how long it takes
+  studies run --dry-run                    the plan and its duration
   studies run office-recorded --seed 3
   studies run office --n-train 32 64 --trials 12
 """

@@ -8,8 +8,9 @@ from studies.console import Console
 
 HELP = "estimate first- and total-order Sobol indices per time step"
 MORE = """\
-what happens: Saltelli's sample on the FMU itself, indices with bootstrapped confidence intervals at
-every output step. Lands in mlruns/results/<label>/sensitivity.npz; the table shows averages over time.
+what happens: the command simulates Saltelli's sample on the FMU. It estimates the indices with bootstrapped
+confidence intervals at every output step. Results: mlruns/results/<label>/sensitivity.npz. The table shows
+averages over time.
 
 examples:
   studies sensitivity

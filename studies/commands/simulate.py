@@ -8,18 +8,18 @@ from studies.console import Console
 
 HELP = "simulate the training, validation and test sets"
 MORE = """\
-what happens: one training design (its first n rows are the training set of size n), a validation and a
-test set that every study shares. Every simulated row is stored in data/<case>/generated/simulations/, a
-folder of Parquet files whose _README.txt says how to read them, and is never simulated again, whatever asks
-for it: sampling, Sobol indices, screening checks or polishing. Failed simulations are kept as such, counted,
-and left out of training; --retry-failed asks them again. When too many fail, the campaign stops with exit
-code 1 (simulation.max_failed_share in the case file).
+what happens: the command simulates one training design, a validation set and a test set. The first n rows
+of the design are the training set of size n. All studies share these sets. Each simulation is stored in
+data/<case>/generated/simulations/, a folder of Parquet files; _README.txt there says how to read them. No
+stored simulation runs again: sampling, Sobol indices, screening and polishing share them. Failed
+simulations are stored with their reason, counted, and left out of training; --retry-failed repeats them. If
+too many fail, the command stops with exit code 1 (simulation.max_failed_share in the case file).
 
 examples:
   studies simulate --profile paper
   studies simulate my-case/ --jobs 8
   studies simulate my-case/ --dask tcp://scheduler:8786
-  studies simulate --retry-failed          after the licence server is back
+  studies simulate --retry-failed          for example after a licence server was down
 """
 
 

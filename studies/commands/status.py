@@ -6,15 +6,16 @@ from studies.console import Console
 
 HELP = "show studies, trials, errors and time to go"
 MORE = """\
-what happens: reads Optuna's studies (mlruns/optuna.db, or the PostgreSQL of --storage) and the finished
-calibrations, and changes nothing, so it can be typed at any moment. One line per study: trials done of those
-planned, pruned, failed and running, the best trial's hyperparameters and errors, the training time to go;
-below it the running trials and the calibrations. --live draws it again and again until Ctrl-C.
+what happens: the command reads Optuna's studies (mlruns/optuna.db, or the database of --storage) and the
+finished calibrations. It changes nothing, so you may type it at any moment. Each study has one line: trials
+done and planned, pruned, failed and running trials. The line also shows the hyperparameters and errors of
+the best trial and the training time that is left. Below are the running trials and the calibrations. --live
+repeats the table until Ctrl-C.
 
 examples:
-  studies status                           everything
-  studies status office --live             studies of one case, as they go
-  studies status 'office-quick-seed*'      labels of a pattern
+  studies status                           all studies
+  studies status office --live             studies of one case, again and again
+  studies status 'office-quick-seed*'      labels that match a pattern
   studies status --json                    for programs
 """
 
@@ -24,9 +25,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
     )
-    command.add_argument(
-        "--live", "--watch", action="store_true", help="draw it again and again until Ctrl-C"
-    )
+    command.add_argument("--live", "--watch", action="store_true", help="repeat the table until Ctrl-C")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

@@ -1,4 +1,4 @@
-"""What commands share: a study put together from the words of the command line, its results handed over."""
+"""What commands share: open the study that a command line means, and write its results."""
 
 import argparse
 import os
@@ -22,7 +22,7 @@ OK, FAILED = 0, 1
 
 
 def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
-    """Put together case, profile and the words that change them.
+    """Open the study of a case and a profile, with the options that change them.
 
     Raises:
         InputError: any of them is wrong, or the label holds results of another case file.
@@ -123,7 +123,7 @@ def _load_case(file: Path, window: "Window | None") -> "Case":
     """Read a case.
 
     Raises:
-        InputError: anything is wrong; what only the window brings about is told of the window.
+        InputError: the case is wrong; an error that only the window causes names the window.
     """
     from simulation.case import load_case
 
@@ -151,7 +151,7 @@ def _command(chosen: argparse.Namespace, window: "Window | None") -> str:
 
 
 def foretell(study: "Study", command: str, *, whole: bool) -> int:
-    """Say what a command would do, and how long its tuning takes, and return the exit code.
+    """Show the plan of a command and the duration of its tuning, and return the exit code.
 
     Args:
         study: the study.

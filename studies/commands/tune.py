@@ -8,19 +8,20 @@ from studies.console import Console
 
 HELP = "tune one surrogate per training-set size with Optuna"
 MORE = """\
-what happens: one Optuna study per training-set size, in mlruns/optuna.db. Each trial trains a PELS-VAE; the
-profile's search space says which hyperparameters Optuna chooses: by default the latent dimension (n_latent),
-the width of the hidden layers (n_hidden) and beta. Each trial is an MLflow run that can be watched while it
-trains. The best one of each size is registered in MLflow. PCA + GP is fitted once per size for comparison.
+what happens: each training-set size has one Optuna study in mlruns/optuna.db. Each trial trains a PELS-VAE.
+The search space of the profile says which hyperparameters Optuna chooses. By default these are the latent
+dimension (n_latent), the width of the hidden layers (n_hidden) and beta. Each trial is an MLflow run that
+shows its curves during training. The best trial of each size is registered in MLflow. PCA + GP is fitted
+once per size for comparison.
 
-Optuna owns the trials: what you enqueue or add with Optuna is kept and counted, and optuna-dashboard shows
-them. Interrupted or killed, the same command goes on; more --trials extend a study.
+Optuna owns the trials. Trials that you enqueue or add with Optuna are kept and counted; optuna-dashboard
+shows them. After an interruption or a kill, the same command goes on. More --trials extend a study.
 
 examples:
   studies tune                             all sizes of the profile
   studies tune --n-train 32 128 --trials 40
-  studies tune --dry-run                   what would be done
-  studies tune --parallel 4 --max-hours 8  four trials of a size side by side, over night
+  studies tune --dry-run                   the plan and its duration
+  studies tune --parallel 4 --max-hours 8  four trials of a size at the same time, overnight
 """
 
 

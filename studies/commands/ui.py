@@ -8,18 +8,17 @@ from studies.paths import find_project
 
 HELP = "open MLflow's user interface on this project's runs"
 MORE = """\
-what happens: starts MLflow's server on this project's store, for this machine alone, and prints three
-addresses: the best trial per training-set size, all runs, and the registered models. Runs of trials that
-train now are there with their curves. Ctrl-C stops the server. From another machine use a tunnel:
-ssh -L 5000:127.0.0.1:5000 HOST.
+what happens: the command starts the server of MLflow on the runs of this project. The server accepts
+connections from this machine only. The command prints three addresses: the best trial per training-set
+size, all runs, and the registered models. Running trials show their curves. Ctrl-C stops the server. From
+another machine use a tunnel: ssh -L 5000:127.0.0.1:5000 HOST.
 
-Optuna's own pages: pip install optuna-dashboard, then optuna-dashboard sqlite:///mlruns/optuna.db.
+Optuna has pages of its own: pip install optuna-dashboard, then optuna-dashboard sqlite:///mlruns/optuna.db.
 
 examples:
   studies ui
-  studies ui office-quick --open           that label's page, in the browser
+  studies ui office-quick --open           the page of that label, in the browser
   studies ui --port 8080
-  studies ui --dry-run --json              what would be started
 """
 
 
@@ -29,13 +28,12 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "label",
         nargs="?",
         metavar="LABEL",
-        help="<case>-<profile> that is shown first; default: the one worked on last",
+        help="label (<case>-<profile>) that is shown first; default: the latest",
     )
     command.add_argument(
-        "--port", type=values.port, metavar="N", help="port; default: 5000 or the next free one"
+        "--port", type=values.port, metavar="N", help="port; default: 5000 or the next free port"
     )
     command.add_argument("--open", action="store_true", help="open the address in this machine's browser")
-    command.add_argument("--dry-run", action="store_true", help="print what would be started and stop there")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
@@ -48,5 +46,4 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         label=chosen.label,
         port=chosen.port,
         browse=chosen.open,
-        dry_run=chosen.dry_run,
     )

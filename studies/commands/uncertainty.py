@@ -6,23 +6,27 @@ from studies.commands import options, values
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
 
-HELP = "say how sure a calibration is: intervals, equally good parameter sets, bands"
+HELP = "show how sure a calibration is: intervals, equally good parameter sets, bands"
 MORE = """\
-what happens: the residuals are differentiated at the calibrated point (two calls per parameter): which
-parameters the data determine, which compensate each other, linearised intervals. Then equally good parameter
-sets are drawn: particles on a Gaussian process of the residuals, which all stored simulations near the
-optimum teach; the FMU simulates a sample of it and reweights it. Their 5 to 95 % bands are shown over the
-measurement. Where the calibration learnt state equations, these answer in the FMU's place, and it simulates
-the sample alone; if it disagrees, all begins again with the FMU. Every simulation is stored at once:
-interrupted, the same command goes on. Lands in mlruns/results/<label>/posterior-<calibration>.json and .npz,
-in MLflow and, with studies report, on a page.
+what happens: the command differentiates the residuals at the calibrated point, with two calls per
+parameter. So it finds which parameters the data determine, which compensate each other, and linearised
+intervals. Then it draws equally good parameter sets from a Gaussian process of the residuals. The process
+is fitted to all stored simulations near the optimum. The FMU simulates a sample of these sets, which are
+reweighted by the result. Their 5 to 95 % bands are shown with the measurement. If the calibration learnt
+state equations, these replace the FMU, which then simulates only the sample. If the FMU disagrees with
+them, the command begins again with the FMU alone. Each simulation is stored at once: after an interruption,
+the same command goes on. Results: mlruns/results/<label>/posterior-<calibration>.json and .npz, a run in
+MLflow, a page by studies report.
 
---noise says what residuals are: correlated (default: as large as they are, and following each other, so that
-many samples are worth few), white (as large as they are, all independent), sensor (the declared uncertainty).
+--noise is the model of the residuals:
+  correlated  their size is estimated, and they are autocorrelated: many samples count as few (default)
+  white       their size is estimated, and they are independent
+  sensor      the uncertainty that the case file declares
 
---most-relevant 6 judges the calibration that calibrated six parameters and fixed the others: intervals,
-sample and bands of the six. They hold only if the fixed ones are right, for what is not known about these is
-not in them; the result names these and their values. Lands in ...-relevant6, beside that of all parameters.
+--most-relevant 6 treats the calibration that calibrated six parameters and fixed the others. Intervals,
+sample and bands are those of the six. They hold only if the fixed values are right, because the uncertainty
+of these is not included. The result names the fixed parameters and their values. Its files end in
+-relevant6.
 
 examples:
   studies uncertainty                         of the adaptive calibration, else of the best other one
@@ -37,17 +41,19 @@ def add_options(command: argparse.ArgumentParser) -> None:
     options.add_case(command)
     options.add_simulation(command)
     command.add_argument(
-        "--method", choices=("paper", "adaptive"), help="whose calibration; default: adaptive if there is one"
+        "--method",
+        choices=("paper", "adaptive"),
+        help="method of the calibration; default: adaptive if there is one",
     )
     options.add_sizes(command, "the calibration with this training-set size; default: the best")
     options.add_most_relevant(
-        command, "the calibration of the K most relevant parameters, the fixed ones taken as right"
+        command, "the calibration of the K most relevant parameters; the fixed values are taken as right"
     )
     command.add_argument(
         "--noise",
         choices=("correlated", "white", "sensor"),
         default="correlated",
-        help="what residuals are; default: correlated",
+        help="model of the residuals; default: correlated",
     )
     command.add_argument(
         "--max-calls",
@@ -55,7 +61,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="most FMU calls; default: 20 per calibrated parameter, at least 100",
     )
-    command.add_argument("--again", action="store_true", help="do it once more though it is finished")
+    command.add_argument("--again", action="store_true", help="repeat a finished estimate")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

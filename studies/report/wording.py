@@ -31,7 +31,7 @@ def significant(value: float, digits: int = 3) -> str:
 def setting(value: Any, digits: int = 3) -> str:
     """Write a setting such as a hyperparameter; of a fraction without the zeros that say nothing."""
     if not isinstance(value, float):
-        return str(value)
+        return MISSING if value is None else str(value)
     text = significant(value, digits)
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 

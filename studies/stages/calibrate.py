@@ -49,8 +49,10 @@ def tuned_sizes(study: Study, asked: Sequence[int] | None) -> tuple[int, ...]:
     """
     there = sorted(_best_by_size(study))
     if not there:
+        sizes = "".join(f" {n_train}" for n_train in asked or ())
         raise InputError(
             f"{study.label} has no surrogate of this case yet; type: studies tune {study.command}"
+            + (f" --n-train{sizes}" if sizes else "")
         )
     missing = [n_train for n_train in asked or () if n_train not in there]
     if missing:

@@ -12,7 +12,7 @@ from simulation.errors import InputError
 from simulation.store.row_set import RowSet
 from studies.console import Column
 from studies.recipe import Recipe, recipe_of
-from studies.report.wording import MISSING, count, difference_unit, percent, quantity, significant
+from studies.report.wording import MISSING, count, difference_unit, percent, quantity, setting, significant
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
 from studies.stages.simulate import datasets_of, set_files
 from studies.tuning.declaration import SETS, Declaration, output_metric
@@ -241,7 +241,7 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
     rows = []
     for found in outcome.summary["studies"]:
         errors, beside, params = found["best_metrics"], found["baseline_metrics"], found["best_params"]
-        cells = [found["n_train"], *(_shown(params.get(name)) for name in searched)]
+        cells = [found["n_train"], *(setting(params.get(name)) for name in searched)]
         cells += [significant(errors[name]) for name in ("test/mae", "test/p90")]
         cells += [significant(errors[f"test/{output_metric(one.name)}"]) for one in several]
         gain = found["gain_over_default"]
@@ -252,10 +252,6 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
         f"{study.label}: best surrogate per training-set size (test errors; gain over the default settings)"
     )
     study.console.table(title, columns, rows)
-
-
-def _shown(value: Any) -> str:
-    return MISSING if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 @contextmanager

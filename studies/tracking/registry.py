@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Literal
 
 import pelsvae
 from simulation.errors import InputError
-from studies.paths import ProjectPaths, size_name
+from studies.paths import ProjectPaths
 from studies.report.wording import difference_unit
 from studies.tracking.quiet_mlflow import Metric
 from studies.tracking.runs import RunStore
-from studies.tuning.declaration import Declaration
+from studies.tuning.declaration import ALIAS, Declaration
 
 if TYPE_CHECKING:
     from mlflow.entities.model_registry import ModelVersion
@@ -21,19 +21,8 @@ if TYPE_CHECKING:
     from pelsvae.surrogate import Surrogate
     from studies.tuning.results import TrialView
 
-ALIAS = "champion"
 SURROGATE = "surrogate"
 _TRIAL_RUN = "trial_run_id"
-
-
-def model_name(label: str, n_train: int) -> str:
-    """Return the registered model's name."""
-    return f"{label}-{size_name(n_train)}"
-
-
-def model_uri(label: str, n_train: int) -> str:
-    """Return the address by which MLflow loads the best surrogate of a size."""
-    return f"models:/{model_name(label, n_train)}@{ALIAS}"
 
 
 def load_surrogate(
@@ -60,7 +49,7 @@ def register_best(runs: RunStore, spec: Declaration, best: "TrialView", paths: P
     Raises:
         InputError: the trial's weights are gone or out of this machine's reach.
     """
-    client, name = runs.client, model_name(spec.label, spec.n_train)
+    client, name = runs.client, spec.model_name
     present = _champion(runs, name)
     if present is not None and present.tags.get(_TRIAL_RUN) == best.run_id:
         return

@@ -9,7 +9,7 @@ import optuna
 from mlflow.exceptions import MlflowException
 
 from studies.paths import ProjectPaths
-from studies.report.wording import difference_unit, percent, significant
+from studies.report.wording import difference_unit, percent, setting, significant
 from studies.tracking.datasets import dataset_inputs
 from studies.tracking.registry import register_best
 from studies.tracking.runs import RunStore
@@ -116,22 +116,17 @@ def leaderboard_note(studies: "Sequence[TunedStudy]", note: str) -> str:
         best = study.best
         assert best is not None
         beside = baselines.get(study.spec.n_train)
-        cells: list[Any] = [study.spec.n_train, *(shown(best.settings.get(name)) for name in names)]
+        cells: list[Any] = [study.spec.n_train, *(setting(best.settings.get(name)) for name in names)]
         cells += [significant(best.metrics["test/mae"]), significant(best.metrics["test/p90"])]
         cells += ["–" if study.gain is None else percent(study.gain)]
         cells += ["–" if beside is None else significant(beside.metrics["test/mae"]), study.n_ended]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     # MLflow's page shows the first line alone until it is unfolded.
     said = [
-        f"{study.spec.n_train}: {' / '.join(shown(best.settings.get(name)) for name in names)} → "
+        f"{study.spec.n_train}: {' / '.join(setting(best.settings.get(name)) for name in names)} → "
         f"{significant(best.metrics['test/mae'])}, {significant(best.metrics['test/p90'])}"
         for study in tuned
         if (best := study.best) is not None
     ]
     first = f"Best per n_train ({' / '.join(names)} → test MAE, P90{behind}): {' · '.join(said)}"
     return "\n\n".join(part for part in (first, "\n".join(lines), note) if part)
-
-
-def shown(value: Any) -> str:
-    """Return a setting as people read it."""
-    return f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)

@@ -14,6 +14,7 @@ from pelsvae.epochs import EpochReport
 from studies.tracking.quiet_mlflow import Metric
 from studies.tracking.runs import CURVE, PARENT, RunStatus, RunStore
 from studies.tuning.declaration import Declaration
+from studies.tuning.storage import errors_of
 
 FLUSH_S = 2.0
 """Points of curves are written this often: each call costs as much as many points."""
@@ -77,12 +78,6 @@ class TrialRun:
         points, self._points = self._points, []
         self._runs.log_points(self.id, points)
         self._flushed_s = time.monotonic()
-
-
-def errors_of(trial: FrozenTrial) -> dict[str, float]:
-    """Return a trial's errors by name, as `val/mae` and `test/p90`."""
-    found = {name: float(v) for name, v in trial.user_attrs.items() if name.startswith(("val/", "test/"))}
-    return found if trial.value is None else {"val/mae": float(trial.value), **found}
 
 
 def end_run(runs: RunStore, run_id: str, trial: FrozenTrial) -> None:

@@ -8,111 +8,72 @@ import sys
 import time
 import urllib.request
 import webbrowser
-from dataclasses import dataclass
-from typing import Any, NoReturn
+from contextlib import suppress
 from urllib.parse import quote
 
-from simulation.errors import InputError
-from simulation.workers.held_interrupts import interrupts_held
+from simulation.errors import InputError, MachineError
 from studies.console import Console
 from studies.interrupts import interrupt_heeded
 from studies.paths import ProjectPaths
-from studies.storage_url import hide_passwords
 
-LOG_FILE = "ui.log"
-HOST = "127.0.0.1"
-FIRST_PORT, N_PORTS = 5000, 100
+HOST, FIRST_PORT, N_PORTS = "127.0.0.1", 5000, 100
 START_LIMIT_S, STOP_LIMIT_S = 120.0, 10.0
-ENVIRONMENT = {
-    # The job runners that MLflow would start take two gigabytes, and nothing here uses them.
-    "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
-    "MLFLOW_DISABLE_TELEMETRY": "true",
-    "DO_NOT_TRACK": "true",
-}
+LOG_FILE = "ui.log"
+# The job runners that MLflow would start take two gigabytes, and nothing here uses them.
+ENVIRONMENT = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false", "MLFLOW_DISABLE_TELEMETRY": "true"}
 LEADERBOARD = "tags.best = 'yes'"
 
 
-@dataclass(frozen=True)
-class UiPlan:
-    """What would be started.
-
-    Args:
-        argv: the program and its arguments.
-        environment: variables added to the environment, the store's URL among them.
-        address: where the server answers.
-    """
-
-    argv: tuple[str, ...]
-    environment: dict[str, str]
-    address: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the plan as JSON values, without passwords."""
-        shown = {name: hide_passwords(value) for name, value in self.environment.items()}
-        return {"argv": list(self.argv), "environment": shown, "url": self.address}
-
-
 def open_ui(
-    paths: ProjectPaths, console: Console, *, label: str | None, port: int | None, browse: bool, dry_run: bool
+    paths: ProjectPaths, console: Console, *, label: str | None, port: int | None, browse: bool
 ) -> int:
     """Start the interface and wait until the user stops it.
 
     Args:
         paths: the project.
         console: prints the addresses.
-        label: whose best trials are shown first; None for the one that was worked on last.
+        label: whose runs are shown; None for the one that was worked on last.
         port: port to listen on; None takes the first free one from 5000 on.
-        browse: also open the address in this machine's browser.
-        dry_run: only say what would be started.
+        browse: also open the first address in this machine's browser.
 
     Returns:
         The exit code.
 
     Raises:
         InputError: there is no store yet, the port is taken or the label is unknown.
+        MachineError: MLflow's server does not start.
     """
-    if paths.storage is None and not paths.tracking_database.is_file() and not dry_run:
+    if paths.storage is None and not paths.tracking_database.is_file():
         raise InputError(f"there is no {paths.show(paths.tracking_database)} yet; type: studies run")
-    plan = plan_ui(paths, port)
-    if dry_run:
-        document = {"command": "ui", **plan.to_dict(), "dry_run": True}
-        variables = " ".join(f"{name}={value}" for name, value in document["environment"].items())
-        console.result(f"{variables} {' '.join(plan.argv)}")
-        console.document(document)
-        return 0
-    pages = _pages(paths, label)
+    chosen = _free_port(port)
+    address, pages = f"http://{HOST}:{chosen}/", _pages(paths, label)
+    command = [sys.executable, "-P", "-m", "mlflow", "server", "--host", HOST, "--port", str(chosen)]
+    command += ["--workers", "1", "--default-artifact-root", paths.artifacts.as_uri(), "--no-serve-artifacts"]
+    # The store's URL may hold a password: not in the arguments, which every user of a machine can read.
+    store = dict.fromkeys(("MLFLOW_BACKEND_STORE_URI", "MLFLOW_TRACKING_URI"), paths.tracking_uri)
     console.say("ui: starting MLflow")
-    signal.signal(signal.SIGTERM, interrupt)
-    log = paths.mlruns / LOG_FILE
-    with log.open("w", encoding="utf-8") as messages, interrupts_held() as release:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with (paths.mlruns / LOG_FILE).open("w", encoding="utf-8") as messages:
         # A session of its own: Ctrl-C comes to this process alone, which stops all that MLflow has started.
         server = subprocess.Popen(
-            plan.argv,
+            command,
             cwd=paths.mlruns,
-            env=os.environ | plan.environment,
-            stdout=subprocess.DEVNULL,
+            env=os.environ | ENVIRONMENT | store,
+            stdout=messages,
             stderr=messages,
             start_new_session=True,
         )
         try:
-            release()
-            if _is_up(server, plan.address):
+            if _is_up(server, f"{address}health"):
                 for what, page in pages.items():
-                    console.result(f"{what}: {plan.address}{page}")
+                    console.result(f"{what}: {address}{page}")
                 console.result("Ctrl-C stops it.")
-                first = next(iter(pages.values()))
-                document = {
-                    "command": "ui",
-                    **plan.to_dict(),
-                    "url": f"{plan.address}{first}",
-                    "dry_run": False,
-                }
-                console.document(document)
+                first = f"{address}{next(iter(pages.values()))}"
+                console.document({"command": "ui", "url": first})
                 if browse:
-                    webbrowser.open(plan.address + first)
+                    webbrowser.open(first)
                 server.wait()
-            console.warn(f"error: MLflow ended by itself; {paths.show(log)} says why")
-            return 1
+            raise MachineError(f"MLflow ended by itself; {paths.show(paths.mlruns / LOG_FILE)} says why")
         except KeyboardInterrupt:
             interrupt_heeded()
             console.say("ui: stopped")
@@ -121,35 +82,12 @@ def open_ui(
             _stop(server)
 
 
-def plan_ui(paths: ProjectPaths, port: int | None) -> UiPlan:
-    """Return what would be started.
-
-    Raises:
-        InputError: the port is taken.
-    """
-    if port is not None and not _is_free(port):
-        raise InputError(f"port {port} is taken; choose another one or leave --port away")
-    chosen = port or next((n for n in range(FIRST_PORT, FIRST_PORT + N_PORTS) if _is_free(n)), None)
-    if chosen is None:
-        raise InputError(f"no port from {FIRST_PORT} to {FIRST_PORT + N_PORTS} is free; give one with --port")
-    argv = [sys.executable, "-P", "-m", "mlflow", "server", "--host", HOST, "--port", str(chosen)]
-    argv += ["--workers", "1", "--default-artifact-root", paths.artifacts.as_uri(), "--no-serve-artifacts"]
-    # The store's URL may hold a password: not in the arguments, which every user of a machine can read.
-    uri = paths.tracking_uri
-    environment = {**ENVIRONMENT, "MLFLOW_BACKEND_STORE_URI": uri, "MLFLOW_TRACKING_URI": uri}
-    return UiPlan(tuple(argv), environment, f"http://{HOST}:{chosen}/")
-
-
 def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
-    """Return the addresses of a label's leaderboard, of all its runs, and of the registered models."""
-    from mlflow.entities import ViewType
-
+    """Return the addresses of a label's best trials, of all its runs, and of the registered models."""
     from studies.tracking.stage_run import run_store
 
-    client = run_store(paths).client
-    experiments = client.search_experiments(
-        view_type=ViewType.ACTIVE_ONLY, order_by=["last_update_time DESC"]
-    )
+    latest = ["last_update_time DESC"]
+    experiments = run_store(paths).client.search_experiments(order_by=latest)
     known = {one.name: one.experiment_id for one in experiments if one.name != "Default"}
     if label is not None and label not in known:
         raise InputError(f"MLflow has no experiment {label!r}; there are: {', '.join(known) or 'none'}")
@@ -158,46 +96,33 @@ def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
     chosen = label or next(iter(known))
     runs = f"#/experiments/{known[chosen]}/runs?workflowType=machine_learning"
     return {
-        f"Best trial per training-set size of {chosen}": f"{runs}&searchFilter={quote(LEADERBOARD)}",
         f"All runs of {chosen}": runs,
+        f"Best trial per training-set size of {chosen}": f"{runs}&searchFilter={quote(LEADERBOARD)}",
         "Registered models": "#/models",
     }
 
 
-def _is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+def _free_port(wanted: int | None) -> int:
+    for port in [wanted] if wanted is not None else range(FIRST_PORT, FIRST_PORT + N_PORTS):
+        with socket.socket() as probe, suppress(OSError):
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((HOST, port))
-        except OSError:
-            return False
-    return True
-
-
-def interrupt(number: int, frame: object) -> NoReturn:
-    """Turn a polite request to end into Ctrl-C, so that the server is stopped on either."""
-    raise KeyboardInterrupt
+            return port
+    raise InputError(f"port {wanted or FIRST_PORT} is taken; choose another one with --port")
 
 
 def _is_up(server: "subprocess.Popen[bytes]", url: str) -> bool:
     """Wait until the server answers; return whether it does."""
     deadline = time.monotonic() + START_LIMIT_S
     while time.monotonic() < deadline and server.poll() is None:
-        try:
-            with urllib.request.urlopen(f"{url}health", timeout=2.0):
-                return True
-        except OSError:
-            time.sleep(0.2)
+        with suppress(OSError), urllib.request.urlopen(url, timeout=2.0):
+            return True
+        time.sleep(0.2)
     return False
 
 
 def _stop(server: "subprocess.Popen[bytes]") -> None:
     for how in (signal.SIGTERM, signal.SIGKILL):
-        try:
+        with suppress(ProcessLookupError, subprocess.TimeoutExpired):
             os.killpg(server.pid, how)
-        except ProcessLookupError:
-            return
-        try:
             server.wait(STOP_LIMIT_S)
-        except subprocess.TimeoutExpired:
-            continue

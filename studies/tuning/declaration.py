@@ -19,6 +19,8 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths, size_name
 from studies.search_space import SearchParameter, SearchSpace, default_point
 
+ALIAS = "champion"
+"""Of the best surrogate of a size, in MLflow's registry."""
 SETS = ("train", "validation", "test")
 
 
@@ -94,6 +96,16 @@ class Declaration:
     def size(self) -> str:
         """What runs and models of this study are called, for example `n0064`."""
         return size_name(self.n_train) + (" PCA + GP" if self.is_baseline else "")
+
+    @property
+    def model_name(self) -> str:
+        """Name of the best surrogate in MLflow's registry."""
+        return f"{self.label}-{size_name(self.n_train)}"
+
+    @property
+    def model_uri(self) -> str:
+        """Address by which MLflow loads the best surrogate."""
+        return f"models:/{self.model_name}@{ALIAS}"
 
     @cached_property
     def base_config(self) -> SurrogateConfig:

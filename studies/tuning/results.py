@@ -1,24 +1,21 @@
 """What the studies of a project have come to, read from Optuna alone: for tables, figures and programs."""
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 import optuna
-from optuna.distributions import BaseDistribution
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
-from studies.tracking.trial_run import errors_of
 from studies.tuning.declaration import Declaration
 from studies.tuning.storage import (
     DECLARATION,
-    GRACE_S,
     PLANNED,
     RUN_ID,
     declaration_of,
+    errors_of,
     open_storage,
     places,
 )
@@ -31,8 +28,6 @@ _STATES: dict[TrialState, State] = {
     TrialState.RUNNING: "running",
     TrialState.WAITING: "waiting",
 }
-N_IMPORTANCE = 6
-"""With fewer trials the importance of a hyperparameter would be noise."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +88,6 @@ class TunedStudy:
     n_planned: int
     trials: tuple[TrialView, ...]
     run_id: str = ""
-    importances: Mapping[str, float] = field(default_factory=dict)
 
     def count(self, state: State) -> int:
         """Return the number of trials in a state."""
@@ -127,6 +121,12 @@ class TunedStudy:
     def wall_s(self) -> float:
         """Training time of all trials together. [s]."""
         return sum(trial.wall_s for trial in self.trials)
+
+    @property
+    def to_go_s(self) -> float | None:
+        """Training time of the trials to come, on one core; None before the first trial. [s]."""
+        n_left, n_timed = max(self.n_planned - self.n_ended, 0), sum(t.wall_s > 0.0 for t in self.trials)
+        return 0.0 if not n_left else n_left * self.wall_s / n_timed if n_timed else None
 
     @property
     def n_proposed(self) -> int:
@@ -188,44 +188,6 @@ def latest_studies(
     return {
         (one.spec.n_train, one.spec.is_baseline): one for one in sorted(mine, key=lambda one: one.began_s)
     }
-
-
-def importances(study: TunedStudy) -> dict[str, float]:
-    """Return each hyperparameter's share in what separates the better trials from the others (PED-ANOVA).
-
-    Returns:
-        Shares by name, sum 1; empty where too few trials have a value.
-    """
-    judged = [trial for trial in study.trials if trial.value is not None and trial.params]
-    names = [name for name in study.spec.space if all(name in trial.params for trial in judged)]
-    if len(judged) < N_IMPORTANCE or len(names) < 2 or len({trial.value for trial in judged}) < 2:
-        return {}
-    space: dict[str, BaseDistribution] = {}
-    for name in names:
-        one = study.spec.space[name]
-        if one.kind == "categorical":
-            space[name] = optuna.distributions.CategoricalDistribution(list(one.choices))
-        elif one.kind == "int":
-            space[name] = optuna.distributions.IntDistribution(
-                int(one.low or 0), int(one.high or 0), log=one.log
-            )
-        else:
-            space[name] = optuna.distributions.FloatDistribution(
-                float(one.low or 0), float(one.high or 0), log=one.log
-            )
-    memory = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-    for trial in judged:
-        params = {name: trial.params[name] for name in names}
-        memory.add_trial(optuna.create_trial(params=params, distributions=space, value=trial.value))
-    found = optuna.importance.get_param_importances(
-        memory, evaluator=optuna.importance.PedAnovaImportanceEvaluator()
-    )
-    return {name: float(share) for name, share in found.items()}
-
-
-def is_silent(trial: TrialView, heard_s: float) -> bool:
-    """Say whether a running trial has not been heard of for longer than the grace period."""
-    return trial.state == "running" and time.time() - heard_s > GRACE_S
 
 
 def _view(spec: Declaration, trial: FrozenTrial, place: int) -> TrialView:

@@ -13,9 +13,8 @@ from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
 from studies.tuning.declaration import Declaration
-from studies.tuning.owner import this_process
 from studies.tuning.pruner import CatchUpPruner
-from studies.tuning.storage import OWNER, place_of
+from studies.tuning.storage import is_owned, place_of, set_owner, trial_id
 
 PROPOSED_BY = "proposed_by"
 _OWN_PRUNERS = {"CatchUpPruner": CatchUpPruner}
@@ -78,9 +77,9 @@ class RepeatableSampler(BaseSampler):
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note who works on the trial, and make its sampler."""
         # Optuna's own heartbeat begins with the objective: a kill before it would leave a running trial.
-        trial_id = self._trial_id(study, trial)
-        self._storage.record_heartbeat(trial_id)
-        self._storage.set_trial_user_attr(trial_id, OWNER, {"trial": trial.number, **this_process()})
+        self._storage.record_heartbeat(trial_id(self._storage, study, trial.number))
+        if not is_owned(trial):  # somebody else took the claimed trial at that very moment
+            set_owner(self._storage, study, trial.number)
         self._on_begun()
         self._sampler = self._fresh(place_of(trial, study.get_trials(deepcopy=False)))
         self._sampler.before_trial(study, trial)
@@ -98,7 +97,7 @@ class RepeatableSampler(BaseSampler):
         params = self._sampler.sample_relative(study, trial, search_space)
         if params and PROPOSED_BY not in trial.user_attrs:
             name = type(self._sampler).__name__
-            self._storage.set_trial_user_attr(self._trial_id(study, trial), PROPOSED_BY, name)
+            self._storage.set_trial_user_attr(trial_id(self._storage, study, trial.number), PROPOSED_BY, name)
         return params
 
     def sample_independent(
@@ -118,7 +117,3 @@ class RepeatableSampler(BaseSampler):
     def _fresh(self, place: int) -> BaseSampler:
         is_one_sequence = self._spec.sampler.get("name") in _ONE_SEQUENCE
         return make_sampler(self._spec.sampler, self._spec.trial_seed(0 if is_one_sequence else place, 0))
-
-    def _trial_id(self, study: optuna.Study, trial: FrozenTrial) -> int:
-        study_id = self._storage.get_study_id_from_name(study.study_name)
-        return self._storage.get_trial_id_from_study_id_trial_number(study_id, trial.number)

@@ -3,13 +3,12 @@
 A place is a trial and the retries of it: a study of 20 trials has 20 places, however often a worker died.
 """
 
+import copy
 import hashlib
 import sqlite3
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from datetime import datetime
-from typing import Any
 
 import optuna
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
@@ -20,12 +19,14 @@ from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.storage_url import hide_passwords
 from studies.tuning.declaration import Declaration
-from studies.tuning.owner import is_dead
+from studies.tuning.owner import is_dead, this_process
 
 HEARTBEAT_S, GRACE_S = 10, 30
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 DECLARATION, PLANNED, OWNER, RUN_ID = "declaration", "n_trials", "owner", "mlflow_run_id"
+SEED = "seed"
+"""Attribute of a trial whose hyperparameters are all chosen."""
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -47,7 +48,6 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
                 _prepare_sqlite(paths)
             else:
                 _prepare_schemas(paths.storage)
-            retry = RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)
             storage = RDBStorage(
                 paths.optuna_url,
                 engine_kwargs={"connect_args": {"timeout": 60}}
@@ -55,7 +55,7 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
                 else {"pool_pre_ping": True},
                 heartbeat_interval=HEARTBEAT_S,
                 grace_period=GRACE_S,
-                heartbeat_stale_trial_callback=retry,
+                heartbeat_stale_trial_callback=run_again,
             )
     except (InputError, OSError):
         raise
@@ -149,6 +149,37 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     return study
 
 
+def claim_next(storage: RDBStorage, study: optuna.Study) -> None:
+    """Note on the next trial who works on it while it still waits; call it while the study is locked.
+
+    A worker that is killed while its trial begins so leaves no running trial without an owner.
+    """
+    trials = study.get_trials(deepcopy=False)
+    waiting = next((trial for trial in trials if trial.state == TrialState.WAITING), None)
+    if waiting is None:
+        owner = {"trial": len(trials), **this_process()}
+        study.add_trial(optuna.create_trial(state=TrialState.WAITING, user_attrs={OWNER: owner}))
+    else:
+        set_owner(storage, study, waiting.number)
+
+
+def set_owner(storage: RDBStorage, study: optuna.Study, number: int) -> None:
+    """Note that this process works on a trial."""
+    storage.set_trial_user_attr(trial_id(storage, study, number), OWNER, {"trial": number, **this_process()})
+
+
+def trial_id(storage: RDBStorage, study: optuna.Study, number: int) -> int:
+    """Return the storage's id of a trial."""
+    study_id = storage.get_study_id_from_name(study.study_name)
+    return storage.get_trial_id_from_study_id_trial_number(study_id, number)
+
+
+def is_owned(trial: FrozenTrial) -> bool:
+    """Say whether a worker of this program began the trial; a retry has inherited another one's owner."""
+    owner = trial.user_attrs.get(OWNER)
+    return isinstance(owner, dict) and owner.get("trial") == trial.number
+
+
 def declaration_of(study: optuna.Study) -> Declaration:
     """Return what a study was declared with.
 
@@ -192,6 +223,15 @@ def n_begun(trials: Sequence[FrozenTrial]) -> int:
     return sum(retried(trial) is None for trial in trials)
 
 
+def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
+    """Let a trial be run again by whoever comes next, `MAX_RETRIES` times at most."""
+    trial = copy.deepcopy(trial)  # Optuna adds to its history
+    if SEED not in trial.user_attrs:
+        # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
+        trial.distributions, trial.params = {}, {}
+    RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
+
+
 def retry_lost(study: optuna.Study) -> list[int]:
     """Fail the running trials whose worker on this machine has died, and let each be run again.
 
@@ -203,19 +243,19 @@ def retry_lost(study: optuna.Study) -> list[int]:
     """
     trials = study.get_trials(deepcopy=False)
     repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
-    lost = [trial for trial in trials if trial.state == TrialState.RUNNING and _is_lost(trial)]
+    lost = [
+        trial
+        for trial in trials
+        if trial.state == TrialState.RUNNING and is_owned(trial) and is_dead(trial.user_attrs[OWNER])
+    ]
     for trial in lost:
         if trial.number not in repeated:
-            RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
+            run_again(study, trial)
         study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
     return [trial.number for trial in lost]
 
 
-def _is_lost(trial: FrozenTrial) -> bool:
-    owner: dict[str, Any] | None = trial.user_attrs.get(OWNER)
-    if owner is not None and owner.get("trial") == trial.number:  # a retry has inherited another one's
-        return is_dead(owner)
-    # Killed between Optuna's making of the trial and its first word; what others ask for has parameters.
-    began = trial.datetime_start
-    age_s = (datetime.now() - began).total_seconds() if began else 0.0
-    return owner is None and age_s > GRACE_S and not trial.params and not trial.intermediate_values
+def errors_of(trial: FrozenTrial) -> dict[str, float]:
+    """Return a trial's errors by name, as `val/mae` and `test/p90`."""
+    found = {name: float(v) for name, v in trial.user_attrs.items() if name.startswith(("val/", "test/"))}
+    return found if trial.value is None else {"val/mae": float(trial.value), **found}

@@ -19,7 +19,6 @@ from typing import Any
 
 import optuna
 from optuna.exceptions import UpdateFinishedTrialError
-from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.device import resolve_device
@@ -36,14 +35,16 @@ from studies.tuning.declaration import Declaration, TrialResult
 from studies.tuning.sampler import RepeatableSampler, make_pruner
 from studies.tuning.storage import (
     FINISHED,
-    MAX_RETRIES,
     PLANNED,
     RUN_ID,
+    SEED,
+    claim_next,
     declaration_of,
     is_unfinished,
     open_storage,
     place_of,
     retry_lost,
+    run_again,
     study_locked,
 )
 from studies.tuning.training import load_data, train
@@ -99,6 +100,7 @@ class Worker:
                 planned = int(self._study.user_attrs.get(PLANNED, 0))
                 if not is_unfinished(self._study.get_trials(deepcopy=False), planned):
                     return
+                claim_next(self._storage, self._study)
                 self._run_trial()
 
     def _run_trial(self) -> None:
@@ -118,7 +120,7 @@ class Worker:
             if self._is_lost:
                 return
             # A full disk or a Ctrl-C is no fault of the configuration.
-            RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(self._study, trial)
+            run_again(self._study, trial)
             raise
 
     def _objective(self, trial: optuna.Trial) -> float:
@@ -158,7 +160,7 @@ class Worker:
             },
         )
         trial.set_user_attr(RUN_ID, run.id)
-        trial.set_user_attr("seed", seed)
+        trial.set_user_attr(SEED, seed)
         began = time.perf_counter()
         epoch = 0
 
@@ -244,7 +246,9 @@ def _end_with_parent() -> None:
     """End this process once whoever started it is gone: nobody holds the other end of its input then."""
 
     def wait() -> None:
-        sys.stdin.buffer.read()
+        # Not sys.stdin.read(): a thread inside it makes the interpreter abort at its own end.
+        while os.read(0, 1024):
+            pass
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()

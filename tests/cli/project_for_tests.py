@@ -23,13 +23,13 @@ n_validation = 32
 n_test = 32
 [tuning]
 n_trials = 3
-variant = "refined"
+surrogate = "refined"
 max_epochs = 10
 patience = 10
 [tuning.search]
-n_latent = [4, 8]
-n_hidden = [16, 32]
-beta = [10.0, 100.0]
+n_latent = { kind = "int", low = 4, high = 8, log = true }
+n_hidden = { kind = "int", low = 16, high = 32, log = true }
+beta = { kind = "float", low = 10.0, high = 100.0, log = true }
 [screening]
 popsize = 4
 maxiter = 10

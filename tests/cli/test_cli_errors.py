@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -10,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.errors import InputError
@@ -25,6 +25,11 @@ n_train = [16, 32]
 [tuning]
 n_trials = 2
 """
+
+
+def searching(declared: str) -> str:
+    """Return the number of trials and a search space, as a profile has them."""
+    return f"n_trials = 2\n[tuning.search]\n{declared}"
 
 
 def assert_refused(answer: Answer, *fragments: str) -> None:
@@ -195,8 +200,9 @@ def test_an_archive_that_is_no_fmu_is_refused(project: Path, studies: Run) -> No
         pytest.param(["calibrate", "--n-train", "64"], ["64", "--n-train 64"], id="size-not-tuned"),
         pytest.param(["report"], ["no calibration", "studies calibrate office"], id="nothing-to-report"),
         pytest.param(["ui"], ["mlflow.db", "studies run"], id="no-store"),
-        pytest.param(["ui", "office-quick", "--dry-run"], ["mlflow.db", "studies run"], id="no-store-label"),
+        pytest.param(["ui", "office-quick"], ["mlflow.db", "studies run"], id="no-store-label"),
         pytest.param(["ui", "--port", "99999"], ["99999"], id="port"),
+        pytest.param(["doctor"], ["there is no command 'doctor'"], id="removed-command"),
         pytest.param(["frobnicate"], ["frobnicate"], id="command"),
         pytest.param([], ["COMMAND"], id="no-command"),
         pytest.param(["check", "--frobnicate"], ["--frobnicate"], id="option"),
@@ -218,7 +224,40 @@ def test_wrong_options_are_refused(
         pytest.param("n_trials = 2", "n_trails = 2", ["n_trails"], id="unknown-key"),
         pytest.param("n_trials = 2", "n_trials = 0", ["n_trials"], id="no-trials"),
         pytest.param("[16, 32]", "[32, 16]", ["n_train", "ascending"], id="sizes-descending"),
-        pytest.param("n_trials = 2", 'n_trials = 2\nvariant = "magic"', ["variant", "paper"], id="variant"),
+        pytest.param(
+            "n_trials = 2", 'n_trials = 2\nsurrogate = "magic"', ["tuning.surrogate", "paper"], id="surrogate"
+        ),
+        pytest.param("n_trials = 2", 'n_trials = 2\nvariant = "paper"', ["variant"], id="old-key"),
+        pytest.param(
+            "n_trials = 2", searching("n_latent = [4, 8]"), ["tuning.search.n_latent"], id="search-no-table"
+        ),
+        pytest.param(
+            "n_trials = 2",
+            searching('n_latent = { kind = "int", low = 8, high = 4 }'),
+            ["n_latent", "low = 8 is larger than high = 4"],
+            id="search-reversed",
+        ),
+        pytest.param(
+            "n_trials = 2",
+            searching('n_latent = { kind = "int", low = 0, high = 4 }'),
+            ["search.n_latent", "n_latent = 0 must be at least 1"],
+            id="search-impossible",
+        ),
+        pytest.param(
+            "n_trials = 2",
+            searching('n_scales = { kind = "int", low = 1, high = 4 }'),
+            ["search.n_scales has no effect", "n_hidden"],
+            id="search-of-another-surrogate",
+        ),
+        pytest.param(
+            "n_trials = 2", 'n_trials = 2\nsampler = "TPESampler"', ["tuning.sampler"], id="sampler-no-table"
+        ),
+        pytest.param(
+            "n_trials = 2",
+            "n_trials = 2\nenqueue = [{ beta = 0.5 }]",
+            ["enqueue[0].beta = 0.5 is no value of search.beta"],
+            id="enqueued-outside",
+        ),
         pytest.param("[data]", "[data", ["small.toml"], id="no-toml"),
         pytest.param(
             "[data]", "[sensitivity]\nn_base = 100\n[data]", ["sensitivity", "power of two"], id="n-base"
@@ -253,7 +292,8 @@ def test_a_taken_port_is_refused(project: Path, studies: Run) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = str(other.getsockname()[1])
-        assert_refused(studies("ui", "--port", port, "--dry-run"), port, "taken")
+        give_store(project)
+        assert_refused(studies("ui", "--port", port), port, "taken")
 
 
 @pytest.mark.parametrize("arguments", [["check", "ofice"], ["tune", "--trials", "x"], ["ui"]])
@@ -283,15 +323,34 @@ def test_a_process_of_its_own_answers_the_same(project: Path, arguments: list[st
         assert done.stdout == ""
 
 
-def test_a_damaged_champion_is_refused(project: Path, studies: Run) -> None:
-    folder = project / "mlruns" / "champions" / "office-quick" / "n0064"
-    folder.mkdir(parents=True)
-    (folder / "champion.json").write_text("{", encoding="utf-8")
-    assert_refused(studies("calibrate", "--n-train", "64"), "champion.json", "damaged")
-    answer = studies("calibrate", "--method", "paper")
-    assert answer.code == 2
-    assert "n_train = 64 is left out" in answer.err.splitlines()[0]
-    shutil.rmtree(folder)
+@pytest.mark.parametrize(
+    ("kind", "wanted"), [("sampler", "MagicSampler"), ("pruner", "MagicPruner")], ids=["sampler", "pruner"]
+)
+def test_a_sampler_or_pruner_that_optuna_does_not_have_is_refused(
+    project: Path, studies: Run, kind: str, wanted: str
+) -> None:
+    file = project / "small.toml"
+    text = SMALL_PROFILE + f'{kind} = {{ name = "{wanted}" }}\n'
+    file.write_text(text, encoding="utf-8")
+    assert_refused(studies("tune", "--quiet", "--profile", str(file)), wanted)
+
+
+@pytest.mark.parametrize("command", ["tune", "calibrate", "status", "best"])
+def test_a_project_of_version_0_2_is_named_and_left_alone(project: Path, studies: Run, command: str) -> None:
+    (project / "mlruns").mkdir()
+    for name in ("trials", "champions"):
+        (project / "mlruns" / name).mkdir()
+    (project / "mlruns" / "optuna.journal").write_text("{}\n", encoding="utf-8")
+    before = files_of(project)
+    assert_refused(studies(command), "mlruns holds studies of version 0.2", "optuna.journal", "move")
+    assert files_of(project) == before
+
+
+@pytest.mark.parametrize("command", ["status", "best"])
+def test_a_damaged_database_is_refused(project: Path, studies: Run, command: str) -> None:
+    (project / "mlruns").mkdir()
+    (project / "mlruns" / "optuna.db").write_bytes(b"no database" * 500)
+    assert_refused(studies(command), "Optuna cannot open mlruns/optuna.db", "not a database")
 
 
 def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:

@@ -1,11 +1,28 @@
-"""What the README shows in Python runs as it stands there."""
+"""README, pages and help: their size, words and links, and whether what they show exists and runs."""
 
+import argparse
+import contextlib
+import io
 import re
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
+from studies.cli import COMMANDS, DESCRIPTION, EPILOG, build_parser, command_module
+
 ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), ROOT / "data" / "benchmarks" / "README.md"]
+MAX_LINES, MAX_WORDS, MAX_SENTENCE = 120, 1000, 30
+BANNED = re.compile(
+    r"\b(nursery|arena|hire|bury|ghosts?|twins?|crown|champion folder|somebody|nobody|told|elsewhere|dull"
+    r"|heed(s|ed)?|card)\b",
+    re.IGNORECASE,
+)
 CHECKED = """
 assert found.converged and found.mse < 0.002
 assert y.shape == deviation.shape == (1, *found.y.shape)
@@ -13,10 +30,156 @@ assert (abs(y[0] - found.y) < 4.0 * deviation[0]).all()
 """
 
 
-def test_the_example_in_python_calibrates_and_predicts(tmp_path: Path) -> None:
-    (example,) = re.findall(
-        "```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL
+def read(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def code_blocks(text: str, kind: str) -> list[str]:
+    return re.findall(rf"^```{kind}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def paragraphs_of_markdown(text: str) -> Iterator[str]:
+    """Give paragraphs, items of lists and cells of tables, without markup."""
+    text = re.sub(r"<!--.*?-->", "", without_code(text))
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*>|#]|\d+\.) ?)", text):
+        if block.lstrip().startswith("|"):
+            yield from block.strip().strip("|").split("|")
+        else:
+            yield " ".join(block.split())
+
+
+def paragraphs_of_help(text: str) -> Iterator[str]:
+    """Give paragraphs without lists and examples, which are indented."""
+    yield from (
+        " ".join(block.split()) for block in re.split(r"\n\s*\n|\n(?=\s)|(?<=:)\n", text) if block.strip()
     )
+
+
+def helps() -> dict[str, list[str]]:
+    """Return the texts of the help by command: paragraphs, then a line per option."""
+    found = {"studies": [*paragraphs_of_help(DESCRIPTION), *paragraphs_of_help(EPILOG)]}
+    (commands,) = (
+        action for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction)
+    )
+    for name in COMMANDS:
+        words = command_module(name)
+        options = [str(action.help) for action in commands.choices[name]._actions]
+        found[name] = [words.HELP, *paragraphs_of_help(words.MORE), *options]
+    return found
+
+
+def sentences(paragraph: str) -> list[str]:
+    return re.split(r"(?<=[.!?])[\"')*]*\s+(?=[\"'`*(A-Z0-9$-])", paragraph)
+
+
+TEXTS = {str(page.relative_to(ROOT)): list(paragraphs_of_markdown(read(page))) for page in PAGES}
+TEXTS |= {f"help of {name}": texts for name, texts in helps().items()}
+
+
+def test_a_long_sentence_is_found() -> None:
+    page = "# Heading\n\n| cell | cell |\n|---|---|\n\n- An item.\n- " + "word " * 31 + "\n  more. Short.\n"
+    found = [one for paragraph in paragraphs_of_markdown(page) for one in sentences(paragraph)]
+    assert [one for one in found if len(one.split()) > MAX_SENTENCE] == ["- " + "word " * 31 + "more."]
+
+
+def test_the_readme_is_one_page() -> None:
+    text = read(README)
+    assert len(text.splitlines()) <= MAX_LINES
+    assert len(without_code(text).split()) <= MAX_WORDS
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_sentences_are_short(name: str) -> None:
+    every = [one for paragraph in TEXTS[name] for one in sentences(paragraph)]
+    assert every
+    assert not [one for one in every if len(one.split()) > MAX_SENTENCE]
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_words_are_those_of_the_field(name: str) -> None:
+    assert not [paragraph for paragraph in TEXTS[name] if BANNED.search(paragraph)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_to_files_and_headings(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", without_code(read(page))):
+        if target.startswith("https://"):
+            continue
+        place, _, heading = target.partition("#")
+        file = (page.parent / place).resolve() if place else page
+        assert file.exists(), target
+        headings = re.findall(r"^#+ (.*)$", read(file), flags=re.MULTILINE) if heading else []
+        anchors = [re.sub(r"[^\w -]", "", one).lower().replace(" ", "-") for one in headings]
+        assert not heading or heading in anchors, target
+
+
+def test_every_page_is_listed() -> None:
+    index = read(ROOT / "docs" / "index.md")
+    pages = [page.name for page in PAGES if page.parent.name == "docs" and page.name != "index.md"]
+    assert not [name for name in pages if f"({name})" not in index]
+
+
+def commands_shown() -> list[str]:
+    """Return the lines of the code blocks that call the command line."""
+    blocks = [block for page in PAGES for kind in ("sh", "text") for block in code_blocks(read(page), kind)]
+    lines = [part.strip() for block in blocks for line in block.splitlines() for part in line.split("&&")]
+    return sorted({line for line in lines if re.match(r"(\.venv/bin/)?studies ", line)})
+
+
+@pytest.mark.parametrize("line", commands_shown())
+def test_a_shown_command_exists(line: str) -> None:
+    words = shlex.split(line, comments=True)[1:]
+    complaints = io.StringIO()
+    with contextlib.redirect_stderr(complaints):
+        chosen = build_parser().parse_args(words)
+    assert chosen.command == words[0]
+
+
+def test_shown_scripts_exist() -> None:
+    named = {name for page in PAGES for name in re.findall(r"python (tests/benchmarks/\S+)", read(page))}
+    assert named
+    assert not [name for name in named if not (ROOT / name.rstrip("`,.)")).exists()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_shown_python_compiles(page: Path) -> None:
+    for block in code_blocks(read(page), "python"):
+        compile(block, str(page), "exec")
+
+
+def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
+    from studies.profile import load_profile
+
+    quick, text = load_profile("quick"), read(README)
+    for name, searched in quick.tuning.space.items():
+        assert re.search(rf"^\| `{name}`.*\| {searched.low:g} to {searched.high:g}, logarithmic", text, re.M)
+    assert f"| {quick.tuning.n_trials} per size, `{quick.tuning.sampler['name']}`" in text
+    assert ", ".join(map(str, quick.data.n_train)) in text
+
+
+def test_the_profile_in_the_pages_is_one(tmp_path: Path) -> None:
+    from studies.profile import load_profile
+
+    (search, choices) = code_blocks(read(ROOT / "docs" / "tuning.md"), "toml")
+    file = tmp_path / "my.toml"
+    text = f'name = "my"\n[data]\nn_train = [32]\n[tuning]\nn_trials = 20\n{choices}{search}'
+    file.write_text(text, encoding="utf-8")
+    profile = load_profile(str(file))
+    assert [name for name, one in profile.tuning.space.items() if one.when]
+
+    from studies.tuning.sampler import make_pruner, make_sampler
+
+    assert type(make_sampler(profile.tuning.sampler, 0)).__name__ == profile.tuning.sampler["name"]
+    assert type(make_pruner(profile.tuning.pruner)).__name__ == profile.tuning.pruner["name"]
+
+
+def test_the_example_in_python_calibrates_and_predicts(tmp_path: Path) -> None:
+    (example,) = code_blocks(read(ROOT / "docs" / "own-fmu.md"), "python")
     script = tmp_path / "example.py"
     script.write_text(f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{example}{CHECKED}", encoding="utf-8")
     command = [sys.executable, "-W", "error", str(script)]

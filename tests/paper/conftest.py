@@ -28,12 +28,12 @@ n_base = 4
 n_resamples = 4
 [tuning]
 n_trials = 1
-variant = "refined"
+surrogate = "refined"
 max_epochs = 4
 [tuning.search]
-n_latent = [4, 4]
-n_hidden = [16, 16]
-beta = [10.0, 10.0]
+n_latent = { kind = "int", low = 4, high = 4, log = true }
+n_hidden = { kind = "int", low = 16, high = 16, log = true }
+beta = { kind = "float", low = 10.0, high = 10.0, log = true }
 [screening]
 popsize = 1
 maxiter = 2

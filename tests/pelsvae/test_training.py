@@ -182,7 +182,7 @@ def test_shapes_that_do_not_fit_are_named() -> None:
 @pytest.mark.parametrize("n", [2, 6])
 def test_rows_that_are_all_the_same_teach_no_process(n: int) -> None:
     theta, y = rc_step(24, seed=1)
-    same, config = theta[:1].repeat(n, axis=0), VARIANTS["gaussian-process"]
+    same, config = theta[:1].repeat(n, axis=0), VARIANTS["pca-gp"]
     with pytest.raises(ValueError, match=f"all {n} training rows have the same parameters"):
         fit(same, y[:n], (theta, y), config=config, seed=0)
 

@@ -1,0 +1,187 @@
+"""Kills at any moment: every place ends once, with the numbers of the study that nobody disturbed."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import psutil
+from conftest import N_TUNED
+from optuna.trial import TrialState
+from toy_study_for_tests import (
+    LABEL,
+    ROOT,
+    assert_mlflow_agrees,
+    essence,
+    plain_study,
+    runs_of,
+    states,
+    toy_study,
+    tuned_study,
+)
+
+from studies.paths import ProjectPaths
+from studies.tuning.storage import places
+from studies.tuning.tune import tune
+from studies.tuning.worker import Worker
+
+HERE = Path(__file__).parent
+PATIENCE_S = 90.0
+FINISHED = {"COMPLETE", "PRUNED", "FAIL"}
+
+
+def wait_until(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def workers_of(process: int) -> list[psutil.Process]:
+    found = psutil.Process(process).children(recursive=True)
+    return [one for one in found if "studies.tuning.worker" in " ".join(one.cmdline())]
+
+
+def assert_each_place_ended(paths: ProjectPaths, name: str, n: int) -> None:
+    trials = plain_study(paths, name).get_trials()
+    assert set(states(trials)) <= FINISHED
+    assert len(places(trials)) == n
+    # What was killed on the way has failed, and was repeated.
+    repeated = {number for trial in trials for number in trial.system_attrs.get("retry_history", [])}
+    assert {trial.number for trial in trials if trial not in places(trials)} == repeated
+
+
+def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> None:
+    draw = random.Random(28)
+    first = [[n] for n in range(1, 9)]  # the trial is claimed, begins, gets its hyperparameters
+    rest = [[draw.randrange(9, 60)] for _ in range(3)]
+    twice = [[35, n] for n in range(1, 5)]  # the retry dies as well, while it begins
+    kills = [*first, *rest, *twice]
+    few = toy_study().settings | {"max_epochs": 4, "patience": 4}
+    startup = {"name": "TPESampler", "n_startup_trials": 1}
+    # The label changes no trial.
+    specs = [replace(toy_study(settings=few, sampler=startup), label=f"toy-{n}") for n in range(len(kills) + 1)]
+    tune(specs, paths=project, n_trials=2, n_jobs=1, until_s=0.0)
+    Worker(project, specs[-1].name).run()
+    undisturbed = essence(plain_study(project, specs[-1].name))
+    assert [row[0] for row in undisturbed] == ["COMPLETE"] * 2
+    told = [f"{spec.name}:{','.join(map(str, at))}" for spec, at in zip(specs, kills, strict=False)]
+    script = [sys.executable, str(HERE / "killed_workers.py"), str(project.root), *told]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=300, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("killed") == len(first) + len(rest) + 2 * len(twice), done.stdout
+    tune(specs, paths=project, n_trials=2, n_jobs=2)
+    for spec in specs:
+        assert_each_place_ended(project, spec.name, 2)
+        assert essence(plain_study(project, spec.name)) == undisturbed, told
+        assert_mlflow_agrees(project, spec.label, spec.name)
+
+
+def test_workers_killed_at_random_moments_change_no_number(
+    project: ProjectPaths, tuned: ProjectPaths
+) -> None:
+    draw, is_over = random.Random(3), threading.Event()
+    n_killed = 0
+
+    def kill_now_and_then() -> None:
+        nonlocal n_killed
+        while n_killed < 3 and not is_over.is_set():
+            wait_until(lambda: workers_of(os.getpid()) or is_over.is_set())
+            time.sleep(draw.uniform(1.0, 6.0))
+            for worker in workers_of(os.getpid())[:1]:
+                worker.kill()
+                n_killed += 1
+                wait_until(lambda one=worker: not psutil.pid_exists(one.pid) or is_over.is_set())
+
+    killer = threading.Thread(target=kill_now_and_then)
+    killer.start()
+    spec = tuned_study(16)
+    try:
+        (found,) = tune([spec], paths=project, n_trials=8, n_jobs=1)
+    finally:
+        is_over.set()
+        killer.join()
+    assert n_killed >= 1
+    assert found.n_ended == 8
+    assert_each_place_ended(project, spec.name, 8)
+    assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))[:8]
+    assert_mlflow_agrees(project, LABEL, spec.name)
+
+
+def test_a_killed_and_an_interrupted_command_go_on(
+    project: ProjectPaths, tuned: ProjectPaths, tmp_path: Path
+) -> None:
+    spec = tuned_study(16)
+    (tmp_path / "spec.json").write_text(json.dumps(spec.to_dict()))
+    words = [sys.executable, str(HERE / "tune_script.py"), str(project.root), str(N_TUNED)]
+    words.append(str(tmp_path / "spec.json"))
+
+    def n_ended() -> int:
+        try:
+            trials = plain_study(project, spec.name).get_trials()
+        except KeyError:
+            return 0
+        return sum(trial.state.is_finished() for trial in trials)
+
+    def begun(n_more: int) -> tuple["subprocess.Popen[str]", list[psutil.Process]]:
+        wanted = n_ended() + n_more
+        command = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True)
+        wait_until(lambda: n_ended() >= wanted or command.poll() is not None)
+        workers = workers_of(command.pid)
+        assert len(workers) == 1
+        return command, workers
+
+    command, workers = begun(2)
+    command.kill()
+    command.communicate()
+    assert not psutil.wait_procs(workers, timeout=20.0)[1], "a worker outlives its command"
+    command, workers = begun(2)
+    os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+    _, errors = command.communicate(timeout=PATIENCE_S)
+    assert errors.strip().endswith("KeyboardInterrupt")
+    assert not psutil.wait_procs(workers, timeout=20.0)[1]
+    trials = plain_study(project, spec.name).get_trials()
+    assert "RUNNING" not in states(trials)
+    assert len(places(trials)) < N_TUNED
+    assert not [run for run in runs_of(project, LABEL) if run.info.status == "RUNNING"]
+    (study_run,) = runs_of(project, LABEL, role="study")
+    assert study_run.info.status == "KILLED"
+    Worker(project, spec.name).run()
+    assert_each_place_ended(project, spec.name, N_TUNED)
+    assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))
+
+
+def test_a_trial_that_kills_its_worker_again_and_again_fails(project: ProjectPaths) -> None:
+    spec = toy_study()
+    tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)
+    script = [sys.executable, str(HERE / "killed_workers.py"), str(project.root), f"{spec.name}:{'45,' * 5}45"]
+    subprocess.run(script, check=True, capture_output=True, timeout=300, cwd=ROOT)
+    Worker(project, spec.name).run()
+    trials = plain_study(project, spec.name).get_trials()
+    assert states(trials) == ["FAIL"] * 6
+    assert len(places(trials)) == 1
+    tune([spec], paths=project, n_trials=1, n_jobs=1)
+    runs = runs_of(project, LABEL, role="trial")
+    assert {run.info.status for run in runs} == {"FAILED"}
+    assert {run.data.tags["reason"] for run in runs} == {"its worker died"}
+
+
+def test_a_trial_that_somebody_else_ends_is_let_go(project: ProjectPaths) -> None:
+    """As one whose worker stood still beyond the grace period."""
+    spec = toy_study(settings=toy_study().settings | {"max_epochs": 5000, "patience": 5000}, max_trial_s=60.0)
+    tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)
+    worker = threading.Thread(target=Worker(project, spec.name).run)
+    worker.start()
+    study = plain_study(project, spec.name)
+    wait_until(lambda: study.trials[0].user_attrs.get("seed") is not None)
+    study.tell(0, state=TrialState.FAIL)
+    worker.join(PATIENCE_S)
+    assert not worker.is_alive()
+    assert states(study.get_trials()) == ["FAIL"]

@@ -1,0 +1,106 @@
+"""What a user does through plain Optuna stays and counts, and is never waited for."""
+
+from datetime import datetime, timedelta
+
+import optuna
+import pytest
+from conftest import N_TUNED
+from optuna.trial import TrialState, create_trial
+from toy_study_for_tests import (
+    SPECS,
+    assert_mlflow_agrees,
+    plain_study,
+    runs_of,
+    states,
+    toy_study,
+    tuned_study,
+)
+
+from simulation.errors import InputError
+from studies.paths import ProjectPaths
+from studies.tuning.results import read_studies
+from studies.tuning.tune import tune
+from studies.tuning.worker import Worker
+
+
+def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: ProjectPaths) -> None:
+    spec = tuned_study(16)
+    study = plain_study(copied, spec.name)
+    distributions, params = study.best_trial.distributions, {"n_latent": 5, "n_hidden": 17, "beta": 77.0}
+    study.set_user_attr("mine", "kept")
+    study.enqueue_trial(params, user_attrs={"why": "a guess"})
+    study.add_trial(
+        create_trial(params=params, distributions=distributions, value=1e-6, user_attrs={"mine": 1})
+    )
+    asked = study.ask()  # by a program that takes its time
+    forgotten = create_trial(state=TrialState.RUNNING)
+    forgotten.datetime_start = datetime.now() - timedelta(hours=1)
+    study.add_trial(forgotten)
+    n_before = len(study.trials)
+    assert n_before == N_TUNED + 4
+
+    (found,) = tune([spec], paths=copied, n_trials=n_before + 2, n_jobs=1)
+
+    trials = study.get_trials()
+    assert len(trials) == n_before + 2
+    assert study.user_attrs["mine"] == "kept"
+    enqueued, added, *foreign = trials[N_TUNED:n_before]
+    # Optuna's own ask() takes what waits: the enqueued trial is the other program's, if it came first.
+    by_number = {trial.number: trial for trial in trials}
+    assert by_number[asked.number].state == TrialState.RUNNING
+    assert foreign[-1].state == TrialState.RUNNING
+    assert (added.value, added.user_attrs) == (1e-6, {"mine": 1})
+    assert enqueued.user_attrs["why"] == "a guess"
+    assert set(states(trials[n_before:])) <= {"COMPLETE", "PRUNED"}
+    # What was not trained here has no surrogate to offer.
+    assert found.best is not None
+    assert found.best.run_id
+    assert found.count("running") == states(trials).count("RUNNING")
+    assert not [run for run in runs_of(copied, spec.label) if run.info.status == "RUNNING"]
+
+
+def test_an_enqueued_trial_is_run(copied: ProjectPaths) -> None:
+    spec = tuned_study(24)
+    params = {"n_latent": 5, "n_hidden": 17, "beta": 77.0}
+    study = plain_study(copied, spec.name)
+    study.enqueue_trial(params, user_attrs={"why": "a guess"})
+    assert states(study.get_trials()).count("WAITING") == 1
+    Worker(copied, spec.name).run()  # although the study has its trials
+    trial = study.get_trials()[N_TUNED]
+    assert len(study.trials) == N_TUNED + 1
+    assert trial.state.is_finished()
+    assert trial.params == params
+    assert trial.user_attrs["why"] == "a guess"
+    assert trial.user_attrs["mlflow_run_id"]
+    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1)
+    assert_mlflow_agrees(copied, spec.label, spec.name)
+
+
+def test_a_user_may_run_trials_with_an_objective_of_their_own(copied: ProjectPaths) -> None:
+    spec = tuned_study(16)
+    study = plain_study(copied, spec.name)
+    study.optimize(lambda trial: trial.suggest_float("beta", 1.0, 1000.0, log=True), n_trials=2)
+    found = next(one for one in read_studies(copied) if one.spec == spec)
+    assert found.n_ended == N_TUNED + 2
+    assert found.best is not None
+    assert found.best.number < N_TUNED
+
+
+def test_studies_of_other_programs_are_left_alone(copied: ProjectPaths) -> None:
+    other = optuna.create_study(storage=copied.optuna_url, study_name="other")
+    other.optimize(lambda trial: trial.suggest_float("x", 0.0, 1.0), n_trials=1)
+    names = [one.spec.name for one in read_studies(copied)]
+    assert names == [spec.name for spec in SPECS]
+    with pytest.raises(InputError, match="'other' was not made by this program"):
+        Worker(copied, "other")
+    with pytest.raises(InputError, match="there is no study 'nobody'"):
+        Worker(copied, "nobody")
+
+
+def test_a_foreign_trial_of_a_study_that_never_ends_is_not_waited_for(project: ProjectPaths) -> None:
+    spec = toy_study()
+    tune([spec], paths=project, n_trials=3, n_jobs=1, until_s=0.0)
+    study = plain_study(project, spec.name)
+    study.add_trial(create_trial(state=TrialState.RUNNING))
+    Worker(project, spec.name).run()
+    assert states(study.get_trials()) == ["COMPLETE", "RUNNING", "COMPLETE"]

@@ -1,0 +1,141 @@
+"""Samplers and pruners by their names and arguments, and what the catch-up pruner stops."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import optuna
+import pytest
+from optuna.samplers import GPSampler, QMCSampler, RandomSampler, TPESampler
+from optuna.trial import FrozenTrial, TrialState, create_trial
+from toy_study_for_tests import plain_study, toy_study
+
+from simulation.errors import InputError
+from studies.paths import ProjectPaths
+from studies.tuning.pruner import CatchUpPruner, least_until
+from studies.tuning.sampler import make_pruner, make_sampler
+from studies.tuning.tune import tune
+from studies.tuning.worker import Worker
+
+NESTED = {"name": "PatientPruner", "wrapped_pruner": {"name": "MedianPruner"}, "patience": 2}
+
+
+@pytest.mark.parametrize(
+    ("declared", "kind"),
+    [
+        ({"name": "RandomSampler"}, RandomSampler),
+        ({"name": "TPESampler", "n_startup_trials": 3, "multivariate": True}, TPESampler),
+        ({"name": "GPSampler", "n_startup_trials": 2}, GPSampler),
+        ({"name": "QMCSampler", "qmc_type": "halton", "scramble": True}, QMCSampler),
+    ],
+)
+def test_a_sampler_is_made_by_its_name(declared: dict[str, Any], kind: type) -> None:
+    assert type(make_sampler(declared, 3)) is kind
+
+
+@pytest.mark.parametrize("name", ["RandomSampler", "GPSampler", "QMCSampler"])
+def test_a_study_runs_with_any_sampler(project: ProjectPaths, name: str) -> None:
+    sampler = {"name": name, **({"n_startup_trials": 2} if name == "GPSampler" else {})}
+    spec = toy_study(sampler=sampler, settings=toy_study().settings | {"max_epochs": 2, "patience": 2})
+    tune([spec], paths=project, n_trials=5, n_jobs=1, until_s=0.0)
+    # A worker for each half: what a sampler draws depends on no memory of its process.
+    Worker(project, spec.name).run()
+    first = [trial.params for trial in plain_study(project, spec.name).get_trials()]
+    assert len({str(params) for params in first}) == 5
+    proposed = [trial.user_attrs.get("proposed_by") for trial in plain_study(project, spec.name).get_trials()]
+    # A random draw is no proposal from results; a sequence of points is drawn by the sampler as well.
+    usual = {"RandomSampler": [None] * 4, "GPSampler": [None] + ["GPSampler"] * 3}
+    assert proposed[0] == "default"
+    assert name == "QMCSampler" or proposed[1:] == usual[name]
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [{"name": "MedianPruner", "n_startup_trials": 2}, {"name": "CatchUpPruner", "caution": 2.0}, NESTED],
+)
+def test_a_pruner_is_made_by_its_name(declared: dict[str, Any]) -> None:
+    assert type(make_pruner(declared)).__name__ == declared["name"]
+
+
+def test_a_nested_pruner_has_the_pruner_it_wraps() -> None:
+    patient = make_pruner(NESTED)
+    study = optuna.create_study(pruner=patient)
+    for _ in range(6):
+        study.add_trial(a_trial({1: 1.0, 2: 0.5, 3: 0.4, 9: 0.3}, value=0.3))
+    worse = study.ask()
+    for step in range(1, 9):
+        worse.report(5.0 + step, step)
+    assert worse.should_prune()
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"name": "BestSampler"}, r"no sampler 'BestSampler'; it has .*GPSampler.*TPESampler"),
+        ({"name": "BaseSampler"}, r"no sampler 'BaseSampler'"),
+        ({"name": "MedianPruner"}, r"no sampler 'MedianPruner'"),
+        ({"name": "TPESampler", "n_startups": 3}, r"TPESampler refuses its arguments: .*n_startups"),
+        ({"name": "QMCSampler", "qmc_type": "none"}, r"QMCSampler refuses its arguments: .*qmc_type"),
+    ],
+)
+def test_a_wrong_sampler_is_refused(declared: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=rf"^tuning\.sampler: (Optuna has )?{message}"):
+        make_sampler(declared, 0)
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"name": "NoPruner"}, r"no pruner 'NoPruner'; it has CatchUpPruner, .*NopPruner"),
+        ({"name": "CatchUpPruner", "courage": 1.0}, r"CatchUpPruner refuses its arguments: .*courage"),
+        ({"name": "PatientPruner", "wrapped_pruner": {"name": "No"}, "patience": 2}, r"no pruner 'No'"),
+        ({"name": "MedianPruner", "n_startup_trials": -1}, r"MedianPruner refuses its arguments"),
+    ],
+)
+def test_a_wrong_pruner_is_refused(declared: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=rf"^tuning\.pruner: (Optuna has )?{message}"):
+        make_pruner(declared)
+
+
+def a_trial(reports: Mapping[int, float], value: float | None = None) -> FrozenTrial:
+    """Return a trial that is complete, or runs where it has no value yet."""
+    state = TrialState.RUNNING if value is None else TrialState.COMPLETE
+    return create_trial(state=state, value=value, intermediate_values=dict(reports))
+
+
+def is_stopped(known: list[FrozenTrial], reports: Mapping[int, float], caution: float = 1.5) -> bool:
+    study = optuna.create_study()
+    study.add_trials(known)
+    return CatchUpPruner(caution).prune(study, a_trial(reports))
+
+
+# Each completed trial lost half of its error after step 10.
+KNOWN = [a_trial({5: 4.0, 10: 2.0, 20: 1.2}, 1.0), a_trial({5: 5.0, 10: 3.0, 20: 1.6}, 1.5)]
+
+
+def test_nothing_is_stopped_without_completed_trials_or_reports() -> None:
+    assert not is_stopped([], {10: 1e9})
+    assert not is_stopped([create_trial(state=TrialState.PRUNED, value=1.0)], {10: 1e9})
+    assert not is_stopped(KNOWN, {})
+
+
+def test_a_hopeless_trial_is_stopped_and_a_promising_one_is_not() -> None:
+    # It may lose half of its error times 1 + 1.5 / 2: 0.875 of it, so 8.0 would become the best one's 1.0.
+    assert is_stopped(KNOWN, {10: 8.1})
+    assert not is_stopped(KNOWN, {10: 7.9})
+    assert not is_stopped(KNOWN, {10: 1.9})
+
+
+def test_more_completed_trials_make_it_bolder() -> None:
+    assert not is_stopped(KNOWN, {10: 4.0})
+    assert is_stopped(KNOWN * 10, {10: 4.0})
+    assert is_stopped(KNOWN, {10: 2.1}, caution=0.0)
+
+
+def test_the_least_error_so_far_counts() -> None:
+    assert least_until(a_trial({5: 1.0, 10: 3.0}), 7) == 1.0
+    assert least_until(a_trial({5: 1.0, 10: 3.0}), 4) is None
+    assert not is_stopped(KNOWN, {5: 1.0, 10: 50.0})
+
+
+def test_a_completed_trial_without_reports_tells_nothing() -> None:
+    assert not is_stopped([a_trial({}, 1e-9)], {10: 100.0})

@@ -1,0 +1,187 @@
+"""The search space as a profile declares it: every kind of hyperparameter, and faults told in one line."""
+
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pytest
+from toy_study_for_tests import SEARCH, plain_study, toy_study
+
+from pelsvae.config import VARIANTS
+from simulation.errors import InputError
+from studies.paths import ProjectPaths
+from studies.profile import load_profile, profile_from, profile_names
+from studies.search_space import (
+    NETWORK_SPACE,
+    PCA_GP_SPACE,
+    SearchParameter,
+    SearchSpace,
+    default_point,
+    space_of,
+    suggested,
+)
+from studies.tuning.tune import tune
+from studies.tuning.worker import Worker
+
+ALL_KINDS: dict[str, dict[str, Any]] = {
+    "n_latent": {"kind": "int", "low": 4, "high": 32, "log": True},
+    "n_layers": {"kind": "int", "low": 2, "high": 4},
+    "batch_size": {"kind": "int", "low": 8, "high": 32, "step": 8},
+    "beta": {"kind": "float", "low": 1.0, "high": 100.0, "log": True},
+    "optimizer": {"kind": "categorical", "choices": ["adam", "adamw"]},
+    "weight_decay": {"kind": "float", "low": 0.0, "high": 0.5, "step": 0.1, "when": {"optimizer": "adamw"}},
+    "patience": {"kind": "int", "low": 2, "high": 3, "when": {"n_layers": [3, 4], "optimizer": "adam"}},
+}
+PROFILE = """\
+schema = 1
+name = "mine"
+[data]
+n_train = [16]
+[tuning]
+n_trials = 3
+{more}
+[tuning.search]
+{search}
+"""
+
+
+def space(declared: dict[str, dict[str, Any]]) -> SearchSpace:
+    return {name: SearchParameter(**one) for name, one in declared.items()}
+
+
+def test_conditional_hyperparameters_are_asked_where_they_have_an_effect() -> None:
+    base = VARIANTS["refined"].replace(weight_decay=0.0, optimizer="adam")
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
+    asked = []
+    for _ in range(40):
+        chosen = suggested(study.ask(), space(ALL_KINDS), base)
+        base.replace(**chosen)  # every draw can be trained
+        asked.append(chosen)
+        assert ("weight_decay" in chosen) == (chosen["optimizer"] == "adamw")
+        assert ("patience" in chosen) == (chosen["optimizer"] == "adam" and chosen["n_layers"] > 2)
+        assert chosen["batch_size"] in (8, 16, 24, 32)
+        assert chosen["n_latent"] in range(4, 33)
+    assert {len(chosen) for chosen in asked} == {5, 6}
+
+
+def test_a_study_tunes_every_kind_of_hyperparameter(project: ProjectPaths) -> None:
+    settings = toy_study().settings | {"max_epochs": 2, "optimizer": "adam", "weight_decay": 0.0}
+    spec = toy_study(search=ALL_KINDS, settings=settings)
+    tune([spec], paths=project, n_trials=8, n_jobs=1, until_s=0.0)
+    Worker(project, spec.name).run()
+    trials = plain_study(project, spec.name).get_trials()
+    assert [trial.state.name for trial in trials] == ["COMPLETE"] * 8
+    assert {trial.params["optimizer"] for trial in trials} == {"adam", "adamw"}
+    assert all(("weight_decay" in t.params) == (t.params["optimizer"] == "adamw") for t in trials)
+
+
+@pytest.mark.parametrize("surrogate", ["refined", "paper", "pca-gp"])
+def test_the_default_lies_inside_the_usual_space(surrogate: str) -> None:
+    usual, base = space_of(surrogate, None), VARIANTS[surrogate]
+    assert usual is (PCA_GP_SPACE if surrogate == "pca-gp" else NETWORK_SPACE)
+    point = default_point(usual, base)
+    assert set(point) == set(usual)
+    for name, value in point.items():
+        assert usual[name].nearest(value) == value
+        assert value == getattr(base, name)  # inside from the start, so that nothing is clipped
+
+
+def test_the_default_of_a_narrow_space_is_its_nearest_point() -> None:
+    narrow = {
+        "n_latent": {"kind": "int", "low": 4, "high": 8},
+        "beta": {"kind": "float", "low": 200.0, "high": 300.0, "log": True},
+        "batch_size": {"kind": "int", "low": 10, "high": 290, "step": 20},
+        "activation": {"kind": "categorical", "choices": ["relu"]},
+        "patience": {"kind": "int", "low": 1, "high": 2, "when": {"activation": "silu"}},
+    }
+    point = default_point(space(narrow), VARIANTS["refined"])
+    assert point == {"n_latent": 8, "beta": 200.0, "batch_size": 250, "activation": "relu"}
+
+
+@pytest.mark.parametrize(
+    ("declared", "message"),
+    [
+        ({"kind": "categorical"}, "has choices and no low and high"),
+        ({"kind": "int", "low": 1}, "has low and high and no choices"),
+        ({"kind": "float", "low": 2.0, "high": 1.0}, r"low = 2\.0 is larger than high = 1\.0"),
+        ({"kind": "float", "low": 0.0, "high": 1.0, "log": True}, "log = true needs low > 0"),
+        ({"kind": "int", "low": 1, "high": 9, "log": True, "step": 2}, "log = true needs low > 0 and no step"),
+        ({"kind": "int", "low": 1.5, "high": 3}, "are whole numbers"),
+        ({"kind": "number", "low": 1, "high": 3}, "'int', 'float' or 'categorical'"),
+    ],
+)
+def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SearchParameter(**declared)
+
+
+@pytest.mark.parametrize(
+    ("search", "more", "message"),
+    [
+        ('beta = { kind = "float", low = 5.0, high = 1.0 }', "", r"low = 5\.0 is larger than high = 1\.0"),
+        ('n_trees = { kind = "int", low = 1, high = 2 }', "", "search.n_trees has no effect on surrogate"),
+        ('n_layers = { kind = "int", low = 1, high = 2 }', "", "search.n_layers: n_layers = 1 must be at least"),
+        ('beta = { kind = "float", lower = 1.0, high = 2.0 }', "", "unknown key tuning.search.beta.lower"),
+        (
+            'beta = { kind = "float", low = 1.0, high = 2.0, when = { n_latent = 8 } }\n'
+            'n_latent = { kind = "int", low = 4, high = 8 }',
+            "",
+            "search.beta.when names n_latent; declare n_latent before beta",
+        ),
+        (
+            'beta = { kind = "float", low = 1.0, high = 2.0, when = { walls = 8 } }',
+            "",
+            "search.beta.when names walls, which is no setting",
+        ),
+        (
+            'beta = { kind = "float", low = 1.0, high = 2.0 }',
+            "enqueue = [{ n_latent = 8 }]",
+            r"enqueue\[0\].n_latent is not searched",
+        ),
+        (
+            'beta = { kind = "float", low = 1.0, high = 2.0 }',
+            "enqueue = [{ beta = 3.0 }]",
+            r"enqueue\[0\].beta = 3.0 is no value of search.beta",
+        ),
+        ('beta = { kind = "float", low = 1.0, high = 2.0 }', 'sampler = { n = "x" }', "sampler is a table with"),
+        ("beta = [1.0, 2.0]", "", "tuning.search.beta"),
+    ],
+)
+def test_a_wrong_profile_is_told_in_one_line(tmp_path: Path, search: str, more: str, message: str) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(PROFILE.format(search=search, more=more))
+    with pytest.raises(InputError, match=message) as told:
+        load_profile(str(file))
+    assert "\n" not in str(told.value)
+    assert str(told.value).startswith(str(file))
+
+
+def test_a_profile_survives_json_with_its_search(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    search = (
+        'optimizer = { kind = "categorical", choices = ["adam", "adamw"] }\n'
+        'patience = { kind = "int", low = 5, high = 9, when = { optimizer = ["adam"] } }'
+    )
+    more = 'enqueue = [{ optimizer = "adam" }]\npruner = { name = "PatientPruner", patience = 2 }'
+    file.write_text(PROFILE.format(search=search, more=more))
+    profile = load_profile(str(file))
+    again = profile_from(profile.to_dict(), "here")
+    assert again.to_dict() == profile.to_dict()
+    assert again.tuning.space == profile.tuning.space
+    assert again.tuning.enqueue == ({"optimizer": "adam"},)
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_shipped_profiles_search_what_the_title_promises(name: str) -> None:
+    assert {"n_latent", "n_hidden", "beta"} <= set(load_profile(name).tuning.space)
+
+
+def test_the_configurations_of_a_profile_come_right_after_the_default(project: ProjectPaths) -> None:
+    enqueue = ({"beta": 3.0}, {"n_latent": 2, "n_hidden": 9})
+    spec = toy_study(enqueue=enqueue)
+    tune([spec], paths=project, n_trials=3, n_jobs=1, until_s=0.0)
+    tune([spec], paths=project, n_trials=3, n_jobs=1, until_s=0.0)  # enqueued once
+    Worker(project, spec.name).run()
+    trials = plain_study(project, spec.name).get_trials()
+    default = default_point(space(SEARCH), spec.base_config)
+    assert [trial.params for trial in trials] == [default, default | enqueue[0], default | enqueue[1]]

@@ -1,0 +1,180 @@
+"""Studies reach their trials, from the same configurations each time, and fail for nobody else."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+from conftest import N_TUNED
+from toy_study_for_tests import (
+    BRIEF,
+    DIVERGING,
+    FILES,
+    SEARCH,
+    SPECS,
+    assert_mlflow_agrees,
+    essence,
+    plain_study,
+    runs_of,
+    states,
+    toy_study,
+    tuned_study,
+)
+
+from simulation.errors import InputError
+from studies.paths import ProjectPaths
+from studies.tuning.declaration import Declaration
+from studies.tuning.results import TunedStudy, read_studies, read_study
+from studies.tuning.tune import is_closed, tune
+from studies.tuning.worker import Worker
+
+FINISHED = {"COMPLETE", "PRUNED", "FAIL"}
+
+
+def prepared(paths: ProjectPaths, spec: Declaration, n_trials: int) -> Worker:
+    """Make a study and a worker for it in this process: a process's start takes seconds."""
+    tune([spec], paths=paths, n_trials=n_trials, n_jobs=1, until_s=0.0)
+    return Worker(paths, spec.name)
+
+
+def of_sizes(paths: ProjectPaths) -> list[TunedStudy]:
+    return [study for study in read_studies(paths) if not study.spec.is_baseline]
+
+
+def test_every_study_reaches_its_trials(tuned: ProjectPaths) -> None:
+    for spec in SPECS:
+        trials = plain_study(tuned, spec.name).get_trials()
+        assert len(trials) == (1 if spec.is_baseline else N_TUNED)
+        assert set(states(trials)) <= FINISHED
+    assert_mlflow_agrees(tuned, SPECS[0].label, *(spec.name for spec in SPECS))
+
+
+def test_the_first_trial_is_the_default_configuration(tuned: ProjectPaths) -> None:
+    for study in of_sizes(tuned):
+        first = study.trials[0]
+        assert (first.proposed_by, first.state) == ("default", "complete")
+        assert first.params == {"n_latent": 8, "n_hidden": 32, "beta": 10.0}  # clipped to the search space
+        assert study.default is first
+
+
+def test_the_sampler_proposes_most_trials_although_some_were_pruned(tuned: ProjectPaths) -> None:
+    for study in of_sizes(tuned):
+        assert study.count("pruned") >= 1
+        assert 2 * study.n_proposed >= N_TUNED
+        assert {trial.proposed_by for trial in study.trials} == {"default", "start-up", "TPESampler"}
+
+
+def test_sizes_draw_different_configurations(tuned: ProjectPaths) -> None:
+    small, large = ([trial.params for trial in study.trials[1:]] for study in of_sizes(tuned))
+    assert not [params for params in small if params in large]
+
+
+def test_more_trials_extend_a_study_as_if_it_had_been_asked_for_them_at_once(
+    project: ProjectPaths, tuned: ProjectPaths
+) -> None:
+    spec = tuned_study(16)
+    prepared(project, spec, 5).run()
+    begun = essence(plain_study(project, spec.name))
+    assert len(begun) == 5
+    prepared(project, spec, N_TUNED).run()
+    assert essence(plain_study(project, spec.name))[:5] == begun
+    # The studies of `tuned` ran in other processes, and beside another one.
+    assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))
+
+
+def test_a_finished_study_is_left_as_it_is(copied: ProjectPaths) -> None:
+    before = {spec.name: plain_study(copied, spec.name).get_trials() for spec in SPECS}
+    asked: list[Sequence[Any]] = []
+    found = tune(
+        SPECS, paths=copied, n_trials=N_TUNED, n_jobs=2, on_trials=lambda spec, _: asked.append(spec.name)
+    )
+    assert asked == []
+    assert [study.spec.name for study in found] == [spec.name for spec in SPECS]
+    assert {spec.name: plain_study(copied, spec.name).get_trials() for spec in SPECS} == before
+    again = is_closed(SPECS, copied, N_TUNED)
+    assert again is not None
+    assert [study.trials for study in again] == [study.trials for study in found]
+    assert is_closed(SPECS, copied, N_TUNED + 1) is None
+
+
+def test_two_workers_of_a_study_run_no_trial_too_many(project: ProjectPaths) -> None:
+    spec = toy_study(16)
+    (found,) = tune([spec], paths=project, n_trials=9, n_jobs=2, n_parallel=2)
+    trials = plain_study(project, spec.name).get_trials()
+    assert states(trials) == ["COMPLETE"] * 9
+    assert len({trial.user_attrs["owner"]["pid"] for trial in trials}) == 2
+    assert len({str(sorted(trial.params.items())) for trial in trials}) == 9
+    assert found.n_ended == 9
+    assert_mlflow_agrees(project, spec.label, spec.name)
+
+
+def test_a_diverging_trial_fails_with_its_reason_and_costs_nobody_else(project: ProjectPaths) -> None:
+    # Only the enqueued trial takes a learning rate at which the loss is no number any more.
+    rate = {"kind": "categorical", "choices": [0.005, 1e30]}
+    sane = {"n_latent": 4, "n_hidden": 16, "beta": 10.0}
+    enqueue = ({**sane, "learning_rate": 1e30}, {**sane, "learning_rate": 0.005})
+    spec = toy_study(16, search={**SEARCH, "learning_rate": rate}, enqueue=enqueue)
+    prepared(project, spec, 3).run()
+    found = read_study(plain_study(project, spec.name))
+    assert [trial.state for trial in found.trials] == ["complete", "failed", "complete"]
+    assert [trial.proposed_by for trial in found.trials] == ["default", "profile", "profile"]
+    failed = found.trials[1]
+    assert failed.reason.startswith("TrainingDiverged: ")
+    assert not failed.metrics
+    tune([spec], paths=project, n_trials=3, n_jobs=1)
+    assert_mlflow_agrees(project, spec.label, spec.name)
+    (run,) = runs_of(project, spec.label, trial_state="fail")
+    assert run.data.tags["reason"] == failed.reason
+    assert not [name for name in run.data.metrics if name.startswith(("val/", "test/"))]
+
+
+def test_a_study_whose_trials_all_fail_ends(project: ProjectPaths) -> None:
+    spec = toy_study(16, search=DIVERGING)
+    prepared(project, spec, 4).run()
+    (found,) = tune([spec], paths=project, n_trials=4, n_jobs=1)
+    assert [trial.state for trial in found.trials] == ["failed"] * 4
+    assert found.best is None
+
+
+def test_a_trial_that_reaches_its_time_limit_counts_as_pruned(project: ProjectPaths) -> None:
+    endless = toy_study(16).settings | {"max_epochs": 1_000_000, "patience": 1_000_000}
+    spec = toy_study(16, settings=endless, max_trial_s=0.2)
+    prepared(project, spec, 1).run()
+    (trial,) = read_study(plain_study(project, spec.name)).trials
+    assert trial.state == "pruned"
+    assert trial.reason.startswith("reached its limit of 0.2 s at epoch ")
+    assert trial.value is not None
+
+
+def test_no_trial_begins_after_the_given_moment(project: ProjectPaths) -> None:
+    (found,) = tune([toy_study(16)], paths=project, n_trials=4, n_jobs=1, until_s=0.0)
+    assert [trial.state for trial in found.trials] == ["waiting"]
+    assert found.n_ended == 0
+
+
+def test_changed_data_is_refused(project: ProjectPaths) -> None:
+    digests = toy_study(16).digests | {"test": "0" * 64}
+    with pytest.raises(InputError, match=r"test\.npz has changed since the study was declared"):
+        tune([toy_study(16, digests=digests)], paths=project, n_trials=1, n_jobs=1)
+
+
+def test_a_file_outside_the_project_is_refused(project: ProjectPaths) -> None:
+    spec = toy_study(16, files=FILES | {"test": "../elsewhere.npz"})
+    with pytest.raises(InputError, match="names a file outside the project"):
+        prepared(project, spec, 1)
+
+
+def test_a_study_of_another_version_is_refused() -> None:
+    content = toy_study(16).to_dict()
+    assert Declaration.from_dict(content) == toy_study(16)
+    with pytest.raises(InputError, match=r"declared by another version \(n_rooms\)"):
+        Declaration.from_dict({**content, "n_rooms": 1})
+
+
+def test_what_decides_no_trial_changes_no_study() -> None:
+    spec = toy_study(16)
+    same = toy_study(16, device="cuda", max_trial_s=5.0, note="Another.", enqueue=({"beta": 2.0},))
+    assert same.name == spec.name
+    for change in ({"seed": 6}, {"search": SEARCH | DIVERGING}, {"pruner": {"name": "CatchUpPruner"}}):
+        assert toy_study(16, **change).name != spec.name
+    assert toy_study(24).name != spec.name
+    assert BRIEF["max_epochs"] == spec.base_config.max_epochs
