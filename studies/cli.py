@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from simulation.errors import InputError, MachineError
+from simulation.workers.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
 from studies.interrupts import interrupt_heeded, interrupts_kept, is_interrupt
@@ -102,6 +103,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
+    if argv is None:
+        start_safely()
     arguments = list(sys.argv[1:] if argv is None else argv)
     _make_writable()
     console = Console(as_json="--json" in arguments)
