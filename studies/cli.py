@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from simulation.errors import InputError, MachineError
+from simulation.foreign_text import escaped
 from simulation.workers.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
@@ -256,7 +257,8 @@ def _failed(console: Console, error: BaseException) -> int:
 
     explained = explain(error)
     if explained is None and not isinstance(error, StageError | MachineError):
-        sys.stderr.write(hide_passwords("".join(traceback.format_exception(error))))
+        told = hide_passwords("".join(traceback.format_exception(error)))
+        sys.stderr.write(escaped(told, keep_lines=True))
     line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
     console.warn(f"error: {line}")
     console.document({"error": line})
