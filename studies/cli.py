@@ -116,6 +116,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as done:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
+    if argv is None:
+        from studies.command_folder import give_temporary_folder
+
+        give_temporary_folder()
     with interrupts_kept():
         try:
             answer: int = command_module(chosen.command).run(chosen, console)
