@@ -172,7 +172,7 @@ VARIANTS: dict[str, SurrogateConfig] = {
         max_epochs=600,
         patience=600,
     ),
-    "gaussian-process": SurrogateConfig(
+    "pca-gp": SurrogateConfig(
         regressor="gaussian-process",
         n_latent=256,
         theta_features="linear+log",
@@ -181,4 +181,4 @@ VARIANTS: dict[str, SurrogateConfig] = {
     ),
 }
 """Named forms of the same Eq. 3-7: "paper" as published, "refined" with what was found to help the networks,
-"gaussian-process" with a linear encoder and decoder, whose optimum is known, and processes between them."""
+"pca-gp" with principal components and Gaussian processes between them, the baseline."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 class TrainingDiverged(RuntimeError):  # noqa: N818 - an outcome to expect, like a pruned trial
@@ -19,9 +20,11 @@ class EpochReport:
         train_loss: Eq. 5, mean over the epoch's batches; of processes minus the logarithm of posterior
             density per row. [1]
         validation_mae: Mean absolute error on the validation set. [output's unit]
+        terms: Terms of the training loss by name, such as "kl" and "reconstruction"; empty for processes. [1]
     """
 
     epoch: int
     max_epochs: int
     train_loss: float
     validation_mae: float
+    terms: Mapping[str, float] = field(default_factory=dict)

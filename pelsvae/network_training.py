@@ -95,7 +95,8 @@ def train_network(
             with torch.no_grad():
                 torch._foreach_copy_(best, weights)
         if on_epoch is not None:
-            on_epoch(EpochReport(epoch, config.max_epochs, row["loss"], mae))
+            seen = {name: row[name] for name in _TERMS[1:]}
+            on_epoch(EpochReport(epoch, config.max_epochs, row["loss"], mae, seen))
         if epoch - best_epoch >= config.patience:
             break
     with torch.no_grad():

@@ -11,7 +11,7 @@ if __name__ == "__main__" and not sys.flags.safe_path:
     if _first == os.path.realpath(".") and not _is_ours:
         del sys.path[0]
 
-from studies.cli import main
+from studies.entry import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -41,16 +41,9 @@ COMMANDS = (
     "report",
     "status",
     "best",
-    "show",
-    "compare",
     "ui",
-    "dashboard",
     "reproduce",
     "reproduce-paper",
-    "doctor",
-    "gc",
-    "export",
-    "import",
 )
 
 DESCRIPTION = """\
@@ -62,7 +55,8 @@ measurement, window), the profile how much may be spent on it. `studies run` doe
   check         the doctor: is the case sound, how long does a simulation take
   simulate      training, validation and test simulations
   sensitivity   Sobol indices per time step
-  tune          one Optuna study per training-set size, every trial an MLflow run
+  tune          Optuna chooses latent dimension, hidden width and beta of a PELS-VAE, one study per
+                training-set size; every trial is an MLflow run that can be watched while it trains
   calibrate     screen the box on the surrogate, polish on the FMU
   report        tables and figures on one page
 
@@ -75,16 +69,19 @@ examples:
   studies calibrate                        the office, in fewest FMU calls: no surrogate, nothing to tune
   studies run                              the office with surrogates, quick profile: minutes on two cores
   studies run office-recorded --window 8-16
-  studies check fmus/office/case.toml      what is wrong with a case, and what to do
+  studies check office                     what is wrong with a case, and what to do
   studies tune --n-train 64 --trials 20    more trials for one size; finished ones are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
   studies status --live                    what runs, how far it is, when it will be finished
   studies ui                               compare the runs in MLflow
 
-where results land (label = <case>-<profile>):
+The project is the nearest folder with a file studies.toml, from the working folder upwards. Where there is
+none, it is the working folder, and the first command that writes makes the file.
+
+where results land in the project (label = <case>-<profile>):
   data/<case>/generated/    simulations          mlruns/reports/<label>/index.html    the report
-  mlruns/results/<label>/   numbers              mlruns/champions/<label>/            best surrogates
-  mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.journal                Optuna
+  mlruns/results/<label>/   numbers              mlruns/artifacts/                    weights, pictures
+  mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.db                     Optuna
 
 Finished work is never done twice: interrupt any command, type it again, and it goes on.
 
@@ -204,8 +201,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def command_module(name: str) -> ModuleType:
     """Return the module behind a command: its HELP, MORE, `add_options` and `run`."""
-    module = "import_studies" if name == "import" else name.replace("-", "_")  # a word of Python itself
-    return importlib.import_module(f"studies.commands.{module}")
+    return importlib.import_module(f"studies.commands.{name.replace('-', '_')}")
 
 
 class _Paragraphs(argparse.HelpFormatter):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from simulation.errors import InputError
 from simulation.foreign_text import has_control, quoted, shortened
+from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
+from studies.marker import find_root
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
-
-ROOT_VARIABLE = "STUDIES_ROOT"
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class ProjectPaths:
 
     Args:
         root: folder that holds `fmus/`, `data/` and `mlruns/`.
-        storage: PostgreSQL URL of trials, Optuna's and MLflow's stores; None for files below the root.
+        storage: PostgreSQL URL of Optuna's and MLflow's stores; None for files below the root.
     """
 
     root: Path
@@ -53,6 +53,18 @@ class ProjectPaths:
         return f"sqlite:///{self.tracking_database.resolve().as_posix()}"
 
     @property
+    def optuna_database(self) -> Path:
+        """Optuna's SQLite file."""
+        return self.mlruns / "optuna.db"
+
+    @property
+    def optuna_url(self) -> str:
+        """URL by which `optuna.load_study` finds the studies; on a server it holds the user's password."""
+        if self.storage is not None:
+            return in_schema(self.storage, "optuna")
+        return f"sqlite:///{self.optuna_database.resolve().as_posix()}"
+
+    @property
     def artifacts(self) -> Path:
         """Root of MLflow's artifacts."""
         return self.mlruns / "artifacts"
@@ -60,14 +72,6 @@ class ProjectPaths:
     def generated(self, case_name: str) -> Path:
         """Folder of the simulated trajectories of a case."""
         return self.data / folder_name(case_name) / "generated"
-
-    def champions(self, label: str) -> Path:
-        """Folder of the best surrogate per training-set size."""
-        return self.mlruns / "champions" / folder_name(label)
-
-    def champion(self, label: str, n_train: int) -> Path:
-        """Folder of the best surrogate for one training-set size."""
-        return self.champions(label) / size_name(n_train)
 
     def results(self, label: str) -> Path:
         """Folder of stage manifests and calibration results."""
@@ -87,11 +91,31 @@ class ProjectPaths:
         """
         return file.relative_to(self.root).as_posix()
 
-    def show(self, path: Path) -> str:
-        """Return a path as a reader in the project's root would type it."""
+    def recorded(self, path: Path) -> str:
+        """Return the name by which results remember a file, which holds wherever the project is moved.
+
+        It is the place below the root. A file of an embedded case gets the place that it would have in the
+        project. Any other file is named absolutely.
+        """
         for place in (path, path.resolve()):
             if place.is_relative_to(self.root):
-                return str(place.relative_to(self.root))
+                return place.relative_to(self.root).as_posix()
+        return embedded_place(path.resolve()) or str(path.resolve())
+
+    def located(self, recorded: str) -> Path:
+        """Return the file that a recorded name means: the project's own, else that of an embedded case."""
+        file = self.root / recorded
+        return file if file.exists() else embedded_file(recorded) or file
+
+    def show(self, path: Path) -> str:
+        """Return a path that holds in the working folder, for people; results remember `recorded` names.
+
+        It is relative where the working folder and the path are inside the project, else absolute.
+        """
+        here = Path.cwd()
+        for place in (path, path.resolve()):
+            if place.is_relative_to(self.root) and here.is_relative_to(self.root):
+                return os.path.relpath(place, here)
         return str(path.resolve())
 
 
@@ -117,41 +141,29 @@ def size_name(n_train: int) -> str:
 
 
 def find_project(storage: str | None) -> ProjectPaths:
-    """Find the project: `$STUDIES_ROOT`, else a folder above the working one, else above this package.
+    """Find the project that the working folder belongs to.
 
     Args:
         storage: PostgreSQL URL; None takes `$STUDIES_STORAGE`, and files where that is not set either.
 
     Raises:
-        InputError: `$STUDIES_ROOT` is set and is no folder, or the storage is no URL of a database.
+        InputError: the project's folder is not to be found, or the storage is no URL of a database.
     """
     url = storage or os.environ.get(STORAGE_VARIABLE)
-    return ProjectPaths(_find_root(), read_storage(url) if url else None)
-
-
-def _find_root() -> Path:
-    declared = os.environ.get(ROOT_VARIABLE)
-    if declared:
-        root = Path(declared).expanduser()
-        if not root.is_dir():
-            raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
-        return root.resolve()
-    working = Path.cwd().resolve()
-    for folder in (working, *working.parents):
-        if (folder / "fmus").is_dir() and (folder / "pyproject.toml").is_file():
-            return folder
-    return Path(__file__).resolve().parent.parent
+    return ProjectPaths(find_root(), read_storage(url) if url else None)
 
 
 def find_case(paths: ProjectPaths, case: str) -> Path:
     """Return the case file that a name, a file or a folder means.
 
-    A name is looked for as `fmus/<name>/case.toml`, then as `fmus/*/<name>.toml`.
+    A name is looked for as `fmus/<name>/case.toml`, then as `fmus/*/<name>.toml`: in the project first, then
+    among the embedded cases.
 
     Raises:
         InputError: nothing of that name exists; the line lists the cases there are.
     """
-    named = _named_cases(paths)
+    own, embedded = case_files(paths.fmus), case_files(EMBEDDED / "fmus")
+    named = embedded | own
     if case in named:
         return named[case]
     given = Path(case).expanduser()
@@ -164,20 +176,11 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
             )
         if given.is_file():
             return given
+    known = f"cases in {paths.fmus}: {', '.join(own) or 'none'}"
+    if paths.root != EMBEDDED:
+        known += f"; embedded cases: {', '.join(embedded) or 'none'}"
     if given.suffix or len(given.parts) > 1:
-        raise InputError(
-            f"there is no case file {shortened(case)}; cases by name: {', '.join(named) or 'none'}"
-        )
+        raise InputError(f"there is no case file {shortened(case)}; {known}")
     close = get_close_matches(case, named, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    raise InputError(
-        f"there is no case {quoted(case)}; {hint}cases in {paths.fmus}: {', '.join(named) or 'none'}"
-    )
-
-
-def _named_cases(paths: ProjectPaths) -> dict[str, Path]:
-    # build.toml says how an FMU is compiled.
-    others = {"case.toml", "build.toml"}
-    named = {file.stem: file for file in sorted(paths.fmus.glob("*/*.toml")) if file.name not in others}
-    named |= {file.parent.name: file for file in sorted(paths.fmus.glob("*/case.toml"))}
-    return dict(sorted(named.items()))
+    raise InputError(f"there is no case {quoted(case)}; {hint}{known}")

@@ -13,21 +13,12 @@ from pydantic_core import ArgsKwargs
 
 from simulation.errors import InputError
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
-from studies.search_ranges import (
-    NETWORK_RANGES,
-    OF_NETWORKS,
-    OF_PROCESSES,
-    PROCESS_RANGES,
-    STRICT,
-    Count,
-    Positive,
-    SearchRanges,
-)
+from studies.search_space import STRICT, Count, Positive, SearchParameter, SearchSpace, check_space, space_of
 
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
-Objective = Literal["val/mae", "val/p90"]
-Variant = Literal["paper", "refined", "gaussian-process"]
+SurrogateName = Literal["refined", "paper", "pca-gp"]
+SURROGATES: tuple[SurrogateName, ...] = ("refined", "paper", "pca-gp")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -68,65 +59,51 @@ class SensitivityBudget:
 
 @dataclass(frozen=True, config=STRICT)
 class TuningBudget:
-    """How long the surrogate is tuned.
+    """How the surrogate is tuned.
 
     Args:
         n_trials: trials per training-set size, in total.
-        variant: named form of the surrogate that the trials start from.
-        max_epochs: limit of one training; None holds the variant's.
-        patience: epochs without a better validation error; None holds the variant's.
+        surrogate: "refined" (a PELS-VAE of networks with the settings that were found to help), "paper"
+            (a PELS-VAE of networks as published) or "pca-gp" (PCA and Gaussian processes).
+        max_epochs: limit of one training; None takes the surrogate's.
+        patience: epochs without a better validation error; None takes the surrogate's.
         device: where the trials are trained; "auto" takes CUDA where there is some.
-        n_parallel: trials of one study that may run side by side; part of what a study is, as a trial knows
-            the results of those only that stand n_parallel or more places before it.
+        n_parallel: trials of one size that run side by side. With 1 the same command gives the same trials;
+            with more, what the sampler knows when it proposes depends on which trial ends first.
         max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
-        pruner: what stops trials early: "catch-up" those that cannot reach the best one any more, "median"
-            those worse than the median of the completed ones, "none" no trial.
-        objectives: errors that are minimized; with both, no trial is pruned and the best ones are a front.
-        enqueue: known-good settings that are tried right after the variant's; what one leaves out is the
-            variant's.
-        warm_start: also try the best settings of the nearest size that is finished.
-        search: ranges of the hyperparameters; None for those that go with the variant.
+        sampler: a sampler of `optuna.samplers` by its name, with its arguments.
+        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.pruner`), by its name,
+            with its arguments.
+        enqueue: configurations that are tried right after the surrogate's own.
+        baseline: whether PCA + GP is also fitted, once per size, for comparison.
+        search: the search space; None for the usual one of the surrogate.
     """
 
     n_trials: Count
-    variant: Variant = "gaussian-process"
+    surrogate: SurrogateName = "refined"
     max_epochs: Count | None = None
     patience: Count | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
     n_parallel: Count = 1
     max_trial_s: Positive | None = None
-    pruner: Literal["catch-up", "median", "none"] = "catch-up"
-    objectives: tuple[Objective, ...] = ("val/mae",)
-    enqueue: tuple[dict[str, int | float], ...] = ()
-    warm_start: bool = False
-    search: SearchRanges | None = None
+    sampler: dict[str, Any] = Field(default_factory=lambda: {"name": "TPESampler", "n_startup_trials": 6})
+    pruner: dict[str, Any] = Field(default_factory=lambda: {"name": "CatchUpPruner"})
+    enqueue: tuple[dict[str, int | float | str | bool], ...] = ()
+    baseline: bool = True
+    search: dict[str, SearchParameter] | None = None
 
     @property
-    def ranges(self) -> SearchRanges:
+    def space(self) -> SearchSpace:
         """What is searched, and where."""
-        return self.search or (PROCESS_RANGES if self.variant == "gaussian-process" else NETWORK_RANGES)
-
-    @property
-    def n_different_trials(self) -> int:
-        """Number of trials that are worth training: no configuration is trained twice."""
-        return min(self.n_trials, self.ranges.n_configurations or self.n_trials)
+        return space_of(self.surrogate, self.search)
 
     def __post_init__(self) -> None:
-        if "val/mae" not in self.objectives or len(set(self.objectives)) < len(self.objectives):
-            raise ValueError(
-                f'objectives must be ["val/mae"] or ["val/mae", "val/p90"], got {list(self.objectives)}'
-            )
-        known = OF_PROCESSES if self.variant == "gaussian-process" else OF_NETWORKS
-        for name in self.ranges.names:
-            if name not in known:
+        for name in ("sampler", "pruner"):
+            if not isinstance(getattr(self, name).get("name"), str):
                 raise ValueError(
-                    f'search.{name} does nothing in variant "{self.variant}", which has {", ".join(known)}; '
-                    "remove it, or choose another variant"
+                    f'{name} is a table with the name of a class, as {name} = {{ name = "..." }}'
                 )
-        for place, settings in enumerate(self.enqueue):
-            for name, value in settings.items():
-                if fault := self.ranges.fault(name, value):
-                    raise ValueError(f"enqueue[{place}].{name} = {value} {fault}")
+        check_space(self.surrogate, self.space, self.enqueue)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -245,7 +222,7 @@ _OPTIONS = {
     "--n-train": ("data", "n_train"),
     "--trials": ("tuning", "n_trials"),
     "--parallel": ("tuning", "n_parallel"),
-    "--warm-start": ("tuning", "warm_start"),
+    "--surrogate": ("tuning", "surrogate"),
     "--max-calls": ("polish", "max_calls"),
 }
 """By option of the command line: the value of a profile that it changes."""

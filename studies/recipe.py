@@ -4,10 +4,7 @@ A recipe holds the case file's text and names everything else by its SHA-256, so
 the project was moved or changed since, and in another clone.
 """
 
-import base64
 import hashlib
-import json
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,11 +15,6 @@ if TYPE_CHECKING:
     from studies.stages.pipeline import Study
 
 SCHEMA = 1
-RECIPE_FILE = "recipe.json"
-CELL_LENGTH = 8000
-"""Most characters of a tag in MLflow's database."""
-MEMORY = "mlflow.studies."
-"""Begin of the names of tags that hold packed JSON values."""
 
 Recipe = dict[str, Any]
 
@@ -54,7 +46,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         "label": study.label,
         "case": {
             "name": case.name,
-            "place": study.paths.show(case.path),
+            "place": study.paths.recorded(case.path),
             "text": text,
             "text_sha256": text_digest(text),
             "digest": case.digest,
@@ -66,7 +58,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
             {
                 "role": role,
                 "declared": place,
-                "place": study.paths.show((case.path.parent / place).resolve()),
+                "place": study.paths.recorded((case.path.parent / place).resolve()),
                 "sha256": file_digest(case.path.parent / place),
             }
             for role, place in files
@@ -75,51 +67,6 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         "seed": study.profile.seed,
         **more,
     }
-
-
-def to_json(recipe: Mapping[str, Any]) -> str:
-    """Return a recipe as the text that its digest is taken of; the order of keys does not matter."""
-    return json.dumps(recipe, sort_keys=True, indent=1) + "\n"
-
-
-def recipe_digest(recipe: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a recipe."""
-    return text_digest(to_json(recipe))
-
-
-def memory_tags(**contents: Mapping[str, Any]) -> dict[str, str]:
-    """Return tags from which a run can be made again where its files cannot be read.
-
-    MLflow's pages do not show tags of this kind; what is too long for one is left to the files.
-
-    Args:
-        contents: JSON values by what they are: `recipe`, `record` of a trial, `numbers` of a stage.
-    """
-    tags = {f"{MEMORY}{name}": packed(content) for name, content in contents.items() if content}
-    if contents.get("recipe"):
-        tags["recipe_sha256"] = recipe_digest(contents["recipe"])
-    return {name: value for name, value in tags.items() if value}
-
-
-def packed(content: Mapping[str, Any]) -> str:
-    """Return JSON values as one cell of a database, "" where they are too long for it."""
-    text = base64.b85encode(zlib.compress(json.dumps(content, sort_keys=True).encode(), 9)).decode()
-    return text if len(text) <= CELL_LENGTH else ""
-
-
-def unpacked(cell: str) -> dict[str, Any]:
-    """Return what was packed.
-
-    Raises:
-        InputError: the cell is damaged.
-    """
-    try:
-        content = json.loads(zlib.decompress(base64.b85decode(cell)))
-    except (ValueError, zlib.error):
-        raise InputError("a record in MLflow's database is damaged; restore the database") from None
-    if not isinstance(content, dict):
-        raise InputError("a record in MLflow's database is no JSON object; restore the database")
-    return content
 
 
 def checked(recipe: Mapping[str, Any], owner: str) -> Recipe:

@@ -7,11 +7,10 @@ from studies.console import Console
 
 HELP = "show the best model per size and the best calibration of each case"
 MORE = """\
-what happens: over all labels of a case (profiles, windows, seeds) the completed trial of least
-validation error is taken per training-set size. Only models judged on the same validation set stand in
-one table. "tuning" is what was gained on the default configuration, which is always trial 0. Below: how
-to load the champion in Python, and of each case the parameter values of the best calibration on its
-latest window and measurement. Changes nothing.
+what happens: of each label (case and profile) and training-set size, the completed trial of least validation
+error is shown with its hyperparameters, and PCA + GP beside it. "tuning" is the part of the default
+configuration's validation error that tuning took away. Below: how to read study and model in Python, and each
+case's best calibration on its latest measurement. Changes nothing.
 
 examples:
   studies best                             everything there is
@@ -30,23 +29,14 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from simulation.errors import InputError
-    from studies.looking.best import best_blocks, best_document
-    from studies.looking.names import chosen_labels
-    from studies.looking.project import look_at
-    from studies.looking.status import FIRST_WORDS
+    from studies.best import best_blocks, best_document
+    from studies.commands.study import refuse_old_project
+    from studies.finished import read_project
     from studies.paths import find_project
 
-    project = look_at(find_project(chosen.storage))
-    labels = chosen_labels(project, chosen.which)
-    sizes = sorted({study.n_train for study in project.studies if study.label in labels and study.best})
-    for n_train in chosen.n_train or ():
-        if n_train not in sizes:
-            known = f"there are {', '.join(map(str, sizes))}" if sizes else "there is none yet"
-            raise InputError(f"no model of n_train = {n_train}, {known}; studies status shows them")
-    blocks = best_blocks(project, labels, chosen.n_train)
-    if not blocks:
-        console.result(f"No completed trial and no calibration yet; {FIRST_WORDS}")
-    console.show(blocks)
-    console.document(best_document(project, labels, chosen.n_train))
+    paths = find_project(chosen.storage)
+    refuse_old_project(paths)
+    project = read_project(paths).chosen(chosen.which)
+    console.show(best_blocks(project, chosen.n_train))
+    console.document(best_document(project, chosen.n_train))
     return 0

@@ -30,8 +30,8 @@ not, the search goes on without, and says so. --no-state-equations does without 
 says why an FMU's states cannot be read.
 
 --n-train 64, or --method paper for all sizes that are tuned, is the paper's way: differential evolution
-searches the whole box on the stored surrogate; the FMU is asked at the found point (the screening gap) and
-polished from there by LS-TRF. Needs the champion folder alone. Lands in calibration-n<size>.json and .npz.
+searches the whole box on the surrogate of the size's best trial; the FMU is asked at the found point (the
+screening gap) and polished from there by LS-TRF. Lands in calibration-n<size>.json and .npz.
 
 --most-relevant 6 calibrates the six parameters that matter most and fixes the others at their priors,
 estimates or middles. Which matter is read from `studies sensitivity` where its result lies, else asked of the
@@ -113,7 +113,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 
 def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
-    from studies.stages.calibrate import calibrate_stage, sizes_with_champion
+    from studies.stages.calibrate import calibrate_stage, tuned_sizes
     from studies.stages.calibrated_values import (
         judged_values,
         show_calibrations,
@@ -125,7 +125,7 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
 
     study = open_study(chosen, console)
     n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
-    sizes = sizes_with_champion(study, chosen.n_train)
+    sizes = tuned_sizes(study, chosen.n_train)
     outcomes = [calibrate_stage(study, n_train, n_free=n_free, again=chosen.again) for n_train in sizes]
     show_calibrations(study, outcomes, chosen.target)
     show_values(study, outcomes)

@@ -10,7 +10,8 @@ HELP = "check a published recording and store it as a case's CSV"
 MORE = """\
 what happens: reads a recording as published (variables TRoom, TEnv, TSupply, FlowSupply, TRLTSupply,
 RLTFlow, IrrGH every 1800 s and Occupancy every 600 s, first column time in s), checks it, and writes
-data/office-recorded/recording_1800s.csv and occupancy_600s.csv for the case office-recorded.
+data/office-recorded/recording_1800s.csv and occupancy_600s.csv for the case office-recorded. The embedded
+cases that read them are copied into fmus/ of the project, where they find them.
 
 examples:
   studies import-recording identification_data.mat
@@ -30,12 +31,17 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from pathlib import Path
 
+    from studies.embedded import adopt_cases
+    from studies.marker import mark_project
     from studies.recording import import_recording
 
     paths = find_project(chosen.storage)
     report = import_recording(
         [Path(file).expanduser() for file in chosen.files], paths.data / "office-recorded"
     )
+    mark_project(paths.root, console)
+    for file in adopt_cases(paths.root, "office-recorded"):
+        console.say(f"{paths.show(file)}: the embedded case, now in this project with the recording")
     files = [paths.show(file) for file in report.files]
     console.table(
         f"imported from {report.source}",

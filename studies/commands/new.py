@@ -8,10 +8,10 @@ from studies.paths import find_project
 
 HELP = "write a case file from what an FMU says about itself"
 MORE = """\
-what happens: writes fmus/<name>/case.toml with the FMU's own names, units, start values and bounds, every
-line that needs you marked EDIT; copies the FMU beside it; writes README and example CSV files with the
-right columns into data/<name>/. Nothing is overwritten. Save two CSV files there (measured.csv, and
-inputs.csv where the FMU has inputs), go through the lines marked EDIT, then check, then
+what happens: writes fmus/<name>/case.toml in the project's folder with the FMU's own names, units, start
+values and bounds. Every line that needs you is marked EDIT. Copies the FMU beside it; writes README and
+example CSV files with the right columns into data/<name>/. Nothing is overwritten. Save two CSV files there
+(measured.csv, and inputs.csv where the FMU has inputs), go through the lines marked EDIT, then check, then
 calibrate.
 
 examples:

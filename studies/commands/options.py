@@ -75,7 +75,7 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
         "--parallel",
         type=values.whole(1, 1000),
         metavar="N",
-        help="trials of one size that may run side by side; default: the profile's",
+        help="trials of one size that run side by side; default 1, which makes the trials repeatable",
     )
     command.add_argument(
         "--max-hours",
@@ -87,9 +87,10 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
         "--dry-run", action="store_true", help="say what would be done and how long it takes; write nothing"
     )
     command.add_argument(
-        "--warm-start",
-        action="store_true",
-        help="try the best settings of the nearest finished size right after the default",
+        "--surrogate",
+        choices=("refined", "paper", "pca-gp"),
+        help="refined: a PELS-VAE of networks (default); paper: with the paper's settings; "
+        "pca-gp: PCA and Gaussian processes",
     )
 
 
@@ -116,7 +117,7 @@ def add_storage(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--storage",
         metavar="URL",
-        help="PostgreSQL of trials, Optuna and MLflow, e.g. postgresql://user@host/database; "
+        help="PostgreSQL of Optuna and MLflow, e.g. postgresql://user@host/database; "
         "default: $STUDIES_STORAGE, else files in mlruns/",
     )
 

@@ -7,31 +7,26 @@ from studies.console import Console
 
 HELP = "make a recorded result again and compare every number"
 MORE = """\
-RUN is a trial (office-quick/n0064/t003), a study (office-quick/n0064: its best trial), a calibration
-(office-quick/calibrate-n0064 or -adaptive), its uncertainty (office-quick/uncertainty-adaptive),
-office-quick/sensitivity, or MLflow's id of any of them; its first digits will do.
+RUN is the id of an MLflow run, or its first digits: that of a trial (`studies best --json` has those of the
+best ones), a calibration, its uncertainty or the sensitivity. Calibrations also go by their names in
+`studies status`, such as office-quick/adaptive.
 
-what happens: case, profile, data sets, seed and settings are rebuilt from what was recorded, not from what
-the project holds now; the FMU and the recordings are found by their SHA-256. First it is said what differs:
-code, packages, machine, case file, data; a "!" marks what may change a number. Then the result is made again
-in a folder of its own, and every number is compared to the last digit. What is stored stays untouched.
-Exit code 0 where all numbers are equal, 1 where one differs, 2 where something that is needed is missing.
+what happens: case, settings and seed are taken from what the run holds. The case file, the FMU and the
+recordings must be here as they were (by SHA-256); else one line says which changed. What differs of code,
+packages and machine is printed. Then the result is made again and every number is compared to the last digit.
+A calibration simulates all of its calls again. Nothing that is stored is changed. Exit code 0 where all
+numbers are equal, 1 where one differs, 2 where something that is needed is missing.
 
 examples:
-  studies reproduce office-quick/n0064            the best trial of a study
-  studies reproduce office-quick/calibrate-n0064
-  studies reproduce 1f0c9a --json                 a run of MLflow
+  studies reproduce office-quick/adaptive
+  studies reproduce office-quick/n0064
+  studies reproduce 1f0c9a52 --json        a run of MLflow
 """
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
-    command.add_argument(
-        "run", nargs="+", metavar="WORD", help="name of what to make again, in one word or several"
-    )
-    command.add_argument(
-        "--keep", action="store_true", help="keep what was made, in mlruns/reproduced; else it is removed"
-    )
+    command.add_argument("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration")
     command.add_argument(
         "--jobs", type=values.whole(1), metavar="N", help="processes; default: as many as there are cores"
     )
@@ -42,15 +37,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from simulation.workers.parallel import available_cores
     from studies.commands.study import FAILED, OK
     from studies.paths import find_project
-    from studies.reproduction.reproduce import reproduce, show_reproduction
+    from studies.reproduction import reproduce, show_reproduction
 
-    done = reproduce(
-        find_project(chosen.storage),
-        " ".join(chosen.run),
-        console,
-        n_jobs=chosen.jobs or available_cores(),
-        is_kept=chosen.keep,
-    )
-    show_reproduction(console, done)
-    console.document({"command": "reproduce", **done.to_dict()})
-    return OK if done.is_equal else FAILED
+    jobs = chosen.jobs or available_cores()
+    run_id, rows = reproduce(find_project(chosen.storage), chosen.run, console, n_jobs=jobs)
+    show_reproduction(console, run_id, rows)
+    is_equal = all(row.is_equal for row in rows)
+    numbers = [row.to_dict() for row in rows]
+    console.document({"command": "reproduce", "run": run_id, "equal": is_equal, "numbers": numbers})
+    return OK if is_equal else FAILED

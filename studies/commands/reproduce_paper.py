@@ -125,7 +125,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         {
             **document,
             "page": study.paths.show(index),
-            "stages": [outcome.to_dict() for outcome in outcomes],
+            "stages": [outcome.to_dict(study.paths) for outcome in outcomes],
         }
     )
     return OK

@@ -8,15 +8,15 @@ from studies.console import Console
 
 HELP = "do everything in order, skipping what is finished"
 MORE = """\
-what happens: check, simulate, sensitivity, tune, calibrate (every size), report. A finished stage is
-skipped, an interrupted one goes on where it stopped. The report lands in
-mlruns/reports/<label>/index.html.
+what happens: check, simulate, sensitivity, tune, calibrate (every size), report. Optuna tunes the latent
+dimension, the hidden width and beta of a PELS-VAE for each training-set size. A finished stage is skipped, an
+interrupted one goes on where it stopped. The report lands in mlruns/reports/<label>/index.html.
 
 examples:
   studies run                              the office, quick profile
   studies run --dry-run                    what would be done, and how long it takes
   studies run office-recorded --seed 3
-  studies run office --n-train 32 64 --trials 4
+  studies run office --n-train 32 64 --trials 12
 """
 
 
@@ -34,17 +34,18 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.calibrate import calibrate_stage
     from studies.stages.calibrated_values import show_calibrations, show_values, target_numbers
     from studies.stages.check import check_stage
-    from studies.stages.learn import show_tuning, tune_stage
+    from studies.stages.learn import require_tuning, show_tuning, tune_stage
     from studies.stages.report import report_stage, show_report
     from studies.stages.simulate import sensitivity_stage, simulate_stage
 
     study = open_study(chosen, console)
     if chosen.dry_run:
         return foretell(study, "run", whole=True)
+    require_tuning(study)
     checked, diagnosis = check_stage(study)
     if not diagnosis.is_sound:
         show_diagnosis(console, study.label, diagnosis)
-        console.document({"command": "run", "label": study.label, "stages": [checked.to_dict()]})
+        console.document({"command": "run", "label": study.label, "stages": [checked.to_dict(study.paths)]})
         return FAILED
     say_warnings(console, diagnosis)
     simulated = simulate_stage(study)

@@ -6,10 +6,10 @@ from studies.console import Console
 
 HELP = "show studies, trials, errors and time to go"
 MORE = """\
-what happens: reads the records of this project (mlruns/, or the PostgreSQL of --storage) and changes
-nothing, so it can be typed at any moment, also from another machine. One line per study: trials done of
-those planned, those pruned, failed and running, the errors of the best trial, its pace and the time to
-go; below it the running trials and the calibrations. --live draws it again and again until Ctrl-C.
+what happens: reads Optuna's studies (mlruns/optuna.db, or the PostgreSQL of --storage) and the finished
+calibrations, and changes nothing, so it can be typed at any moment. One line per study: trials done of those
+planned, pruned, failed and running, the best trial's hyperparameters and errors, the training time to go;
+below it the running trials and the calibrations. --live draws it again and again until Ctrl-C.
 
 examples:
   studies status                           everything
@@ -31,18 +31,17 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.looking.names import chosen_labels
-    from studies.looking.project import look_at
-    from studies.looking.status import status_blocks, status_document
+    from studies.commands.study import refuse_old_project
+    from studies.finished import read_project
     from studies.paths import find_project
+    from studies.status import status_blocks, status_document
 
     paths = find_project(chosen.storage)
-    if chosen.which is not None:
-        chosen_labels(look_at(paths), chosen.which)
+    refuse_old_project(paths)
+    project = read_project(paths).chosen(chosen.which)
     if chosen.live and not console.as_json:
-        console.watch(lambda: status_blocks(look_at(paths), chosen.which))
+        console.watch(lambda: status_blocks(read_project(paths).chosen(chosen.which)))
         return 0
-    project = look_at(paths)
-    console.show(status_blocks(project, chosen.which))
-    console.document(status_document(project, chosen.which))
+    console.show(status_blocks(project))
+    console.document(status_document(project))
     return 0

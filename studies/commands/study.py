@@ -1,6 +1,7 @@
 """What commands share: a study put together from the words of the command line, its results handed over."""
 
 import argparse
+import os
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -8,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError, MachineError
 from studies.console import Console
-from studies.paths import find_case, find_project
+from studies.marker import mark_project
+from studies.paths import ProjectPaths, find_case, find_project
 
 if TYPE_CHECKING:
     from simulation.case import Case
     from studies.commands.values import Window
+    from studies.paths import ProjectPaths
     from studies.stages.pipeline import Outcome, Study
 
 OK, FAILED = 0, 1
@@ -37,20 +40,23 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         profile = replace(profile, data=replace(profile.data, n_train=tuple(sorted(set(given["n_train"])))))
     if given.get("trials"):
         profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
-    if given.get("warm_start"):
-        profile = replace(profile, tuning=replace(profile.tuning, warm_start=True))
+    if given.get("surrogate") and given["surrogate"] != profile.tuning.surrogate:
+        # The search space of one form says nothing about another.
+        tuning = replace(profile.tuning, surrogate=given["surrogate"], search=None)
+        profile = replace(profile, tuning=tuning)
+        label_end += f"-{given['surrogate']}"
     if given.get("parallel"):
         profile = replace(profile, tuning=replace(profile.tuning, n_parallel=given["parallel"]))
     if given.get("max_calls") and chosen.command != "uncertainty":
         profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
     file = find_case(paths, chosen.case)
+    if not given.get("dry_run"):
+        _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.case_reading import read_case_file
     from simulation.workers.parallel import available_cores
-    from studies.keeping.rebuild import rebuild_mlflow
     from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
-    from studies.tuning.postgres import database
 
     declared, window = read_case_file(file), chosen.window
 
@@ -78,12 +84,39 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     )
     # Before anything else: some stages take away what is no longer whole before they begin.
     refuse_other_case(study)
+    refuse_old_project(paths)
     if not given.get("dry_run"):
-        if paths.storage is not None and chosen.command != "check":
-            # Now, not after hours of work that cannot be told there.
-            database(paths.storage).rows("select 1")
-        rebuild_mlflow(paths, console)
+        mark_project(paths.root, console)
+    if paths.storage is not None and chosen.command != "check" and not given.get("dry_run"):
+        from studies.tuning.storage import open_storage
+
+        open_storage(paths)  # now, not after hours of work that cannot be kept there
     return study
+
+
+def refuse_old_project(paths: "ProjectPaths") -> None:
+    """Refuse a project whose trials an earlier version kept in files of its own.
+
+    Raises:
+        InputError: there is such a project; nothing of it is touched.
+    """
+    old = [name for name in ("optuna.journal", "trials", "champions") if (paths.mlruns / name).exists()]
+    if old:
+        raise InputError(
+            f"{paths.show(paths.mlruns)} holds studies of version 0.2 ({', '.join(old)}), which this version "
+            "does not read; move that folder away, or work in another folder"
+        )
+
+
+def _keep_compiled_loops(paths: ProjectPaths) -> None:
+    """Keep numba's compiled loops in the project where the installed package cannot be written.
+
+    Elsewhere they lie beside the package's byte code. numba's own choice would be the home folder.
+    """
+    import simulation
+
+    if not os.access(Path(simulation.__file__).parent, os.W_OK):
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(paths.mlruns / "compiled"))
 
 
 def _load_case(file: Path, window: "Window | None") -> "Case":
@@ -118,18 +151,18 @@ def _command(chosen: argparse.Namespace, window: "Window | None") -> str:
 
 
 def foretell(study: "Study", command: str, *, whole: bool) -> int:
-    """Say what a command would do and how long that takes, and return the exit code.
+    """Say what a command would do, and how long its tuning takes, and return the exit code.
 
     Args:
         study: the study.
         command: the command.
         whole: whether it does all stages, or simulations and tuning alone.
     """
-    from studies.looking.forecast import forecast, forecast_blocks, forecast_document
+    from studies.forecast import forecast
 
-    found = forecast(study, whole=whole)
-    study.console.show(forecast_blocks(found))
-    study.console.document(forecast_document(command, found))
+    table, document = forecast(study, whole=whole)
+    study.console.show([table])
+    study.console.document({"command": command, "label": study.label, "dry_run": True, **document})
     return OK
 
 
@@ -142,7 +175,7 @@ def hand_over(study: "Study", command: str, outcomes: "list[Outcome]", **extra: 
             "profile": study.profile.name,
             "label": study.label,
             "note": study.case.note,
-            "stages": [outcome.to_dict() for outcome in outcomes],
+            "stages": [outcome.to_dict(study.paths) for outcome in outcomes],
             **extra,
         }
     )

@@ -33,7 +33,7 @@ def tell_cost(case: Case, profile: Profile, simulation_s: float, n_workers: int)
     total = sum(planned.values())
     alone = planned["calibration at most"]
     seconds = simulation_s * ((total - alone) / n_workers + alone)
-    trainings = len(profile.data.n_train) * profile.tuning.n_different_trials
+    trainings = len(profile.data.n_train) * profile.tuning.n_trials
     workers = f"{n_workers} workers" if n_workers > 1 else "one worker"
     return Finding(
         f"cost of profile {profile.name}",

@@ -7,6 +7,7 @@ from typing import Any
 
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.console import Column, Console
+from studies.marker import mark_project
 from studies.new.case import MadeCase, Wishes, describe, make_case
 from studies.new.choice import bounds_for, choose_parameters, parameter_candidates
 from studies.new.text import INPUTS_FILE, MEASURED_FILE
@@ -30,6 +31,7 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
             show_all=options.all,
         ),
     )
+    mark_project(paths.root, console)
     case, name = made.case, paths.show(made.file)
     for file in made.files:
         console.result(f"wrote {paths.show(file)}")

@@ -1,5 +1,6 @@
 """Fig. 6: every trial's error over the training-set size, and how much hyperparameters matter at each."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, listed, quantity, significant
 from studies.stages.simulate import set_files, train_seed
-from studies.tuning.trial_record import TrialRecord, best_record
-from studies.tuning.tuned_trials import trials_record, tuned_trials
+from studies.stages.tuned_trials import trials_record, tuned_by_size
+from studies.tuning.results import TrialView, TunedStudy
 
 CLOSE = 1.5
 """Errors within this factor of each other are called the same: it is read from a figure, and noise is 5 %."""
@@ -58,16 +59,16 @@ def run(plan: Plan) -> ItemResult:
     trials = plan.budget.trials
     tuned = tune_sizes(plan.hyperparameter_study(plan.budget.n_train, min(trials.values())), trials)
     study = tuned.study
-    groups = {n: records for n, (_, records) in tuned_trials(study).items()}
-    drawn = trials_record(tuned_trials(study))
+    by_size = tuned_by_size(study)
+    groups = {n: one.trials for n, one in by_size.items()}
+    drawn = trials_record(by_size)
     assert drawn is not None, "a tuning stage ends with trials"
     unit = difference_unit(study.case.outputs[0].unit)
-    found = {n: _numbers(records) for n, records in sorted(groups.items())}
+    found = {n: _numbers(one) for n, one in sorted(by_size.items())}
     for n, error in _mean_predictor(tuned).items():
         found[n]["mean_predictor_mae"] = error
     latent = _by_latent(groups)
     agreement, verdict = _verdict(found, latent, unit)
-    complete = {n: _complete(records) for n, records in sorted(groups.items())}
     window = f"days {study.case.window_d[0]:g} to {study.case.window_d[1]:g}"
     return ItemResult(
         agreement=agreement,
@@ -98,7 +99,7 @@ def run(plan: Plan) -> ItemResult:
                 "Error over the latent dimension",
                 _latent_caption(latent),
                 lambda path: latent_figure(
-                    {n: _latent_trials(records) for n, records in complete.items()},
+                    {n: _latent_trials(one) for n, one in sorted(by_size.items())},
                     path,
                     title="Latent dimension and test error of every complete trial",
                     unit=unit,
@@ -118,29 +119,29 @@ def run(plan: Plan) -> ItemResult:
     )
 
 
-def _complete(records: list[TrialRecord]) -> list[TrialRecord]:
-    return [record for record in records if record.state == "complete"]
+def _complete(records: Sequence[TrialView]) -> list[TrialView]:
+    return [record for record in records if record.state == "complete" and record.run_id]
 
 
-def _mae(records: list[TrialRecord]) -> FloatArray:
+def _mae(records: Sequence[TrialView]) -> FloatArray:
     return np.array([record.metrics["test/mae"] for record in records], dtype=np.float64)
 
 
-def _of(records: list[TrialRecord], setting: str) -> FloatArray:
-    return np.array([record.config[setting] for record in records], dtype=np.float64)
+def _of(records: Sequence[TrialView], setting: str) -> FloatArray:
+    return np.array([record.settings[setting] for record in records], dtype=np.float64)
 
 
-def _latent_trials(complete: list[TrialRecord]) -> LatentTrials:
-    best = best_record(complete)
+def _latent_trials(study: TunedStudy) -> LatentTrials:
+    complete, best = _complete(study.trials), study.best
     assert best is not None, "the stage refuses a size without a complete trial"
     return LatentTrials(_of(complete, "n_latent"), _mae(complete), complete.index(best))
 
 
-def _numbers(records: list[TrialRecord]) -> dict[str, Any]:
-    complete, best = _complete(records), best_record(records)
+def _numbers(study: TunedStudy) -> dict[str, Any]:
+    records, complete, best = study.trials, _complete(study.trials), study.best
     assert best is not None, "the stage refuses a size without a complete trial"
     errors = _mae(complete)
-    first = next((r for r in complete if r.index == 0), None)
+    first = study.default
     return {
         "trials": len(records),
         "n_complete": len(complete),
@@ -151,9 +152,9 @@ def _numbers(records: list[TrialRecord]) -> dict[str, Any]:
         "default_mae": None if first is None else first.metrics["test/mae"],
         "median_mae": float(np.median(errors)),
         "worst_mae": float(errors.max()),
-        "n_latent": best.config["n_latent"],
-        "n_hidden": best.config["n_hidden"],
-        "beta": best.config["beta"],
+        "n_latent": best.settings["n_latent"],
+        "n_hidden": best.settings["n_hidden"],
+        "beta": best.settings["beta"],
     }
 
 
@@ -174,14 +175,14 @@ def _mean_predictor(tuned: Tuned) -> dict[int, float]:
     }
 
 
-def _by_latent(groups: dict[int, list[TrialRecord]]) -> dict[int, float]:
+def _by_latent(groups: Mapping[int, Sequence[TrialView]]) -> dict[int, float]:
     """Return by latent dimension the geometric mean of (MAE / best MAE of the same size). [1]."""
     ratios: dict[int, list[float]] = {}
     for records in groups.values():
         complete = _complete(records)
         errors = _mae(complete)
         for record, ratio in zip(complete, (errors / errors.min()).tolist(), strict=True):
-            ratios.setdefault(int(record.config["n_latent"]), []).append(ratio)
+            ratios.setdefault(int(record.settings["n_latent"]), []).append(ratio)
     return {z: float(np.exp(np.mean(np.log(found)))) for z, found in sorted(ratios.items())}
 
 

@@ -16,10 +16,10 @@ from studies.report.contents import Picture
 from studies.report.figures_by_size import SpreadErrors, spread_figure
 from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, listed, quantity
+from studies.stages.calibrate import best_surrogate
 from studies.stages.pipeline import Study
 from studies.stages.simulate import TEST_SEED, train_seed
 from studies.surrogate_model import SurrogateModel
-from studies.tuning.champion import load_champion
 
 SPREADS = np.linspace(0.0, 1.0, 11)
 """The paper's delta. [1]"""
@@ -132,9 +132,7 @@ def _judge(study: Study, n: int, important: list[str]) -> tuple[By, By, int]:
                     asked |= {row.tobytes() for row in theta}
                 true[kind, i] = physical.simulate(theta)
     for n_train in study.profile.data.n_train:
-        surrogate, _ = load_champion(
-            study.paths.champion(study.label, n_train), case_digest=study.case.digest, device="cpu"
-        )
+        surrogate, _ = best_surrogate(study, n_train)
         model = SurrogateModel(
             surrogate, study.case.parameter_space, measurement.output_names, measurement.time
         )

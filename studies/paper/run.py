@@ -90,7 +90,7 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
             "verdict": result.verdict,
             "n_calls": sum(result.n_calls.values()),
             "work_s": round(result.work_s, 1),
-            "folder": study.paths.show(folder),
+            "folder": study.paths.recorded(folder),
         }
         return summary, files
 

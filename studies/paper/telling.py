@@ -6,8 +6,7 @@ from pathlib import Path
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.stages.pipeline import read_json
-from studies.stages.tracking import tracker_of
-from studies.tracking.tracker import StageRun
+from studies.tracking.stage_run import StageRun, log_stage
 
 
 def tell_item(
@@ -35,7 +34,8 @@ def tell_item(
     told = read_json(files[0])
     if told is None:
         raise InputError(f"{paths.show(files[0])} cannot be read; type: studies reproduce-paper")
-    tracker_of(paths).log_stage(
+    log_stage(
+        paths,
         StageRun(
             label=told["label"],
             kind="paper",
@@ -49,5 +49,5 @@ def tell_item(
             started_s=started_s,
             wall_s=wall_s,
             note=f"{told['title']}: {told['agreement']}. {told['verdict']}",
-        )
+        ),
     )

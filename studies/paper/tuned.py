@@ -65,7 +65,6 @@ def tune_sizes(study: Study, trials: dict[int, int]) -> Tuned:
         if group:
             _tune(study, simulated, group, n)
     if any(behind.values()):
-        # So that the manifest of the stage names all sizes again.
         found = _by_size(_tune(study, simulated, sizes, least))
     return Tuned(study, simulated, found)
 

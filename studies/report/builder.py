@@ -85,6 +85,7 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
         for c, pictures in contents.others
     )
     return [
+        Section("tuned", "Tuned surrogates", (), tables("tuning")),
         Section(
             "calibration",
             "Calibration",
@@ -103,7 +104,7 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
             for record, pictures in contents.uncertainty
         ),
         Section("sizes", "All calibrations", place(contents.overview), tables("calibrations"), folded),
-        Section("surrogate", "Surrogates", place(contents.surrogate), tables("tuning")),
+        Section("surrogate", "All trials, and how the best ones were trained", place(contents.surrogate)),
         Section("model", "The model and its parameters", place(contents.model), tables("sensitivity")),
     ]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox, require_shape
 from studies.report.records_model import CoverageSet, SensitivityRecord
-from studies.report.records_tuning import LearningCurves, TrialsRecord
+from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedRecord
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 
@@ -58,6 +58,7 @@ class ReportData:
         calibrations: One per training-set size, an adaptive one of size 0, restricted ones; any order.
         coverage: The training set to draw.
         sensitivity: Sobol indices, if they were asked for.
+        tuned: The best surrogate of each training-set size.
         trials: Every trial of the studies.
         learning_curves: One per training worth showing.
         validations: The calibrations on the validation period, one per training-set size; empty without one.
@@ -75,6 +76,7 @@ class ReportData:
     calibrations: tuple[CalibrationRecord, ...] = ()
     coverage: CoverageSet | None = None
     sensitivity: SensitivityRecord | None = None
+    tuned: tuple[TunedRecord, ...] = ()
     trials: TrialsRecord | None = None
     learning_curves: tuple[LearningCurves, ...] = ()
     validations: tuple[ValidationRecord, ...] = ()

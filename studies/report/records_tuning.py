@@ -5,6 +5,7 @@ Shapes use m trials, e epochs.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from studies.report.records import Booleans, Floats, Integers, require_shape
@@ -39,6 +40,37 @@ class TrialsRecord:
         unknown = sorted(set(self.state) - set(TRIAL_STATES))
         if unknown:
             raise ValueError(f"unknown trial state {unknown[0]!r}, expected one of {', '.join(TRIAL_STATES)}")
+
+
+@dataclass(frozen=True)
+class TunedRecord:
+    """The best surrogate of one training-set size.
+
+    Attributes:
+        n_train: Size of the training set.
+        hyperparameters: What Optuna chose, by name.
+        test_mae: [output unit, differences]
+        test_p90: 90th percentile of the absolute errors. [output unit, differences]
+        validation_mae: [output unit, differences]
+        gain: Part of the default configuration's validation MAE that tuning took away; NaN if unknown. [1]
+        baseline_mae: Of PCA + GP on the same sets; NaN without. [output unit, differences]
+        baseline_p90: Of PCA + GP on the same sets; NaN without. [output unit, differences]
+        n_complete: Trials trained to their end.
+        n_pruned: Trials stopped early.
+        n_failed: Trials that failed.
+    """
+
+    n_train: int
+    hyperparameters: Mapping[str, float | int | str]
+    test_mae: float
+    test_p90: float
+    validation_mae: float
+    gain: float
+    baseline_mae: float
+    baseline_p90: float
+    n_complete: int
+    n_pruned: int
+    n_failed: int
 
 
 @dataclass(frozen=True)

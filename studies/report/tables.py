@@ -9,8 +9,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from simulation.time_unit import told_period
 from studies.report.data import ReportData
 from studies.report.findings import mean_over_time, ranking
@@ -142,32 +140,41 @@ def _markdown_cell(text: str) -> str:
 
 
 def tuning_table(data: ReportData) -> Table | None:
-    """Tabulate the studies, one row per training-set size; None without trials."""
-    trials = data.trials
-    if trials is None:
+    """Tabulate the best surrogate of each training-set size beside PCA + GP; None where nothing was tuned."""
+    if not data.tuned:
         return None
     unit = difference_unit(data.measurement.units[0])
+    names = tuple(dict.fromkeys(name for one in data.tuned for name in one.hyperparameters))
     columns = (
         Column("n_train", "training simulations", "", count),
+        *(Column(name, name) for name in names),
+        Column("test_mae", "test MAE", unit),
+        Column("test_p90", "90th percentile", unit),
+        Column("gain", "gain over default", "", percent),
+        Column("pca_gp_test_mae", "PCA + GP: test MAE", unit),
+        Column("pca_gp_test_p90", "90th percentile", unit),
         Column("n_complete", "complete trials", "", count),
         Column("n_pruned", "pruned", "", count),
         Column("n_failed", "failed", "", count),
-        Column("validation_mae", "best validation MAE", unit),
-        Column("test_mae", "its test MAE", unit),
-        Column("test_p90", "its test 90th percentile", unit),
+        Column("validation_mae", "validation MAE", unit),
     )
-    rows = []
-    for size in sorted({int(n) for n in trials.n_train}):
-        of_size = np.flatnonzero(trials.n_train == size)
-        states = [trials.state[i] for i in of_size]
-        best = [i for i in of_size if trials.is_best[i]]
-        errors: tuple[Cell, ...] = (None, None, None)
-        if best:
-            i = best[0]
-            errors = (float(trials.validation_mae[i]), float(trials.test_mae[i]), float(trials.test_p90[i]))
-        counts = (states.count("complete"), states.count("pruned"), states.count("failed"))
-        rows.append((size, *counts, *errors))
-    return Table("tuning", "Studies, one per training-set size", columns, tuple(rows))
+    rows = tuple(
+        (
+            one.n_train,
+            *(one.hyperparameters.get(name) for name in names),
+            one.test_mae,
+            one.test_p90,
+            one.gain if math.isfinite(one.gain) else None,
+            one.baseline_mae if math.isfinite(one.baseline_mae) else None,
+            one.baseline_p90 if math.isfinite(one.baseline_p90) else None,
+            one.n_complete,
+            one.n_pruned,
+            one.n_failed,
+            one.validation_mae,
+        )
+        for one in sorted(data.tuned, key=lambda one: one.n_train)
+    )
+    return Table("tuning", "Best surrogate per training-set size, chosen by validation MAE", columns, rows)
 
 
 def sensitivity_table(data: ReportData) -> Table | None:

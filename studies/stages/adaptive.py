@@ -199,7 +199,7 @@ def adaptive_stage(
             settings=asdict(settings),
             **recipe_part(restriction),
         )
-        summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
+        summary = {**numbers, "file": study.paths.recorded(files.numbers), "n_simulated": n_simulated}
         numbers |= {"recipe": recipe, "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)

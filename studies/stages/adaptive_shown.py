@@ -22,7 +22,6 @@ from studies.stages.results import (
     restricted,
 )
 from studies.stages.validation import show_validation
-from studies.tuning.champion import CHAMPION_FILE
 
 
 def show_adaptive(study: Study, outcome: Outcome) -> None:
@@ -61,8 +60,6 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         console.result(f"Note: {study.case.note}")
     console.result(f"Pictures: studies report {study.command}")
     console.result(f"How sure it is: studies uncertainty {study.command}{most_relevant(n_free)}")
-    if any(study.paths.champions(study.label).glob(f"*/{CHAMPION_FILE}")):
-        console.result(f"From the stored surrogates: studies calibrate {study.command} --method paper")
 
 
 def _doubt(found: Summary) -> str:

@@ -1,4 +1,4 @@
-"""The stage that calibrates: it needs a champion's folder alone, or its copy in the registry."""
+"""The stage that calibrates by the paper's method: from the best surrogate of a training-set size."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -26,27 +26,19 @@ from studies.stages.restriction import (
 )
 from studies.stages.results import StoredCalibration, calibration_files, most_relevant, restricted
 from studies.stages.simulate import datasets_of
-from studies.stages.tracking import log_calibration, tracker_of
+from studies.stages.tracking import log_calibration
 from studies.stages.validation import validate_calibration, validation_inputs
 from studies.tracking.origin import environment
-from studies.tuning.champion import (
-    CHAMPION_FILE,
-    ChampionInfo,
-    load_champion,
-    read_champion,
-    restore_champion,
-)
 
 if TYPE_CHECKING:
     from pelsvae.surrogate import Surrogate
+    from studies.tuning.results import TunedStudy
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 
 
-def sizes_with_champion(study: Study, asked: Sequence[int] | None) -> tuple[int, ...]:
+def tuned_sizes(study: Study, asked: Sequence[int] | None) -> tuple[int, ...]:
     """Return the training-set sizes to calibrate with.
-
-    A champion whose folder is missing is brought back from the registry.
 
     Args:
         study: the study.
@@ -55,23 +47,40 @@ def sizes_with_champion(study: Study, asked: Sequence[int] | None) -> tuple[int,
     Raises:
         InputError: an asked size has no surrogate, or there is none at all.
     """
-    for n_train in asked or study.profile.data.n_train:
-        _restore(study, n_train)
-    folders = study.paths.champions(study.label).glob("n[0-9]*")
-    there = sorted(int(folder.name[1:]) for folder in folders if (folder / CHAMPION_FILE).is_file())
-    if asked:
-        missing = [n_train for n_train in asked if n_train not in there]
-        if missing:
-            known = f"there are {', '.join(map(str, there))}" if there else "there is none yet"
-            raise InputError(
-                f"no surrogate of {study.label} for n_train = {missing[0]}, {known}; "
-                f"type: studies tune {study.command} --n-train {missing[0]}"
-            )
-        return tuple(sorted(set(asked)))
-    usable = [n_train for n_train in there if _is_usable(study, n_train)]
-    if not usable:
-        raise InputError(f"{study.label} has no surrogate yet; type: studies tune {study.command}")
-    return tuple(usable)
+    there = sorted(_best_by_size(study))
+    if not there:
+        raise InputError(
+            f"{study.label} has no surrogate of this case yet; type: studies tune {study.command}"
+        )
+    missing = [n_train for n_train in asked or () if n_train not in there]
+    if missing:
+        raise InputError(
+            f"no surrogate of {study.label} for n_train = {missing[0]}, there are "
+            f"{', '.join(map(str, there))}; type: studies tune {study.command} --n-train {missing[0]}"
+        )
+    return tuple(sorted(set(asked or there)))
+
+
+def _best_by_size(study: Study) -> "dict[int, TunedStudy]":
+    from studies.tuning.results import latest_studies, read_studies
+
+    latest = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
+    return {n: one for (n, is_baseline), one in latest.items() if one.best is not None and not is_baseline}
+
+
+def best_surrogate(study: Study, n_train: int) -> "tuple[Surrogate, TunedStudy]":
+    """Load the best surrogate of a size from its MLflow run, on the CPU wherever it was trained.
+
+    Raises:
+        InputError: there is none of this case, or its weights cannot be read here.
+    """
+    from studies.tracking.registry import load_surrogate
+    from studies.tracking.stage_run import run_store
+
+    (size,) = tuned_sizes(study, [n_train])
+    tuned = _best_by_size(study)[size]
+    assert tuned.best is not None, "sizes without a best trial are left out"
+    return load_surrogate(run_store(study.paths), tuned.best.run_id), tuned
 
 
 def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, again: bool = False) -> Outcome:
@@ -83,13 +92,14 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         n_free: how many of the parameters are calibrated, the most relevant; None for all.
         again: calibrate though it is finished.
     """
-    champion = read_champion(study.paths.champion(study.label, n_train), case_digest=study.case.digest)
-    profile = study.profile
+    tuned_sizes(study, [n_train])
+    tuned, profile = _best_by_size(study)[n_train], study.profile
+    assert tuned.best is not None, "sizes without a best trial are left out"
     inputs = {
         "case": study.case.digest,
         "measurement": study.case.measurement.digest,
         "is_log": study.case.parameter_space.is_log.tolist(),
-        "champion": champion.files_sha256,
+        "surrogate": tuned.best.weights_sha256,
         "screening": asdict(profile.screening),
         "polish": asdict(profile.polish),
         "n_validation": profile.data.n_validation,
@@ -105,14 +115,11 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
     @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        # On the CPU wherever it was trained: the same numbers on every machine of a kind.
-        surrogate, _ = load_champion(
-            study.paths.champion(study.label, n_train), case_digest=study.case.digest, device="cpu"
-        )
+        surrogate, _ = best_surrogate(study, n_train)
         restriction = None if n_free is None else find_restriction(study, n_free)
         numbers, arrays, wall = calibrate(study, surrogate, n_train, restriction)
-        numbers = _head(study, champion) | numbers
-        numbers |= {"recipe": _recipe(study, champion, restriction), "environment": environment()}
+        numbers = _head(study, tuned) | numbers
+        numbers |= {"recipe": _recipe(study, tuned, restriction), "environment": environment()}
         write_arrays(files.arrays, arrays)
         write_json(files.numbers, numbers)
         wall_s = time.time() - started_s
@@ -120,7 +127,8 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         log_calibration(study, stored, digest_of(inputs), started_s=started_s, wall_s=wall_s)
         left_out = ("recipe", "environment")
         kept = {k: v for k, v in numbers.items() if not k.endswith("_history") and k not in left_out}
-        return {**kept, "file": study.paths.show(files.numbers), "wall": wall}, [files.numbers, files.arrays]
+        kept |= {"file": study.paths.recorded(files.numbers), "wall": wall}
+        return kept, [files.numbers, files.arrays]
 
     return run_stage(
         study,
@@ -203,60 +211,41 @@ def calibrate(
     return numbers, arrays, wall
 
 
-def _head(study: Study, champion: ChampionInfo) -> dict[str, Any]:
+def _head(study: Study, tuned: "TunedStudy") -> dict[str, Any]:
     """Return what a calibration's numbers belong to."""
+    best = tuned.best
+    assert best is not None, "sizes without a best trial are left out"
     return {
         "label": study.label,
         "note": study.case.note,
         "case_sha256": study.case.digest,
         "measurement_sha256": study.case.measurement.digest,
-        "n_train": champion.n_train,
-        "surrogate_errors": champion.metrics,
-        "surrogate": {"study": champion.study, "trial": champion.index, "sha256": champion.files_sha256},
+        "n_train": tuned.spec.n_train,
+        "surrogate_errors": dict(best.metrics),
+        "surrogate": {
+            "study": tuned.spec.name,
+            "trial": best.number,
+            "run_id": best.run_id,
+            "params": dict(best.params),
+            "sha256": best.weights_sha256,
+        },
     }
 
 
-def _recipe(study: Study, champion: ChampionInfo, restriction: Restriction | None) -> Recipe:
-    """Return what rebuilds a calibration, its surrogate included."""
+def _recipe(study: Study, tuned: "TunedStudy", restriction: Restriction | None) -> Recipe:
+    """Return what makes a calibration again from the surrogate of its trial's run."""
     few = most_relevant(None if restriction is None else restriction.n_free)
+    best, n_train = tuned.best, tuned.spec.n_train
+    assert best is not None, "sizes without a best trial are left out"
     return recipe_of(
         study,
         "calibration",
-        command=f"studies calibrate {study.words('polish')} --method paper --n-train {champion.n_train}{few}",
+        command=f"studies calibrate {study.words('polish')} --method paper --n-train {n_train}{few}",
         **recipe_part(restriction),
-        n_train=champion.n_train,
-        datasets=datasets_of(study.profile, champion.n_train, champion.digests),
-        surrogate={
-            "study": champion.study,
-            "trial": champion.index,
-            "config": champion.config,
-            "seed": champion.seed,
-            "digests": champion.digests,
-            "files_sha256": champion.files_sha256,
-        },
+        n_train=n_train,
+        datasets=datasets_of(study.profile, n_train, tuned.spec.digests),
+        surrogate={"study": tuned.spec.name, "trial": best.number, "run_id": best.run_id},
     )
-
-
-def _restore(study: Study, n_train: int) -> None:
-    folder = study.paths.champion(study.label, n_train)
-    has_tracking = study.paths.storage is not None or study.paths.tracking_database.is_file()
-    if (folder / CHAMPION_FILE).is_file() or not has_tracking:
-        return
-    restore_champion(
-        study.paths,
-        study.label,
-        n_train,
-        lambda scratch: tracker_of(study.paths).fetch_champion(study.label, n_train, scratch),
-    )
-
-
-def _is_usable(study: Study, n_train: int) -> bool:
-    try:
-        read_champion(study.paths.champion(study.label, n_train), case_digest=study.case.digest)
-    except InputError as error:
-        study.console.warn(f"n_train = {n_train} is left out: {error}")
-        return False
-    return True
 
 
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:

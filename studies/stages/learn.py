@@ -1,231 +1,38 @@
-"""The stage that learns: one tuned surrogate per training-set size."""
+"""The stage that learns: one Optuna study per training-set size, and PCA + GP beside it."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
+from simulation.store.row_set import RowSet
 from studies.console import Column
 from studies.recipe import Recipe, recipe_of
-from studies.report.wording import count, difference_unit, significant
-from studies.stages.pipeline import Outcome, StageError, Study, Summary, run_stage
+from studies.report.wording import MISSING, count, difference_unit, percent, quantity, significant
+from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
 from studies.stages.simulate import datasets_of, set_files
-from studies.stages.tracking import tracker_of
-from studies.stages.tuning_progress import TuningProgress
-from studies.storage_url import hide_passwords
+from studies.tuning.declaration import SETS, Declaration, output_metric
 
 if TYPE_CHECKING:
-    from studies.tuning.study_spec import StudySpec
+    from optuna.trial import FrozenTrial
+
+    from studies.tuning.results import TunedStudy
 
 
-def tune_stage(study: Study, simulated: Outcome) -> Outcome:
-    """Tune one surrogate per training-set size."""
-    budget, sizes = study.profile.tuning, study.profile.data.n_train
-    n_trials = budget.n_different_trials
-    unit = difference_unit(study.case.outputs[0].unit)
-    inputs = {
-        "simulate": simulated.digest,
-        # Rows that were asked again after a failure are other data.
-        "data": simulated.summary["digests"],
-        "is_log": study.case.parameter_space.is_log.tolist(),
-        "output_scales": study.case.measurement.error_scales.tolist(),
-        "sizes": list(sizes),
-        "tuning": asdict(budget),
-        "variant": VARIANTS[budget.variant].to_dict(),
-        "seed": study.profile.seed,
-    }
-    if study.paths.storage is not None:  # finished in the project's own files is not finished on a server
-        inputs["storage"] = hide_passwords(study.paths.storage)
+def require_tuning(study: Study) -> None:
+    """Refuse a sampler, pruner or device that does not exist, before a simulation is spent.
 
-    def work() -> tuple[Summary, list[Path]]:
-        from studies.tuning.crew import TuningError
-        from studies.tuning.tune import tune
-
-        _require_device(study)
-        specs = study_specs(study, simulated.summary)
-        _say_what_stays_unfinished(study, specs, n_trials)
-        tracker = tracker_of(study.paths)
-        if n_trials < budget.n_trials:
-            study.console.say(
-                f"tune: the search space holds {count(n_trials, 'configuration')} and none is trained twice; "
-                "widen [tuning.search] for more trials"
-            )
-        with study.console.bars() as bars, _stage_error(TuningError):
-            show = TuningProgress(bars, sizes, n_trials, unit)
-            summaries = tune(
-                specs,
-                paths=study.paths,
-                n_trials=n_trials,
-                n_jobs=study.n_jobs,
-                max_s=None if study.max_hours is None else 3600.0 * study.max_hours,
-                tracker=tracker,
-                on_event=show.hear,
-            )
-        n_done = sum(summary.n_trials for summary in summaries)
-        without = [summary.n_train for summary in summaries if summary.champion is None]
-        if n_done < n_trials * len(sizes) and study.max_hours is not None:
-            ended = f"tune: --max-hours ended it after {n_done} of {n_trials * len(sizes)} trials"
-            if without:
-                none = f"none of n_train = {', '.join(map(str, without))} is complete"
-                raise StageError(f"{ended}, {none}; type it again to go on")
-            study.console.say(f"{ended}; type it again to go on")
-        if without:
-            raise InputError(
-                f"no trial of n_train = {without[0]} was completed; see mlruns/trials/{study.label}, "
-                "give more --trials or epochs"
-            )
-        champions = [study.paths.champion(study.label, n_train) for n_train in sizes]
-        made = [file for folder in champions for file in sorted(folder.iterdir()) if file.is_file()]
-        return {"studies": [_study_summary(study, found.to_dict()) for found in summaries]}, made
-
-    return run_stage(
-        study,
-        "tune",
-        what=f"{count(n_trials, 'trial')} for each n_train of {', '.join(map(str, sizes))}",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: f"{count(sum(s['n_trials'] for s in summary['studies']), 'trial')} reused",
-        keep=lambda summary: all(
-            s["n_trials"] >= n_trials and _has_its_trials(study, s) for s in summary["studies"]
-        ),
-    )
-
-
-def _say_what_stays_unfinished(study: Study, specs: "list[StudySpec]", n_trials: int) -> None:
-    """Name begun studies of the same sizes that these settings do not go on with."""
-    from studies.tuning.trial_store import list_studies, open_trials
-
-    asked = {spec.n_train: spec for spec in specs}
-    for entry in list_studies(study.paths):
-        spec = asked.get(entry.n_train) if entry.label == study.label else None
-        if spec is None or spec.name == entry.name or open_trials(study.paths, spec).finished():
-            continue
-        n_done = len(open_trials(study.paths, entry.name).finished())
-        if n_done < entry.n_planned:
-            how = (
-                f"--parallel {entry.n_parallel} goes on with it"
-                if entry.n_parallel != spec.n_parallel
-                else "it has other settings or data"
-            )
-            study.console.say(f"tune: {entry.name} stays at {n_done} of {entry.n_planned} trials: {how}")
-
-
-def _has_its_trials(study: Study, found: Summary) -> bool:
-    """Tell whether no trial of a finished study was lost; one whose records stayed elsewhere lost none."""
-    from studies.tuning.trial_store import open_trials
-
-    left = open_trials(study.paths, found["study"]).finished()
-    return not left or len(left) >= found["n_trials"]
-
-
-def study_specs(study: Study, simulated: Summary) -> "list[StudySpec]":
-    """Return one Optuna study per training-set size.
-
-    Args:
-        study: the study.
-        simulated: summary of the finished simulate stage.
+    Raises:
+        InputError: there is no such sampler, pruner or device.
     """
-    from studies.tuning.study_spec import StudySpec
+    from studies.tuning.sampler import make_pruner, make_sampler
 
-    budget, files = study.profile.tuning, set_files(study, simulated)
-    # One thread in training and prediction: the same numbers whatever --jobs says.
-    overrides = {name: getattr(budget, name) for name in ("max_epochs", "patience", "device")}
-    overrides["n_threads"] = 1
-    specs = [
-        StudySpec.from_files(
-            train_file=files["train"],
-            validation_file=files["validation"],
-            test_file=files["test"],
-            n_train=n_train,
-            parameter_space=study.case.parameter_space,
-            label=study.label,
-            case_name=study.case.name,
-            case_digest=study.case.digest,
-            fmu_sha256=study.case.fmu_sha256,
-            output_unit=study.case.outputs[0].unit,
-            output_scales=tuple(study.case.measurement.error_scales.tolist()),
-            variant=budget.variant,
-            overrides=overrides,
-            search=budget.ranges,
-            pruner=budget.pruner,
-            objectives=budget.objectives,
-            enqueue=budget.enqueue,
-            warm_start=budget.warm_start,
-            n_parallel=budget.n_parallel,
-            max_trial_s=budget.max_trial_s,
-            seed=study.profile.seed,
-            note=study.case.note,
-        )
-        for n_train in study.profile.data.n_train
-    ]
-    return [replace(spec, recipe=_recipe(study, spec, simulated)) for spec in specs]
-
-
-def _recipe(study: Study, spec: "StudySpec", simulated: Summary) -> Recipe:
-    """Return what rebuilds the trainings of one size."""
-    return recipe_of(
-        study,
-        "training",
-        command=f"studies tune {study.words('data', 'tuning')}",
-        n_train=spec.n_train,
-        datasets=datasets_of(study.profile, spec.n_train, spec.digests, simulated["files"]),
-    )
-
-
-def show_tuning(study: Study, outcome: Outcome) -> None:
-    """Print the best surrogate of each size."""
-    from studies.tuning.study_spec import output_metric
-
-    unit = difference_unit(study.case.outputs[0].unit)
-    columns = [
-        Column("n_train", True),
-        Column("trials", True),
-        Column("pruned", True),
-        Column("failed", True),
-    ]
-    behind = f" [{unit}]" if unit else ""
-    columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "MAE test", "P90 test")]
-    several = study.case.outputs if len(study.case.outputs) > 1 else ()
-    columns += [Column(f"{one.name} [{difference_unit(one.unit)}]", True) for one in several]
-    searched = study.profile.tuning.ranges.names
-    columns += [Column(name, True) for name in searched]
-    rows = []
-    for found in outcome.summary["studies"]:
-        errors, config = found["best_metrics"], found["best_config"]
-        cells = [found["n_train"], found["n_trials"], found["n_pruned"], found["n_failed"]]
-        cells += [significant(errors[name]) for name in ("val/mae", "test/mae", "test/p90")]
-        cells += [significant(errors[f"test/{output_metric(one.name)}"]) for one in several]
-        rows.append([*cells, *(f"{config[name]:.3g}" for name in searched)])
-    study.console.table(f"{study.label}: best surrogate per training-set size", columns, rows)
-    if len(study.profile.tuning.objectives) > 1:
-        _show_front(study, outcome, behind)
-
-
-def _show_front(study: Study, outcome: Outcome, behind: str) -> None:
-    """Print the trials that no other one beats in all errors that were minimized."""
-    from studies.tuning.front import pareto_front
-    from studies.tuning.trial_store import open_trials
-
-    columns = [Column("n_train", True), Column("trial", True)]
-    columns += [Column(f"{name}{behind}", True) for name in ("MAE val", "P90 val", "MAE test", "P90 test")]
-    searched = study.profile.tuning.ranges.names
-    columns += [Column(name, True) for name in searched]
-    rows = []
-    for found in outcome.summary["studies"]:
-        records = open_trials(study.paths, found["study"]).records()
-        for record in pareto_front(records, study.profile.tuning.objectives):
-            errors = ("val/mae", "val/p90", "test/mae", "test/p90")
-            cells = [significant(record.metrics[name]) for name in errors]
-            cells += [f"{record.config[name]:.3g}" for name in searched]
-            rows.append([found["n_train"], record.index, *cells])
-    study.console.table(f"{study.label}: trials that no other one beats in both errors", columns, rows)
-
-
-def _require_device(study: Study) -> None:
-    """Refuse a device that is not there before a worker is started for it."""
+    make_sampler(study.profile.tuning.sampler, study.profile.seed)
+    make_pruner(study.profile.tuning.pruner)
     if study.profile.tuning.device == "cuda":
         from pelsvae.device import resolve_device
 
@@ -235,14 +42,225 @@ def _require_device(study: Study) -> None:
             raise InputError(f"profile {study.profile.name}: tuning.device: {error}") from None
 
 
+def tune_stage(study: Study, simulated: Outcome) -> Outcome:
+    """Bring the study of each training-set size to its trials; Optuna knows what is finished."""
+    from studies.tuning.tune import TuningError, is_closed, tune
+
+    budget, sizes = study.profile.tuning, study.profile.data.n_train
+    started_s = time.perf_counter()
+    specs = declarations(study, simulated.summary)
+    found = is_closed(specs, study.paths, budget.n_trials)
+    if found is not None:
+        n = sum(one.n_ended for one in found)
+        study.console.say(f"tune: finished before, {count(n, 'trial')} reused")
+        return _outcome(specs, found, reused=True, wall_s=sum(one.wall_s for one in found))
+    what = f"{count(budget.n_trials, 'trial')} for each n_train of {', '.join(map(str, sizes))}"
+    with study.console.stage("tune", what), study.console.bars() as bars, _stage_error(TuningError):
+        unit = difference_unit(study.case.outputs[0].unit)
+
+        def show(spec: Declaration, trials: "Sequence[FrozenTrial]") -> None:
+            done, total, best = _progress(spec, trials, budget.n_trials)
+            news = "" if best is None else f": best MAE {quantity(best, unit)}"
+            bars(f"n_train {spec.size.removeprefix('n').lstrip('0')}", done, total, news)
+
+        found = tune(
+            specs,
+            paths=study.paths,
+            n_trials=budget.n_trials,
+            n_jobs=study.n_jobs,
+            n_parallel=budget.n_parallel,
+            until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
+            recipes=[_recipe(study, spec, simulated.summary) for spec in specs],
+            on_trials=show,
+        )
+    tuned = [one for one in found if not one.spec.is_baseline]
+    without = [one.spec.n_train for one in tuned if one.best is None]
+    n_done, n_all = sum(one.n_ended for one in tuned), budget.n_trials * len(sizes)
+    if study.max_hours is not None and n_done < n_all:
+        ended = f"tune: --max-hours ended it after {n_done} of {n_all} trials; the same command goes on"
+        if without:
+            raise StageError(f"{ended}; n_train = {', '.join(map(str, without))} has no complete trial yet")
+        study.console.say(ended)
+    if without:
+        raise InputError(
+            f"no trial of n_train = {without[0]} was completed; `studies status` counts them, "
+            "MLflow has their reasons; give more --trials or epochs"
+        )
+    return _outcome(specs, found, reused=False, wall_s=time.perf_counter() - started_s)
+
+
+def declarations(study: Study, simulated: Summary) -> list[Declaration]:
+    """Return the study of each training-set size, and the baseline of each beside it.
+
+    Args:
+        study: the study.
+        simulated: summary of the finished simulate stage.
+
+    Raises:
+        InputError: a set has fewer rows than asked for, or the parameters of another case.
+    """
+    budget, space = study.profile.tuning, study.case.parameter_space
+    files = set_files(study, simulated)
+    sets = {name: RowSet.load(files[name]).read() for name in SETS}
+    for name, rows in sets.items():
+        if tuple(rows.parameter_names) != space.names:
+            raise InputError(f"{files[name]} has other parameters than the case; simulate it again")
+    longer = {
+        key: getattr(budget, key) for key in ("max_epochs", "patience") if getattr(budget, key) is not None
+    }
+    found = []
+    for n_train in study.profile.data.n_train:
+        if sets["train"].n < n_train:
+            raise InputError(
+                f"{files['train']} has {sets['train'].n} rows, n_train is {n_train}; simulate more"
+            )
+        shared: dict[str, Any] = {
+            "label": study.label,
+            "n_train": n_train,
+            "case_name": study.case.name,
+            "seed": study.profile.seed,
+            "parameter_names": space.names,
+            "lower": tuple(space.lower.tolist()),
+            "upper": tuple(space.upper.tolist()),
+            "is_log": tuple(space.is_log.tolist()),
+            "output_names": tuple(sets["train"].output_names),
+            "output_unit": study.case.outputs[0].unit,
+            "output_scales": tuple(study.case.measurement.error_scales.tolist()),
+            "files": {name: study.paths.relative(files[name]) for name in SETS},
+            "digests": {
+                "case": study.case.digest,
+                "fmu": study.case.fmu_sha256,
+                "train": sets["train"].take(np.arange(n_train)).digest,
+                "validation": sets["validation"].digest,
+                "test": sets["test"].digest,
+            },
+            "device": budget.device,
+            "max_trial_s": budget.max_trial_s,
+            "note": study.case.note,
+        }
+        found.append(
+            Declaration(
+                surrogate=budget.surrogate,
+                settings=_settings(budget.surrogate, longer),
+                search={name: one.to_dict() for name, one in budget.space.items()},
+                sampler=budget.sampler,
+                pruner=budget.pruner,
+                enqueue=tuple(dict(point) for point in budget.enqueue),
+                **shared,
+            )
+        )
+        if budget.baseline and budget.surrogate != "pca-gp":
+            found.append(
+                Declaration(
+                    surrogate="pca-gp",
+                    settings=_settings("pca-gp", {}),
+                    search={},
+                    sampler={"name": "RandomSampler"},
+                    pruner={"name": "NopPruner"},
+                    is_baseline=True,
+                    **shared,
+                )
+            )
+    return found
+
+
+def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:
+    settings = VARIANTS[surrogate].replace(**changes).to_dict()
+    return {name: value for name, value in settings.items() if name not in ("device", "n_threads")}
+
+
+def _recipe(study: Study, spec: Declaration, simulated: Summary) -> Recipe:
+    """Return what makes the data sets of one size again."""
+    return recipe_of(
+        study,
+        "training",
+        command=f"studies tune {study.words('data', 'tuning')}",
+        n_train=spec.n_train,
+        datasets=datasets_of(study.profile, spec.n_train, spec.digests, simulated["files"]),
+    )
+
+
+def _progress(
+    spec: Declaration, trials: "Sequence[FrozenTrial]", n_trials: int
+) -> tuple[float, int, float | None]:
+    """Return what is done of a study, what there is to do, and its best error so far."""
+    from studies.tuning.storage import places
+
+    latest = places(trials)
+    total = max(1 if spec.is_baseline else n_trials, len(latest))
+    done = sum(trial.state.is_finished() for trial in latest)
+    parts = sum(
+        min(trial.last_step / spec.base_config.max_epochs, 1.0)
+        for trial in latest
+        if trial.last_step is not None and not trial.state.is_finished()
+    )
+    values = [t.value for t in latest if t.state.name == "COMPLETE" and t.value is not None]
+    return done + parts, total, min(values, default=None)
+
+
+def _outcome(
+    specs: Sequence[Declaration], found: "Sequence[TunedStudy]", *, reused: bool, wall_s: float
+) -> Outcome:
+    digest = digest_of({"studies": [spec.name for spec in specs], "ended": [one.n_ended for one in found]})
+    beside = {one.spec.n_train: one for one in found if one.spec.is_baseline}
+    studies = [_summary(one, beside.get(one.spec.n_train)) for one in found if not one.spec.is_baseline]
+    return Outcome("tune", digest, {"studies": studies}, reused, wall_s)
+
+
+def _summary(found: "TunedStudy", baseline: "TunedStudy | None") -> Summary:
+    best = found.best
+    return {
+        "study": found.spec.name,
+        "n_train": found.spec.n_train,
+        "n_trials": found.n_ended,
+        "n_complete": found.count("complete"),
+        "n_pruned": found.count("pruned"),
+        "n_failed": found.count("failed"),
+        "n_proposed": found.n_proposed,
+        "best_trial": None if best is None else best.number,
+        "run_id": None if best is None else best.run_id,
+        "best_metrics": {} if best is None else dict(best.metrics),
+        "best_params": {} if best is None else dict(best.params),
+        "gain_over_default": found.gain,
+        "baseline_metrics": dict(baseline.best.metrics) if baseline and baseline.best else {},
+        "wall_s": found.wall_s,
+    }
+
+
+def show_tuning(study: Study, outcome: Outcome) -> None:
+    """Print the best surrogate of each size."""
+    unit = difference_unit(study.case.outputs[0].unit)
+    behind = f" [{unit}]" if unit else ""
+    searched = list(study.profile.tuning.space)
+    several = study.case.outputs if len(study.case.outputs) > 1 else ()
+    columns = [Column("n_train", True), *(Column(name, True) for name in searched)]
+    columns += [Column(f"MAE{behind}", True), Column(f"P90{behind}", True)]
+    columns += [Column(f"{one.name} [{difference_unit(one.unit)}]", True, 3) for one in several]
+    columns += [Column("gain", True), Column(f"PCA+GP MAE{behind}", True), Column("P90", True, 2)]
+    columns += [Column("trials", True), Column("pruned", True, 4), Column("failed", True, 5)]
+    rows = []
+    for found in outcome.summary["studies"]:
+        errors, beside, params = found["best_metrics"], found["baseline_metrics"], found["best_params"]
+        cells = [found["n_train"], *(_shown(params.get(name)) for name in searched)]
+        cells += [significant(errors[name]) for name in ("test/mae", "test/p90")]
+        cells += [significant(errors[f"test/{output_metric(one.name)}"]) for one in several]
+        gain = found["gain_over_default"]
+        cells += [MISSING if gain is None else percent(gain)]
+        cells += [significant(beside[name]) if beside else MISSING for name in ("test/mae", "test/p90")]
+        rows.append([*cells, found["n_trials"], found["n_pruned"], found["n_failed"]])
+    title = (
+        f"{study.label}: best surrogate per training-set size (test errors; gain over the default settings)"
+    )
+    study.console.table(title, columns, rows)
+
+
+def _shown(value: Any) -> str:
+    return MISSING if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
 @contextmanager
 def _stage_error(kind: type[Exception]) -> Iterator[None]:
     try:
         yield
     except kind as error:
         raise StageError(f"tune: {error}") from error
-
-
-def _study_summary(study: Study, summary: dict[str, Any]) -> dict[str, Any]:
-    """Return a summary whose champion is named relative to the project, so that it can be moved."""
-    return {**summary, "champion": study.paths.show(Path(summary["champion"]))}

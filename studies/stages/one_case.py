@@ -19,7 +19,7 @@ def refuse_other_case(study: Study) -> None:
     case, paths = study.case, study.paths
     for manifest in sorted(study.results.glob("*.json")):
         recorded = (read_json(manifest) or {}).get("case_file")
-        other = paths.root / str(recorded)
+        other = paths.located(str(recorded))
         if recorded is None or other.resolve() == case.path.resolve() or _name_in(other) != case.name:
             continue
         raise InputError(

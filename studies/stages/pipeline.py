@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 Summary = dict[str, Any]
 
+_PLACES = frozenset({"champion", "file", "files", "folder", "index", "store"})
+"""Keys of a summary that name files of the project."""
+
 
 class StageError(RuntimeError):
     """A stage failed for a reason that is not the user's input."""
@@ -90,15 +93,29 @@ class Outcome:
     reused: bool
     wall_s: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the outcome as JSON values."""
+    def to_dict(self, paths: ProjectPaths) -> dict[str, Any]:
+        """Return the outcome as JSON values whose paths hold in the working folder."""
         return {
             "stage": self.stage,
             "digest": self.digest,
             "finished_before": self.reused,
             "wall_s": round(self.wall_s, 3),
-            **self.summary,
+            **_with_shown_places(self.summary, paths),
         }
+
+
+def _with_shown_places(value: Any, paths: ProjectPaths, *, is_place: bool = False) -> Any:
+    """Return a summary with the paths in it as the user would type them; what is no file stays."""
+    if isinstance(value, Mapping):
+        return {
+            key: _with_shown_places(one, paths, is_place=is_place or key in _PLACES)
+            for key, one in value.items()
+        }
+    if isinstance(value, list):
+        return [_with_shown_places(one, paths, is_place=is_place) for one in value]
+    if is_place and isinstance(value, str) and (file := paths.located(value)).exists():
+        return paths.show(file)
+    return value
 
 
 def digest_of(inputs: Mapping[str, Any]) -> str:
@@ -154,7 +171,7 @@ def run_stage(
         {
             "stage": stage,
             "digest": digest,
-            "case_file": study.paths.show(study.case.path),
+            "case_file": study.paths.recorded(study.case.path),
             "inputs": inputs,
             "summary": summary,
             "files": {study.paths.relative(made): made.stat().st_size for made in files},

@@ -35,9 +35,9 @@ from studies.stages.results import (
     validation_record,
 )
 from studies.stages.tracking import log_report
+from studies.stages.tuned_trials import learning_curves, trials_record, tuned_by_size, tuned_records
 from studies.stages.uncertainty_results import stored_posteriors
 from studies.tracking.origin import versions
-from studies.tuning.tuned_trials import learning_curves, trials_record, tuned_trials
 
 
 def report_stage(study: Study) -> Outcome:
@@ -58,13 +58,18 @@ def report_stage(study: Study) -> Outcome:
         "references": [vars(known) for known in study.case.references],
         "parameters": [vars(parameter) for parameter in study.case.parameter_space.parameters],
         "results": {file.name: _sha256(file) for file in _source_files(study)},
+        "trials": [
+            [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials]]
+            for baseline in (False, True)
+            for one in tuned_by_size(study, baseline=baseline).values()
+        ],
         "versions": versions(),
     }
 
-    drawn, digest = folder / "drawn.json", digest_of(inputs)
+    drawn, index, digest = folder / "drawn.json", folder / "index.html", digest_of(inputs)
 
     def work() -> tuple[Summary, list[Path]]:
-        started_s, index = time.time(), folder / "index.html"
+        started_s = time.time()
         # Where MLflow could not be told, the command is typed again: what is drawn is not drawn once more.
         if read_manifest(study.paths, drawn, digest) is None:
             drawn.unlink(missing_ok=True)
@@ -85,7 +90,7 @@ def report_stage(study: Study) -> Outcome:
             wall_s=time.time() - started_s,
         )
         drawn.unlink(missing_ok=True)
-        summary = {"index": study.paths.show(index), "n_files": sum(1 for _ in folder.iterdir())}
+        summary = {"index": study.paths.recorded(index), "n_files": sum(1 for _ in folder.iterdir())}
         return summary, [index]
 
     return run_stage(
@@ -94,7 +99,7 @@ def report_stage(study: Study) -> Outcome:
         what=f"tables and figures of {study.label}",
         inputs=inputs,
         work=work,
-        reuse_note=lambda summary: f"{summary['index']} is up to date",
+        reuse_note=lambda summary: f"{study.paths.show(index)} is up to date",
     )
 
 
@@ -104,7 +109,7 @@ def show_report(study: Study, outcome: Outcome) -> None:
 
 
 def _report_data(study: Study) -> ReportData:
-    case, trials = study.case, tuned_trials(study)
+    case, tuned = study.case, tuned_by_size(study)
     return ReportData(
         label=study.label,
         title=case.title,
@@ -122,8 +127,9 @@ def _report_data(study: Study) -> ReportData:
         uncertainties=tuple(
             uncertainty_record(stored.numbers, stored.arrays) for stored in stored_posteriors(study)
         ),
-        trials=trials_record(trials),
-        learning_curves=learning_curves(trials),
+        tuned=tuned_records(study),
+        trials=trials_record(tuned),
+        learning_curves=learning_curves(study, tuned),
         references=tuple(Reference(**vars(known)) for known in case.references),
         provenance=_provenance(study),
     )
@@ -158,7 +164,7 @@ def _surrogate_settings(profile: Profile) -> tuple[tuple[str, str], ...]:
     return (
         ("training-set sizes", ", ".join(map(str, data.n_train))),
         ("validation and test", f"{data.n_validation} and {data.n_test} simulations"),
-        ("tuning", f"{count(budget.n_trials, 'trial')} per size, variant {budget.variant}"),
+        ("tuning", f"{count(budget.n_trials, 'trial')} per size, surrogate {budget.surrogate}"),
         ("screening", ", ".join(f"{name} {value}" for name, value in asdict(profile.screening).items())),
         ("polish", f"at most {count(profile.polish.max_calls, 'call')}, ftol {profile.polish.ftol:g}"),
     )
@@ -183,7 +189,7 @@ def _told(settings: dict[str, Any]) -> str:
 def _source_files(study: Study) -> list[Path]:
     files = [file for stored in stored_calibrations(study) for file in (stored.files.numbers,)]
     files += [stored.files.numbers for stored in stored_posteriors(study)]
-    files += [study.results / name for name in ("simulate.json", "sensitivity.json", "tune.json")]
+    files += [study.results / name for name in ("simulate.json", "sensitivity.json")]
     return [file for file in files if file.is_file()]
 
 

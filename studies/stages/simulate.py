@@ -121,15 +121,32 @@ def simulate_stage(study: Study) -> Outcome:
     )
 
 
+def missing_rows(study: Study) -> tuple[int, int]:
+    """Return how many rows of all sets are not stored yet, and how many there are."""
+    data, space, seeds = study.profile.data, study.case.parameter_space, set_seeds(study.profile)
+    sizes = {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
+    designs = [uniform_design(space, n, seeds[name]) for name, n in sizes.items()]
+    total, folder = sum(sizes.values()), store_folder(study.paths, study.case)
+    if not folder.is_dir():
+        return total, total
+    try:
+        with SimulationStore.at(folder) as store:
+            return total - sum(int(store.find(theta).sum()) for theta in designs), total
+    except InputError:
+        return total, total
+
+
 def show_sets(study: Study, outcome: Outcome) -> None:
     """Print the simulated sets."""
-    found = outcome.summary
+    found, paths = outcome.summary, study.paths
+    files = {name: paths.show(paths.root / file) for name, file in found["files"].items()}
     study.console.table(
         f"{study.label}: simulations",
         [Column("set"), Column("rows", True), Column("failed", True), Column("file")],
-        [[name, found["n"][name], found["n_failed"][name], found["files"][name]] for name in found["files"]],
+        [[name, found["n"][name], found["n_failed"][name], file] for name, file in files.items()],
     )
-    study.console.result(f"all simulations: {found['store']} (its _README.txt says how to read them)")
+    store = paths.show(paths.root / found["store"])
+    study.console.result(f"all simulations: {store} (its _README.txt says how to read them)")
 
 
 def set_files(study: Study, summary: Summary) -> dict[str, Path]:
@@ -156,7 +173,7 @@ def sensitivity_stage(study: Study) -> Outcome:
         started_s = time.time()
         found, indices = estimate_indices(study, n_rows)
         indices.save(file)
-        summary = {**found, "file": study.paths.show(file)}
+        summary = {**found, "file": study.paths.recorded(file)}
         when = {"started_s": started_s, "wall_s": time.time() - started_s}
         made = environment()
         log_sensitivity(study, summary, digest_of(inputs), file=file, recipe=recipe, made_with=made, **when)

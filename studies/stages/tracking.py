@@ -3,23 +3,16 @@
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from studies.paths import ProjectPaths
-from studies.recipe import Recipe, memory_tags
+from studies.recipe import Recipe
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import Study, Summary
 from studies.stages.results import StoredCalibration, calibration_record, measured_series, n_free_of
-from studies.tracking.tracker import StageRun, Tracker, open_tracker
-
-
-@lru_cache(maxsize=4)
-def tracker_of(paths: ProjectPaths) -> Tracker:
-    """Return the project's tracker; opening it costs seconds, so it is opened once per process."""
-    return open_tracker(paths)
+from studies.tracking.stage_run import StageRun, log_stage
 
 
 def log_calibration(
@@ -131,7 +124,8 @@ def _log_with_figures(
         calibration_figure(measured, record, figures[0], footnote=study.label)
         unit = squared(difference_unit(measured.units[0]))
         draw_calls(record, (), figures[1], mse_unit=unit, footnote=study.label)
-        tracker_of(study.paths).log_stage(
+        log_stage(
+            study.paths,
             replace(
                 run,
                 metrics={key: value for key, value in metrics.items() if value is not None},
@@ -141,25 +135,13 @@ def _log_with_figures(
                     "case_sha256": study.case.digest,
                     **run.tags,
                     **({} if n_free is None else {"n_free": n_free}),
-                    **memory_tags(
-                        recipe=numbers["recipe"],
-                        environment=numbers["environment"],
-                        numbers=_remembered(numbers),
-                    ),
                 },
                 figures=figures,
                 artifacts=[stored.files.numbers, stored.files.arrays],
                 note=study.case.note,
-                recipe=numbers["recipe"],
-                environment=numbers["environment"],
-            )
+                record={"recipe": numbers["recipe"], "environment": numbers["environment"]},
+            ),
         )
-
-
-def _remembered(numbers: Summary) -> Summary:
-    """Return a calibration's numbers without its recipe and its long histories."""
-    kept = {name: value for name, value in numbers.items() if not name.endswith("_history")}
-    return {name: value for name, value in kept.items() if name not in ("recipe", "environment")}
 
 
 def log_sensitivity(
@@ -189,7 +171,8 @@ def log_sensitivity(
         study.console.say("sensitivity: making MLflow's store, once")
     shares = {f"first_order/{name}": value for name, value in summary["mean_first_order"].items()}
     shares |= {f"total_order/{name}": value for name, value in summary["mean_total_order"].items()}
-    tracker_of(study.paths).log_stage(
+    log_stage(
+        study.paths,
         StageRun(
             label=study.label,
             kind="sensitivity",
@@ -197,18 +180,13 @@ def log_sensitivity(
             key=digest,
             params={"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed},
             metrics={name: value for name, value in shares.items() if value is not None},
-            tags={
-                "case": study.case.name,
-                "case_sha256": study.case.digest,
-                **memory_tags(recipe=recipe, environment=made_with, numbers=summary),
-            },
+            tags={"case": study.case.name, "case_sha256": study.case.digest},
             artifacts=[file],
             started_s=started_s,
             wall_s=wall_s,
             note=study.case.note,
-            recipe=recipe,
-            environment=made_with,
-        )
+            record={"recipe": recipe, "environment": dict(made_with), "numbers": summary},
+        ),
     )
 
 
@@ -235,7 +213,8 @@ def log_report(
         started_s: start of the stage. [s since 1970, UTC]
         wall_s: its duration. [s]
     """
-    tracker_of(paths).log_stage(
+    log_stage(
+        paths,
         StageRun(
             label=label,
             kind="report",
@@ -247,5 +226,5 @@ def log_report(
             started_s=started_s,
             wall_s=wall_s,
             note=note,
-        )
+        ),
     )

@@ -122,7 +122,7 @@ def uncertainty_stage(
             restriction,
             state_equations=calibration.learnt_equations,
         )
-        summary = {**numbers, "file": study.paths.show(files.numbers), "n_simulated": n_simulated}
+        summary = {**numbers, "file": study.paths.recorded(files.numbers), "n_simulated": n_simulated}
         recipe = recipe_of(
             study,
             "uncertainty",

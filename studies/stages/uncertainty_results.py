@@ -10,7 +10,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
-from studies.recipe import memory_tags
 from studies.report.wording import listed
 from studies.stages.knowledge import is_of_this_density
 from studies.stages.pipeline import Study, read_json
@@ -25,8 +24,7 @@ from studies.stages.results import (
     read_arrays,
     stored_calibrations,
 )
-from studies.stages.tracking import tracker_of
-from studies.tracking.tracker import StageRun
+from studies.tracking.stage_run import StageRun, log_stage
 
 
 @dataclass(frozen=True)
@@ -147,13 +145,13 @@ def log_posterior(
 
     numbers, n_free = stored.numbers, n_free_of(stored.numbers)
     record = uncertainty_record(numbers, stored.arrays)
-    left_out = ("recipe", "environment")
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
         band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
         box = parameter_box(study.case).of(record.names)
         interval_figure(box, record, figures[1], footnote=study.label)
-        tracker_of(study.paths).log_stage(
+        log_stage(
+            study.paths,
             StageRun(
                 label=study.label,
                 kind="uncertainty",
@@ -173,18 +171,12 @@ def log_posterior(
                     "case_sha256": study.case.digest,
                     "calibration": numbers["calibration"],
                     **({} if n_free is None else {"n_free": n_free}),
-                    **memory_tags(
-                        recipe=numbers["recipe"],
-                        environment=numbers["environment"],
-                        numbers={name: value for name, value in numbers.items() if name not in left_out},
-                    ),
                 },
                 figures=figures,
                 artifacts=[stored.files.numbers, stored.files.arrays],
                 started_s=started_s,
                 wall_s=wall_s,
                 note=study.case.note,
-                recipe=numbers["recipe"],
-                environment=numbers["environment"],
-            )
+                record={"recipe": numbers["recipe"], "environment": numbers["environment"]},
+            ),
         )

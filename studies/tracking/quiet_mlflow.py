@@ -11,6 +11,7 @@ os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")  # read while MLflow i
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars are the command line's
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
+    import mlflow
     from mlflow import MlflowClient
     from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, Run, RunTag
 
@@ -37,6 +38,8 @@ def connect(uri: str) -> MlflowClient:
     """Open the store at a URI for runs and models alike; an SQLite file gets its schema here (some 7 s)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        # MLflow's registry asks clients of its own, which know the process's store alone.
+        mlflow.set_tracking_uri(uri)
         client = MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client

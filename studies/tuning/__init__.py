@@ -1,1 +1,1 @@
-"""Optuna studies: which surrogate is trained next, by whom, and what is kept of it."""
+"""Tuning: Optuna studies of the surrogate's hyperparameters. Optuna owns the trials."""

@@ -1,207 +1,259 @@
-"""Tune the surrogates of several training-set sizes at once: one Optuna study each, in worker processes."""
+"""Tune the surrogates of several training-set sizes side by side, in worker processes."""
 
-import logging
+import os
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import IO, Any
+
+import optuna
+from optuna.storages import RDBStorage
+from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
-from simulation.workers.parallel import available_cores
 from studies.paths import ProjectPaths
-from studies.tracking.tracker import NullTracker, Tracker
-from studies.tuning.champion import crown
-from studies.tuning.crew import Crew
-from studies.tuning.outage import wait_out
-from studies.tuning.postgres import database
-from studies.tuning.study_spec import StudySpec, StudySummary, TuneEvent
-from studies.tuning.study_store import StudyStore
-from studies.tuning.trial_record import TrialRecord, best_record, summarize
-from studies.tuning.trial_store import StudyEntry, TrialStore, open_trials
+from studies.storage_url import STORAGE_VARIABLE
+from studies.tracking.runs import RunStore
+from studies.tracking.study_run import close_study, end_left_runs, leaderboard_note, open_study_run
+from studies.tuning.declaration import Declaration
+from studies.tuning.results import TunedStudy, read_study
+from studies.tuning.storage import (
+    is_unfinished,
+    make_study,
+    open_storage,
+    retry_lost,
+    study_locked,
+)
+from studies.tuning.worker import RECIPE, STUDY_RUN
 
-_T = TypeVar("_T")
-logger = logging.getLogger(__name__)
+POLL_S = 0.5
+MAX_DEATHS = 3
+"""Deaths of a worker in a row that brought no trial to its end."""
+THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+
+class TuningError(RuntimeError):
+    """A worker failed for a reason that is not a trial's."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A study on its way, and its run in MLflow."""
+
+    spec: Declaration
+    study: optuna.Study
+    run_id: str
+    n_planned: int
+
+    @property
+    def trials(self) -> list[FrozenTrial]:
+        return self.study.get_trials(deepcopy=False)
+
+    @property
+    def is_unfinished(self) -> bool:
+        return is_unfinished(self.trials, self.n_planned)
+
+
+@dataclass
+class _Size:
+    """The studies of one training-set size, which share workers: a worker's start costs seconds."""
+
+    parts: list[_Part]
+    workers: dict["subprocess.Popen[bytes]", IO[bytes]] = field(default_factory=dict)
+    n_deaths: int = 0
+    n_ended: int = 0
+    results: dict[str, TunedStudy] = field(default_factory=dict)
+
+    @property
+    def is_unfinished(self) -> bool:
+        return any(part.is_unfinished for part in self.parts)
+
+
+OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
 
 
 def tune(
-    studies: Sequence[StudySpec],
+    specs: Sequence[Declaration],
     *,
     paths: ProjectPaths,
     n_trials: int,
-    n_jobs: int | None = None,
-    max_s: float | None = None,
-    tracker: Tracker | None = None,
-    on_event: Callable[[TuneEvent], None] | None = None,
-) -> list[StudySummary]:
-    """Bring every study to `n_trials` finished trials and crown its best surrogate.
+    n_jobs: int,
+    n_parallel: int = 1,
+    until_s: float | None = None,
+    recipes: Sequence[dict[str, Any]] = (),
+    on_trials: OnTrials = lambda spec, trials: None,
+) -> list[TunedStudy]:
+    """Bring every study to `n_trials` trials and register its best surrogate.
 
-    Studies run side by side, the largest training set first, and of each study so many trials as its
-    `n_parallel` says; other commands, also on other machines with the same storage, may work on them too.
-    What the trials are depends neither on `n_jobs` nor on who trains them, on interruptions or on how often a
-    study was extended.
+    Studies run side by side, the largest training set first. Trials that were enqueued or added through
+    Optuna count; those that run in other commands are not waited for. With `n_parallel` 1 the trials depend
+    neither on `n_jobs` nor on interruptions; a killed worker's trial is run again.
 
     Args:
-        studies: the studies.
+        specs: the studies.
         paths: the project.
-        n_trials: finished trials per study in total, those of earlier calls and of other commands included.
-        n_jobs: worker processes; None means one per core that this process may use.
-        max_s: no trial begins after this time; those that run are trained to their end. [s]
-        tracker: is told of studies, trials and champions, always from this process.
-        on_event: told of trials and epochs, a few times a second at most.
+        n_trials: trials per study in total; a baseline has one.
+        n_jobs: worker processes.
+        n_parallel: workers of one study.
+        until_s: no trial begins after this moment. [s since 1970, UTC]
+        recipes: what makes each study's data sets again, kept with every trial.
+        on_trials: called with the trials of a study that is worked on, about twice a second.
 
     Returns:
-        One summary per study, in the order given.
+        The studies as they stand, in the order given.
 
     Raises:
         InputError: a study cannot be run as declared, or the storage cannot be used.
-        studies.tuning.crew.TuningError: a worker failed for a reason that is not a trial's.
-        KeyboardInterrupt: after the workers have stopped and their trials have been given back.
+        TuningError: a worker failed for a reason that is not a trial's.
+        KeyboardInterrupt: after the workers were stopped and their trials given back.
     """
-    deadline_s = None if max_s is None else time.time() + max_s
-    desk = _Desk(paths, n_trials, tracker or NullTracker(), on_event or (lambda event: None))
-    for spec in studies:
-        desk.welcome(spec)
-    # A study that starts from another's best comes after it.
-    unfinished = sorted(
-        (spec for spec in studies if not desk.is_finished(spec)),
-        key=lambda spec: spec.n_train if spec.warm_start else -spec.n_train,
+    storage, runs = open_storage(paths), RunStore(paths)
+    sizes: dict[int, _Size] = {}
+    for spec, recipe in zip(specs, recipes or [{}] * len(specs), strict=True):
+        planned = 1 if spec.is_baseline else n_trials
+        with study_locked(storage, paths, spec.name):
+            study = make_study(storage, spec, n_trials=planned)
+            retry_lost(study)
+        if recipe and study.user_attrs.get(RECIPE) != recipe:
+            study.set_user_attr(RECIPE, recipe)
+        run_id = open_study_run(runs, spec, planned, study.user_attrs.get(STUDY_RUN), paths)
+        if study.user_attrs.get(STUDY_RUN) != run_id:
+            study.set_user_attr(STUDY_RUN, run_id)
+        end_left_runs(runs, study, spec)
+        part = _Part(spec, study, run_id, planned)
+        sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
+    largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
+    with _stopped_at_the_end(largest_first, storage, paths, runs):
+        while True:
+            for size in largest_first:
+                _look_after(size, storage, paths, runs)
+            is_late = until_s is not None and time.time() >= until_s
+            waiting = [] if is_late else [size for size in largest_first if size.is_unfinished]
+            for size in waiting:
+                n_free = n_jobs - sum(len(one.workers) for one in largest_first)
+                for _ in range(min(n_free, n_parallel - len(size.workers))):
+                    _start_worker(size, paths, until_s)
+            busy = [size for size in largest_first if size.workers]
+            for part in (part for size in busy for part in size.parts):
+                on_trials(part.spec, part.trials)
+            for size in largest_first:
+                if not size.workers and size not in waiting and not size.results:
+                    size.results = {part.spec.name: _close(part, runs, paths) for part in size.parts}
+            if not busy and not waiting:
+                break
+            time.sleep(POLL_S)
+    results = {name: one for size in largest_first for name, one in size.results.items()}
+    found = [results[spec.name] for spec in specs]
+    runs.describe(specs[0].label, leaderboard_note(found, specs[0].note))
+    return found
+
+
+def _start_worker(size: _Size, paths: ProjectPaths, until_s: float | None) -> None:
+    names = [part.spec.name for part in size.parts]
+    command = [sys.executable, "-P", "-m", "studies.tuning.worker", *names, "--child"]
+    command += [] if until_s is None else ["--until", repr(until_s)]
+    environment = os.environ | THREADS
+    if paths.storage is not None:  # not among the arguments, which every user of a machine can read
+        environment[STORAGE_VARIABLE] = paths.storage
+    messages = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its worker)
+    worker = subprocess.Popen(
+        command, cwd=paths.root, env=environment, stdin=subprocess.PIPE, stdout=messages, stderr=messages
     )
-    crew = Crew(
-        paths=paths,
-        n_trials=n_trials,
-        n_workers=n_jobs or available_cores(),
-        deadline_s=deadline_s,
-        tell=desk.tell,
-    )
+    size.workers[worker] = messages
+
+
+def _look_after(size: _Size, storage: RDBStorage, paths: ProjectPaths, runs: RunStore) -> None:
+    """See which workers have ended, and why.
+
+    Raises:
+        InputError: a worker found the study unusable.
+        TuningError: a worker failed, or died again and again before it ended a trial.
+    """
+    for worker in [one for one in size.workers if one.poll() is not None]:
+        with size.workers.pop(worker) as messages, worker:  # which closes its standard input
+            messages.seek(0)
+            lines = messages.read().decode(errors="replace").strip().splitlines()
+        if worker.returncode == 0:
+            continue
+        for part in size.parts:
+            _give_back(part, storage, paths, runs)
+        said, name = lines[-1] if lines else "no message", size.parts[0].spec.name
+        if worker.returncode == 2:
+            raise InputError(said)
+        if worker.returncode > 0:
+            raise TuningError(f"a worker of {name} failed: {said}")
+        n_ended = sum(trial.state.is_finished() for part in size.parts for trial in part.trials)
+        size.n_deaths, size.n_ended = size.n_deaths + 1 if n_ended <= size.n_ended else 1, n_ended
+        if size.n_deaths > MAX_DEATHS:
+            raise TuningError(
+                f"a worker of {name} was killed by signal {-worker.returncode} {size.n_deaths} times before "
+                f"it ended a trial ({said})"
+            )
+
+
+def _give_back(part: _Part, storage: RDBStorage, paths: ProjectPaths, runs: RunStore) -> None:
+    """Let the trials of dead workers be run again, and end the runs that they left open."""
+    with study_locked(storage, paths, part.spec.name):
+        retry_lost(part.study)
+    end_left_runs(runs, part.study, part.spec)
+
+
+@contextmanager
+def _stopped_at_the_end(
+    sizes: Sequence[_Size], storage: RDBStorage, paths: ProjectPaths, runs: RunStore
+) -> Iterator[None]:
+    """Stop the workers where anything goes wrong, and give their trials back."""
     try:
-        for spec in studies:
-            desk.open(spec)
-        for spec, event in crew.run(unfinished):
-            desk.hear(spec, event)
+        yield
     except BaseException:
-        crew.dismiss()
-        for spec in unfinished:
-            with suppress(InputError, OSError):  # stores that are away are told by the next command
-                desk.abandon(spec)
+        workers = {worker: messages for size in sizes for worker, messages in size.workers.items()}
+        for worker in workers:
+            worker.kill()
+        for worker, messages in workers.items():
+            with messages, worker:  # waits for its end
+                pass
+        for part in (part for size in sizes for part in size.parts):
+            # What cannot be done now, as where the storage is away, the next command does.
+            with suppress(Exception):
+                _give_back(part, storage, paths, runs)
+                runs.end(part.run_id, "KILLED")
         raise
-    else:
-        return [desk.close(spec) for spec in studies]
-    finally:
-        desk.leave()
 
 
-class _Desk:
-    """Keeps Optuna, the tracker and the champions in step with the records."""
+CLOSED = "closed"
+"""Attribute of a study: how many trials it had when its best surrogate was registered."""
 
-    def __init__(
-        self, paths: ProjectPaths, n_trials: int, tracker: Tracker, on_event: Callable[[TuneEvent], None]
-    ) -> None:
-        self._paths = paths
-        self._n_trials = n_trials
-        self._tracker = tracker
-        self._on_event = on_event
-        self._trials: dict[str, TrialStore] = {}
-        self._optuna: dict[str, StudyStore] = {}
-        self._summaries: dict[str, StudySummary] = {}
-        self._away_since_s: float | None = None
 
-    def welcome(self, spec: StudySpec) -> None:
-        """Note that a study is asked for; the first word to its stores says whether they can be used."""
-        store = self._trials[spec.name] = open_trials(self._paths, spec)
-        store.describe(StudyEntry.of(spec, n_planned=self._n_trials, created_s=time.time()))
-        self._optuna[spec.name] = StudyStore(spec, self._paths)
+def is_closed(specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int) -> list[TunedStudy] | None:
+    """Return the studies where all of them are finished and registered, None where work is left."""
+    if paths.storage is None and not paths.optuna_database.is_file():
+        return None
+    storage, found = open_storage(paths), []
+    for spec in specs:
+        try:
+            study = optuna.load_study(study_name=spec.name, storage=storage)
+        except KeyError:
+            return None
+        trials = study.get_trials(deepcopy=False)
+        planned = 1 if spec.is_baseline else n_trials
+        if is_unfinished(trials, planned) or n_running(trials) or study.user_attrs.get(CLOSED) != len(trials):
+            return None
+        found.append(read_study(study))
+    return found
 
-    def is_finished(self, spec: StudySpec) -> bool:
-        return len(set(self._trials[spec.name].finished()) & set(range(self._n_trials))) == self._n_trials
 
-    def open(self, spec: StudySpec) -> None:
-        self._patiently(lambda: self._optuna[spec.name].tell(self._trials[spec.name]))
-        self._reach()
-        self._tracker.start_study(spec, n_trials=self._n_trials)
-        for record in self._trials[spec.name].records():
-            self._track_trial(spec, record)
+def _close(part: _Part, runs: RunStore, paths: ProjectPaths) -> TunedStudy:
+    """Register the best surrogate of a study and end its run."""
+    found = read_study(part.study)
+    close_study(runs, part.spec, found, part.run_id, paths)
+    part.study.set_user_attr(CLOSED, len(part.trials))
+    return found
 
-    def hear(self, spec: StudySpec, event: TuneEvent) -> None:
-        if event.kind == "waiting":
-            if self._paths.storage is None:
-                self.tell(event.message)
-            self._reach()
-            return
-        if event.kind == "joined":
-            logger.warning("%s", event.message)
-            return
-        if event.kind == "trial-finished":
-            self._patiently(lambda: self._optuna[spec.name].tell(self._trials[spec.name]))
-            record = self._patiently(lambda: self._trials[spec.name].record(event.index))
-            if record is not None:
-                self._reach()
-                self._track_trial(spec, record)
-        elif event.kind == "study-finished":
-            self.close(spec)
-        self._on_event(event)
 
-    def close(self, spec: StudySpec) -> StudySummary:
-        """Crown the best surrogate of a study, once, and close its run."""
-        if spec.name in self._summaries:
-            return self._summaries[spec.name]
-        # Nobody has told of trials that failed with their process, nor of those of other commands.
-        self._patiently(lambda: self._optuna[spec.name].tell(self._trials[spec.name]))
-        records = self._patiently(self._trials[spec.name].records)
-        self._reach()
-        for record in records:
-            self._track_trial(spec, record)
-        best = best_record(records)
-        champion = None
-        if best is not None:
-            champion = self._paths.champion(spec.label, spec.n_train)
-            self._crown(spec, best)
-            self._tracker.register_champion(spec, champion)
-        summary = summarize(spec, records, champion)
-        self._tracker.finish_study(spec, summary, "FINISHED")
-        self._summaries[spec.name] = summary
-        return summary
-
-    def abandon(self, spec: StudySpec) -> None:
-        """Tell of what is finished, without waiting for a store that is away, and close the study's run."""
-        if spec.name in self._summaries:
-            return
-        self._optuna[spec.name].tell(self._trials[spec.name])
-        records = self._trials[spec.name].records()
-        self._tracker.finish_study(spec, summarize(spec, records, None), "KILLED")
-
-    def leave(self) -> None:
-        """Hang up."""
-        for study in self._optuna.values():
-            study.close()
-
-    def tell(self, line: str) -> None:
-        """Say in one line what is waited for, and in another that it is there again."""
-        if line and self._away_since_s is None:
-            self._away_since_s = time.monotonic()
-            logger.warning("waiting: %s", line)
-        elif not line and self._away_since_s is not None:
-            away_s, self._away_since_s = time.monotonic() - self._away_since_s, None
-            logger.warning("going on after %.0f s of waiting; nothing is lost", away_s)
-
-    def _crown(self, spec: StudySpec, best: TrialRecord) -> None:
-        run_id = self._tracker.trial_run_id(spec, best.key)
-        if self._patiently(lambda: crown(self._paths, spec, best, run_id)):
-            return
-        # Another command may have found a better one by now and keeps the weights of that one alone.
-        newest = best_record(self._patiently(self._trials[spec.name].records))
-        if newest is None or newest.index == best.index:
-            raise InputError(f"the weights of {best.key} are gone; type: studies doctor --repair")
-        self._crown(spec, newest)
-
-    def _track_trial(self, spec: StudySpec, record: TrialRecord) -> None:
-        store = self._trials[spec.name]
-        self._tracker.log_trial(spec, record, lambda: store.history(record.index))
-
-    def _reach(self) -> None:
-        """Wait until the server answers, before the tracker asks it: it would not wait."""
-        if self._paths.storage is not None:
-            server = database(self._paths.storage)
-            self._patiently(lambda: server.rows("select 1"))
-
-    def _patiently(self, work: Callable[[], _T]) -> _T:
-        return wait_out(work, tell=self.tell)
+def n_running(trials: Sequence[FrozenTrial]) -> int:
+    """Return how many trials of a study run now."""
+    return sum(trial.state == TrialState.RUNNING for trial in trials)

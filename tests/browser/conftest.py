@@ -67,7 +67,7 @@ def project(needs_a_browser: None, tmp_path_factory: pytest.TempPathFactory) -> 
     shutil.copytree(
         REPOSITORY / "data" / "office", root / "data" / "office", ignore=shutil.ignore_patterns("generated")
     )
-    (root / "pyproject.toml").write_text("", encoding="utf-8")
+    (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     give_store(root)
     (root / "small.toml").write_text(SMALL_PROFILE, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:

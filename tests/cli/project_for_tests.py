@@ -96,7 +96,7 @@ def make_project(root: Path, *, with_store: bool = True) -> Path:
     for name in ("Office.fmu", "case.toml"):
         shutil.copy(OFFICE / name, folder / name)
     write_csv_files(root / "data" / "office")
-    (root / "pyproject.toml").write_text("", encoding="utf-8")
+    (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     if with_store:
         give_store(root)
     return root

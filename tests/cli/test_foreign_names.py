@@ -37,7 +37,7 @@ def refusal(answer: object) -> str:
 @pytest.mark.parametrize("name", BAD)
 def test_no_folder_of_a_project_has_such_a_name(tmp_path: Path, name: str) -> None:
     paths = ProjectPaths(tmp_path)
-    for place in (paths.results, paths.report, paths.champions, paths.generated):
+    for place in (paths.results, paths.report, paths.generated):
         with pytest.raises(InputError, match="is no name of a case or a label"):
             place(name)
 

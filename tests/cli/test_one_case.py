@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from project_for_tests import Run, copy_of, make_calibrated_wall
 
+from studies import embedded
 from studies.report.wording import quantity
 
 HASTE = ("--max-calls", "8")
@@ -73,7 +74,10 @@ def test_a_project_goes_on_elsewhere_though_the_first_still_stands(
 
 
 @pytest.mark.parametrize("is_kept", [True, False], ids=["renamed", "removed"])
-def test_a_name_that_was_given_away_is_free(project: Path, studies: Run, other: Path, is_kept: bool) -> None:
+def test_a_name_that_was_given_away_is_free(
+    project: Path, studies: Run, other: Path, is_kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(embedded, "EMBEDDED", project / "nowhere")  # there the wall keeps its name
     first = project / "fmus" / "wall" / "case.toml"
     if is_kept:
         edit(first, 'name = "wall"', 'name = "first-wall"')

@@ -78,7 +78,7 @@ def test_a_profile_cannot_be_changed() -> None:
         load_profile("smoke").seed = 3  # type: ignore[misc]
 
 
-def test_the_project_is_found_from_below_and_by_the_variable(
+def test_the_project_is_found_from_below_and_from_a_named_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = make_project(tmp_path / "project")
@@ -86,7 +86,7 @@ def test_the_project_is_found_from_below_and_by_the_variable(
     monkeypatch.chdir(root / "fmus" / "office")
     assert find_project(None).root == root
     monkeypatch.chdir(tmp_path)
-    assert (find_project(None).root / "studies").is_dir()
+    assert find_project(None).root == tmp_path
     monkeypatch.setenv("STUDIES_ROOT", str(root))
     assert find_project(None).root == root
 
@@ -110,9 +110,3 @@ def test_cases_are_found_by_folder_name_and_by_file_name(tmp_path: Path) -> None
     assert find_case(paths, "winter") == other
     with pytest.raises(InputError, match="did you mean 'winter'"):
         find_case(paths, "wintr")
-
-
-def test_paths_are_shown_as_a_reader_would_type_them(tmp_path: Path) -> None:
-    paths = ProjectPaths(tmp_path)
-    assert paths.show(tmp_path / "mlruns" / "mlflow.db") == "mlruns/mlflow.db"
-    assert paths.show(Path("/elsewhere/file")) == "/elsewhere/file"

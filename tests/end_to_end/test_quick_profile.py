@@ -60,7 +60,7 @@ def run(project: Path) -> Done:
 def first(tmp_path_factory: pytest.TempPathFactory) -> Done:
     """What a newcomer gets from one command."""
     root = tmp_path_factory.mktemp("project")
-    (root / "pyproject.toml").touch()
+    (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     shutil.copytree(REPOSITORY / "fmus" / "office", root / "fmus" / "office")
     (root / "data" / "office").mkdir(parents=True)
     for file in (REPOSITORY / "data" / "office").glob("*.csv"):

@@ -55,7 +55,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
             shutil.copy(REPOSITORY / "fmus" / case / name, root / "fmus" / case / name)
     ignore = shutil.ignore_patterns("generated", "*.png", "*.py")
     shutil.copytree(REPOSITORY / "data" / "office", root / "data" / "office", ignore=ignore)
-    (root / "pyproject.toml").write_text("")
+    (root / "studies.toml").write_text("schema = 1\n")
     (root / "toy.toml").write_text(TOY)
     give_store(root)
     return root

@@ -29,7 +29,7 @@ def office(folder: Path, time: str) -> Path:
     (folder / "data" / "office").mkdir(parents=True)
     for file in (REPOSITORY / "data" / "office").glob("*.csv"):
         shutil.copy(file, folder / "data" / "office")
-    (folder / "pyproject.toml").touch()
+    (folder / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     path = folder / "fmus" / "office" / "case.toml"
     text = path.read_text()
     assert "start_d = 0 " in text

@@ -1,0 +1,53 @@
+"""What a command would do: simulations to go, trials to go, and their time where earlier trials show it."""
+
+import statistics
+from typing import Any
+
+from studies.console import Column, Table, format_seconds
+from studies.physical_model import store_folder
+from studies.report.wording import MISSING
+from studies.stages.pipeline import Study
+
+
+def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
+    """Return what is left to do, as a table and as JSON values; writes nothing.
+
+    Args:
+        study: the study.
+        whole: whether all stages are done, or simulations and tuning alone.
+    """
+    from studies.stages.simulate import missing_rows
+    from studies.tuning.results import latest_studies, read_studies
+
+    data, tuning = study.profile.data, study.profile.tuning
+    n_missing, n_all = missing_rows(study)
+    known = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
+    rows: list[list[object]] = [["simulations", f"{n_missing} of {n_all}", MISSING]]
+    sizes = []
+    for n_train in data.n_train:
+        found = known.get((n_train, False))
+        n_ended = 0 if found is None else found.n_ended
+        n_left = max(tuning.n_trials - n_ended, 0)
+        times = [] if found is None else [trial.wall_s for trial in found.trials if trial.wall_s > 0.0]
+        left_s = n_left * statistics.fmean(times) if times else None
+        rows.append(
+            [f"trials, n_train {n_train}", f"{n_left} of {tuning.n_trials}", _time(left_s if n_left else 0.0)]
+        )
+        sizes.append({"n_train": n_train, "n_left": n_left, "training_s": left_s if n_left else 0.0})
+    if whole:
+        n_base = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
+        rows.append(["simulations for Sobol indices, at most", n_base, MISSING])
+        rows.append(
+            ["simulations for polishing, at most", study.profile.polish.max_calls * len(sizes), MISSING]
+        )
+    columns = [Column("what"), Column("to do", True), Column("training time on one core", True)]
+    title = f"{study.label}: what would be done (times from the mean of earlier trials; nothing is written)"
+    return Table(title, columns, rows), {
+        "n_simulations": n_missing,
+        "sizes": sizes,
+        "store": study.paths.show(store_folder(study.paths, study.case)),
+    }
+
+
+def _time(seconds: float | None) -> str:
+    return "unknown before the first trial" if seconds is None else format_seconds(seconds)

@@ -1,1 +1,0 @@
-"""What is there: studies, trials, calibrations, row sets, found by name and told on the terminal."""

@@ -1,0 +1,67 @@
+"""The file `studies.toml`, which makes a folder a project."""
+
+import os
+import tomllib
+from pathlib import Path
+
+from simulation.errors import InputError, MachineError
+from simulation.whole_file import whole_file
+from studies.console import Console
+
+MARKER = "studies.toml"
+SCHEMA = 1
+ROOT_VARIABLE = "STUDIES_ROOT"
+TEXT = f"""\
+# This file makes its folder a project of `studies`: results go to mlruns/ and data/, own cases to fmus/.
+schema = {SCHEMA}
+"""
+
+
+def find_root() -> Path:
+    """Find the project's folder: the nearest one with a marker, from the working folder upwards.
+
+    Where there is none, it is the working folder. `$STUDIES_ROOT` names another folder to begin at.
+
+    Raises:
+        InputError: `$STUDIES_ROOT` is set and is no folder, or the marker is damaged or of another version.
+    """
+    declared = os.environ.get(ROOT_VARIABLE)
+    begin = Path(declared).expanduser() if declared else Path.cwd()
+    if not begin.is_dir():
+        raise InputError(f"${ROOT_VARIABLE} is {declared!r}, which is not a folder; correct or unset it")
+    begin = begin.resolve()
+    for folder in (begin, *begin.parents):
+        if (folder / MARKER).is_file():
+            _check(folder / MARKER)
+            return folder
+    return begin
+
+
+def mark_project(root: Path, console: Console) -> None:
+    """Make a folder a project and name it; a project stays as it is.
+
+    Raises:
+        MachineError: the folder cannot be written.
+    """
+    file = root / MARKER
+    if file.is_file():
+        return
+    try:
+        with whole_file(file) as stream:
+            stream.write(TEXT.encode())
+    except OSError as error:
+        raise MachineError(
+            f"{root}: the project's folder cannot be written ({error.strerror}); go to another folder"
+        ) from None
+    console.say(f"project: {root} ({MARKER} made)")
+
+
+def _check(file: Path) -> None:
+    try:
+        schema = tomllib.loads(file.read_text(encoding="utf-8-sig")).get("schema")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read ({error}); write: schema = {SCHEMA}") from None
+    if schema != SCHEMA:
+        raise InputError(
+            f"{file}: schema is {schema!r}, this version reads {SCHEMA}; use the version that made it"
+        )

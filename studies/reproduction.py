@@ -1,0 +1,342 @@
+"""Make a trial or a stage again from what its MLflow run holds, and compare every number.
+
+The run says what was done: the case file's text, the SHA-256 of every file, settings and seed. What it says
+is compared with the project, never written into it: the case and its files must be here as they were.
+"""
+
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from simulation.case import load_case
+from simulation.errors import InputError
+from studies.comparison import Compared, compare, n_equal, shortened
+from studies.console import Column, Console
+from studies.embedded import EMBEDDED
+from studies.paths import ProjectPaths
+from studies.profile import profile_from
+from studies.recipe import checked, file_digest, text_digest
+from studies.stages.pipeline import Study, read_json
+from studies.stages.results import read_arrays
+from studies.tracking.origin import environment
+from studies.tracking.runs import CURVE, RunStore
+from studies.tracking.stage_run import run_store
+
+if TYPE_CHECKING:
+    from mlflow.entities import Run
+
+Made = tuple[dict[str, Any], Mapping[str, NDArray[Any]]]
+Recorded = tuple[dict[str, Any], Mapping[str, NDArray[Any]]]
+LOOSE = ("wall", "recipe", "environment", "n_reused")
+"""Numbers and records of a stage that are others each time."""
+
+
+def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) -> tuple[str, list[Compared]]:
+    """Make the result of a run again.
+
+    Args:
+        paths: the project.
+        name: id of an MLflow run or its first digits, or a calibration as `studies status` names it.
+        console: says what is done.
+        n_jobs: processes for simulations.
+
+    Returns:
+        The run's id and its numbers, recorded and now.
+
+    Raises:
+        InputError: there is no such run, it holds nothing that makes it again, or what it was made from is
+            not here as it was.
+    """
+    runs = run_store(paths)
+    run = _find(runs, paths, name)
+    run_id = str(run.info.run_id)
+    with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
+        record = read_json(runs.fetch(run_id, "recipe.json", Path(scratch))) or {}
+        recipe = checked(record.get("recipe") or {}, f"MLflow's run {run_id}")
+        study = _study(paths, recipe, console, n_jobs)
+        _say_differences(console, record.get("environment", {}))
+        makers: dict[str, Callable[[], tuple[Recorded, Made]]] = {
+            "training": lambda: _trial(run, runs, study, record),
+            "calibration": lambda: _calibration(run, runs, study, recipe, Path(scratch)),
+            "adaptive": lambda: _adaptive(run, runs, study, recipe, Path(scratch)),
+            "uncertainty": lambda: _uncertainty(run, runs, study, recipe, Path(scratch)),
+            "sensitivity": lambda: _sensitivity(run, runs, study, record, Path(scratch)),
+        }
+        kind = str(recipe.get("kind"))
+        if kind not in makers:
+            raise InputError(f"MLflow's run {run_id} is a {kind!r}, which this version cannot make again")
+        threads = str(record.get("environment", {}).get("n_threads", "1"))
+        with (
+            console.stage("reproduce", f"{run.info.run_name} of {study.label} once more"),
+            threadpool_limits(int(threads) if threads.isdecimal() else None),
+        ):
+            (numbers, arrays), (numbers_now, arrays_now) = makers[kind]()
+    kept = {key: value for key, value in numbers.items() if not key.startswith(LOOSE)}
+    return run_id, compare(kept, numbers_now) + compare(arrays, arrays_now)
+
+
+def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> None:
+    """Print the numbers side by side and the verdict."""
+    columns = [Column("number"), Column("recorded", True), Column("now", True), Column("relative", True)]
+    cells = []
+    for row in rows:
+        relative = "" if row.is_equal or row.relative is None else f"{row.relative:.1e}"
+        said = "equal" if row.is_equal else "DIFFERS"
+        cells.append([row.name, shortened(row.recorded), shortened(row.now), relative, said])
+    console.table(f"MLflow's run {run_id}: recorded and made again", [*columns, Column("")], cells)
+    n_other = len(rows) - n_equal(rows)
+    verdict = (
+        f"differs: {n_other} of {len(rows)} rows"
+        if n_other
+        else f"equal: all {len(rows)} rows to the last digit"
+    )
+    console.result(verdict)
+
+
+def _find(runs: RunStore, paths: ProjectPaths, name: str) -> "Run":
+    """Find a run by the begin of its id, or the latest one of a calibration's name."""
+    from mlflow.entities import ViewType
+
+    experiments = runs.client.search_experiments(view_type=ViewType.ACTIVE_ONLY)
+    if re.fullmatch(r"[0-9a-f]{6,32}", name):
+        ids = [one.experiment_id for one in experiments]
+        found, token = [], None
+        while token is None or token:
+            page = runs.client.search_runs(ids, max_results=1000, page_token=token)
+            found += [run for run in page if run.info.run_id.startswith(name)]
+            token = page.token or ""
+        if len(found) == 1:
+            return found[0]
+        raise InputError(f"{len(found)} runs of MLflow begin with {name!r}; `studies ui` shows their ids")
+    label, _, stage = name.partition("/")
+    if label in {one.name for one in experiments} and stage:
+        kinds = ("calibration", "uncertainty", "sensitivity")
+        for run in reversed([run for kind in kinds for run in runs.find(label, {"role": kind})]):
+            if stage in (run.info.run_name, run.info.run_name.removesuffix(" calibration")):
+                return run
+    raise InputError(
+        f"nothing is called {name!r}; give the id of an MLflow run (`studies best --json` has those of the "
+        "best trials), or a calibration such as office-quick/adaptive"
+    )
+
+
+def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_jobs: int) -> Study:
+    """Put a recipe's study together from the case that is here.
+
+    Raises:
+        InputError: the case, one of its files or a key of the profile is not as it was.
+    """
+    told = recipe["case"]
+    file = _case_file(paths, str(told["place"]))
+    if text_digest(file.read_text(encoding="utf-8-sig")) != told["text_sha256"]:
+        begin = f"{paths.show(file)} has changed since"
+    else:
+        begin = ""
+    case = load_case(file, window_d=tuple(recipe["window_d"]))
+    now = {"case": case.digest, "measurement": case.measurement.digest}
+    was = {"case": told["digest"], "measurement": told["measurement_digest"]}
+    for what, digest in was.items():
+        if now[what] != digest:
+            changed = [
+                str(one["role"])
+                for one in recipe["files"]
+                if _digest(file.parent / str(one["declared"])) != one["sha256"]
+            ]
+            which = begin or f"{' and '.join(changed) or what} of {paths.show(file)} changed since"
+            raise InputError(
+                f"this cannot be made again: {which}; restore what it was ({what} {digest[:12]})"
+            )
+    return Study(
+        case=case,
+        profile=profile_from(recipe["profile"], "the recipe"),
+        paths=paths,
+        console=console,
+        n_jobs=n_jobs,
+        label=str(recipe["label"]),
+        command=str(recipe["command"]),
+    )
+
+
+def _case_file(paths: ProjectPaths, place: str) -> Path:
+    """Return the case file of a record, which may lie in the project or among the embedded cases alone.
+
+    Raises:
+        InputError: it is not there, or the record names another place.
+    """
+    file = paths.located(place)
+    inside = (paths.root.resolve(), EMBEDDED.resolve())
+    if not any(file.resolve().is_relative_to(folder) for folder in inside) or not file.is_file():
+        raise InputError(f"the case file {place!r} of this run is not in the project; put it there again")
+    return file
+
+
+def _digest(file: Path) -> str:
+    return file_digest(file) if file.is_file() else ""
+
+
+def _say_differences(console: Console, was: Mapping[str, str]) -> None:
+    """Say which packages, code and machine differ from the recorded ones."""
+    now = environment()
+    for key in sorted(set(was) | set(now)):
+        if was.get(key) != now.get(key) and key != "device":
+            console.say(
+                f"  {key}: {shortened(str(was.get(key, '–')))} -> {shortened(str(now.get(key, '–')))}"
+            )
+
+
+def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) -> tuple[Recorded, Made]:
+    """Train a trial's surrogate again, as far as it was trained."""
+    from studies.stages.simulate import simulate_stage
+    from studies.tuning.declaration import Declaration
+    from studies.tuning.training import load_data, train
+
+    spec = Declaration.from_dict(record["declaration"])
+    simulate_stage(study)  # what is stored is not simulated again
+    data = load_data(spec, study.paths)
+    history = {
+        name: {point.step: point.value for point in runs.client.get_metric_history(run.info.run_id, name)}
+        for name in run.data.metrics
+        if name.startswith(CURVE)
+    }
+    last = max((step for curve in history.values() for step in curve), default=0)
+    is_pruned = run.data.tags.get("pruned") == "True"
+    seen: dict[str, dict[int, float]] = {name: {} for name in history}
+
+    class _LastEpochError(Exception):
+        pass
+
+    def hear(report: Any) -> None:
+        now = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
+        for name, value in now.items():
+            seen.setdefault(f"{CURVE}{name}", {})[report.epoch] = value
+        if is_pruned and report.epoch >= last:
+            raise _LastEpochError
+
+    config = spec.config(record["params"])
+    numbers: dict[str, Any] = {}
+    try:
+        _, result = train(spec, config, record["seed"], data, on_epoch=hear, on_report=lambda *_: None)
+        numbers = dict(result.metrics)
+    except _LastEpochError:
+        pass
+    was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
+    return (was, _as_arrays(history)), (numbers, _as_arrays({name: seen[name] for name in history}))
+
+
+def _as_arrays(curves: Mapping[str, Mapping[int, float]]) -> dict[str, NDArray[Any]]:
+    return {name: np.array([curve[step] for step in sorted(curve)]) for name, curve in curves.items()}
+
+
+def _recorded(run: "Run", runs: RunStore, folder: Path, stem: str) -> Recorded:
+    """Fetch the numbers and arrays of a stage from its run."""
+    listed = [one.path for one in runs.client.list_artifacts(run.info.run_id)]
+    names = [name for name in listed if name.startswith(stem) and "/" not in name]
+    numbers = next((name for name in names if name.endswith(".json")), None)
+    arrays = next((name for name in names if name.endswith(".npz")), None)
+    if numbers is None or arrays is None:
+        raise InputError(f"MLflow's run {run.info.run_id} holds no numbers of its {stem}")
+    found = read_json(runs.fetch(run.info.run_id, numbers, folder)) or {}
+    return found, read_arrays(runs.fetch(run.info.run_id, arrays, folder))
+
+
+@contextmanager
+def _apart(study: Study) -> Iterator[Study]:
+    """Let a study simulate in a folder of its own, so that stored rows are made again as well."""
+    with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
+        yield replace(study, paths=ProjectPaths(Path(scratch)))
+
+
+def _calibration(
+    run: "Run", runs: RunStore, study: Study, recipe: Mapping[str, Any], folder: Path
+) -> tuple[Recorded, Made]:
+    from studies.stages.calibrate import calibrate
+    from studies.stages.restriction import restriction_of
+    from studies.tracking.registry import load_surrogate
+
+    recorded = _recorded(run, runs, folder, "calibration")
+    surrogate = load_surrogate(runs, str(recipe["surrogate"]["run_id"]))
+    with _apart(study) as apart:
+        numbers, arrays, _ = calibrate(apart, surrogate, int(recipe["n_train"]), restriction_of(recipe))
+    return _without(recorded, numbers), (numbers, arrays)
+
+
+def _adaptive(
+    run: "Run", runs: RunStore, study: Study, recipe: Mapping[str, Any], folder: Path
+) -> tuple[Recorded, Made]:
+    from studies.calibration.adaptive import Adaptive
+    from studies.stages.adaptive import calibrate_adaptively
+    from studies.stages.restriction import restriction_of
+
+    recorded = _recorded(run, runs, folder, "calibration")
+    known = _known(recorded) if "n_known" in recorded[0] else None
+    with _apart(study) as apart:
+        numbers, arrays, _ = calibrate_adaptively(
+            apart,
+            Adaptive(**recipe["settings"]),
+            restriction_of(recipe),
+            None if known is None else lambda *_: known,
+            state_equations="state_equations" in recorded[0],
+        )
+    return _without(recorded, numbers), (numbers, arrays)
+
+
+def _uncertainty(
+    run: "Run", runs: RunStore, study: Study, recipe: Mapping[str, Any], folder: Path
+) -> tuple[Recorded, Made]:
+    from studies.stages.restriction import restriction_of
+    from studies.stages.uncertainty import UncertaintySettings, judge_calibration_point
+
+    recorded = _recorded(run, runs, folder, "uncertainty")
+    point = recipe["calibration"]
+    theta = np.array([point["theta"][name] for name in study.case.parameter_space.names])
+    known = _known(recorded)
+    with _apart(study) as apart:
+        numbers, arrays, _ = judge_calibration_point(
+            apart,
+            point["name"],
+            theta,
+            UncertaintySettings(**recipe["settings"]),
+            lambda *_: known,
+            restriction_of(recipe),
+            state_equations=point.get("state_equations", False),
+        )
+    return _without(recorded, numbers), (numbers, arrays)
+
+
+def _sensitivity(
+    run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any], folder: Path
+) -> tuple[Recorded, Made]:
+    from studies.stages.simulate import estimate_indices
+
+    arrays = read_arrays(runs.fetch(run.info.run_id, "sensitivity.npz", folder))
+    n_rows = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
+    with _apart(study) as apart:
+        summary, indices = estimate_indices(apart, n_rows)
+    made = folder / "made.npz"
+    indices.save(made)
+    numbers = {key: value for key, value in record.get("numbers", {}).items() if key in summary}
+    return (numbers, arrays), (dict(summary), read_arrays(made))
+
+
+def _known(recorded: Recorded) -> Any:
+    """Return the rows that were known when a result was begun."""
+    from studies.stages.known_rows import Known
+
+    theta = recorded[1].get("known_theta")
+    if theta is None:
+        raise InputError("the run does not say which simulations were known when it began; make it again")
+    usual = np.full(len(theta), "state_equations" in recorded[0])
+    return Known(theta, np.asarray(recorded[1].get("known_watched", usual), dtype=np.bool_))
+
+
+def _without(recorded: Recorded, made: Mapping[str, Any]) -> Recorded:
+    """Leave out what a stage notes of its circumstances: what is not made with its numbers."""
+    return {key: value for key, value in recorded[0].items() if key in made}, recorded[1]

@@ -1,0 +1,170 @@
+"""The search space of a profile: which settings of the surrogate Optuna chooses, and from which values."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from pelsvae.config import VARIANTS, SurrogateConfig
+
+if TYPE_CHECKING:
+    from optuna import Trial
+
+STRICT = ConfigDict(extra="forbid", strict=False)
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+Positive = Annotated[float, Field(gt=0.0)]
+Value = int | float | str | bool
+
+OF_PCA_GP = ("n_scales", "degree", "n_members", "n_latent", "theta_features", "max_epochs")
+OF_NETWORKS = (
+    "n_latent", "n_hidden", "n_layers", "activation", "theta_features", "beta", "n_latent_samples",
+    "n_prediction_samples", "detach_encoder", "batch_size", "learning_rate", "weight_decay", "optimizer",
+    "schedule", "max_epochs", "patience",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, config=STRICT)
+class SearchParameter:
+    """One hyperparameter as Optuna searches it.
+
+    Args:
+        kind: "int", "float" or "categorical".
+        low: least value of a number.
+        high: largest value of a number.
+        log: whether a number is searched on a logarithmic scale.
+        step: distance between the values of a number; not together with `log`.
+        choices: values of a categorical one.
+        when: the hyperparameter is searched only where these settings have these values (or one of a list).
+            A setting named here is declared before.
+    """
+
+    kind: Literal["int", "float", "categorical"]
+    low: int | float | None = None
+    high: int | float | None = None
+    log: bool = False
+    step: Positive | None = None
+    choices: tuple[Value, ...] = ()
+    when: dict[str, Value | tuple[Value, ...]] = Field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind == "categorical":
+            if not self.choices or self.low is not None or self.high is not None:
+                raise ValueError("a categorical hyperparameter has choices and no low and high")
+            return
+        if self.low is None or self.high is None or self.choices:
+            raise ValueError(f'a hyperparameter of kind "{self.kind}" has low and high and no choices')
+        if self.low > self.high:
+            raise ValueError(f"low = {self.low} is larger than high = {self.high}")
+        if self.log and (self.low <= 0 or self.step is not None):
+            raise ValueError("log = true needs low > 0 and no step")
+        if self.kind == "int" and not all(
+            float(v).is_integer() for v in (self.low, self.high, self.step or 1)
+        ):
+            raise ValueError('low, high and step of kind "int" are whole numbers')
+
+    def is_asked(self, settings: Mapping[str, Any]) -> bool:
+        """Say whether the hyperparameter is searched beside these settings."""
+        return all(
+            settings.get(name) in (wanted if isinstance(wanted, tuple | list) else (wanted,))
+            for name, wanted in self.when.items()
+        )
+
+    def suggest(self, trial: "Trial", name: str) -> Any:
+        """Ask Optuna for a value."""
+        if self.kind == "categorical":
+            return trial.suggest_categorical(name, list(self.choices))
+        assert self.low is not None, "checked when it was declared"
+        assert self.high is not None, "checked when it was declared"
+        if self.kind == "int":
+            step = 1 if self.step is None else int(self.step)
+            return trial.suggest_int(name, int(self.low), int(self.high), step=step, log=self.log)
+        return trial.suggest_float(name, float(self.low), float(self.high), step=self.step, log=self.log)
+
+    def nearest(self, value: Any) -> Any:
+        """Return the value of the search that is nearest to a setting."""
+        if self.kind == "categorical":
+            return value if value in self.choices else self.choices[0]
+        assert self.low is not None, "checked when it was declared"
+        assert self.high is not None, "checked when it was declared"
+        value = min(max(value, self.low), self.high)
+        if self.step is not None:
+            value = self.low + round((value - self.low) / self.step) * self.step
+        return round(value) if self.kind == "int" else float(value)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the profile declared, as JSON values."""
+        return {name: value for name, value in asdict(self).items() if value not in (None, (), {}, False)}
+
+
+SearchSpace = dict[str, SearchParameter]
+
+NETWORK_SPACE: SearchSpace = {
+    "n_latent": SearchParameter("int", low=8, high=128, log=True),
+    "n_hidden": SearchParameter("int", low=64, high=256, log=True),
+    "beta": SearchParameter("float", low=1.0, high=1000.0, log=True),
+}
+"""Searched for networks where the profile names no search space."""
+PCA_GP_SPACE: SearchSpace = {
+    "n_scales": SearchParameter("int", low=1, high=4),
+    "degree": SearchParameter("int", low=1, high=2),
+}
+"""Searched for PCA + GP where the profile names no search space."""
+
+
+def space_of(surrogate: str, declared: SearchSpace | None) -> SearchSpace:
+    """Return the search space of a surrogate: the declared one, else the usual one."""
+    if declared is not None:
+        return declared
+    return PCA_GP_SPACE if surrogate == "pca-gp" else NETWORK_SPACE
+
+
+def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[str, Any]]) -> None:
+    """Check a search space, and the configurations to begin with, against the surrogate's settings.
+
+    Raises:
+        ValueError: a setting does not exist, has no effect, or takes none of the values.
+    """
+    known = OF_PCA_GP if surrogate == "pca-gp" else OF_NETWORKS
+    base, seen = VARIANTS[surrogate], set[str]()
+    for name, parameter in space.items():
+        if name not in known:
+            raise ValueError(
+                f'search.{name} has no effect on surrogate "{surrogate}", which has {", ".join(known)}'
+            )
+        for other in parameter.when:
+            if other not in seen and other not in known:
+                raise ValueError(f"search.{name}.when names {other}, which is no setting of the surrogate")
+            if other in space and other not in seen:
+                raise ValueError(f"search.{name}.when names {other}; declare {other} before {name}")
+        seen.add(name)
+        for value in parameter.choices or (parameter.low, parameter.high):
+            try:
+                base.replace(**{name: value})
+            except ValueError as error:
+                raise ValueError(f"search.{name}: {error}") from None
+    for place, settings in enumerate(enqueued):
+        for name, value in settings.items():
+            if name not in space:
+                raise ValueError(f"enqueue[{place}].{name} is not searched; add it to [tuning.search]")
+            if space[name].nearest(value) != value:
+                raise ValueError(f"enqueue[{place}].{name} = {value} is no value of search.{name}")
+
+
+def suggested(trial: "Trial", space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:
+    """Ask Optuna for the hyperparameters of a trial, in the order of their declaration."""
+    chosen: dict[str, Any] = {}
+    for name, parameter in space.items():
+        if parameter.is_asked(base.to_dict() | chosen):
+            chosen[name] = parameter.suggest(trial, name)
+    return chosen
+
+
+def default_point(space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:
+    """Return the point of the search nearest to the surrogate's own settings: every study's first trial."""
+    chosen: dict[str, Any] = {}
+    for name, parameter in space.items():
+        if parameter.is_asked(base.to_dict() | chosen):
+            chosen[name] = parameter.nearest(getattr(base, name))
+    return chosen

@@ -1,0 +1,100 @@
+"""What tuning came to, as the records that figures and tables are made of."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedRecord
+from studies.stages.pipeline import Study
+from studies.tracking.runs import CURVE
+from studies.tracking.stage_run import run_store
+from studies.tuning.results import TrialView, TunedStudy, latest_studies, read_studies
+
+
+def tuned_by_size(study: Study, *, baseline: bool = False) -> dict[int, TunedStudy]:
+    """Return the latest study of each training-set size, of this case and label.
+
+    Args:
+        study: the study.
+        baseline: the PCA + GP that was fitted for comparison instead.
+    """
+    latest = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
+    return {n: one for (n, is_baseline), one in sorted(latest.items()) if is_baseline == baseline}
+
+
+def tuned_records(study: Study) -> tuple[TunedRecord, ...]:
+    """Return the best surrogate of each training-set size, with PCA + GP beside it."""
+    baselines, found = tuned_by_size(study, baseline=True), []
+    for n_train, one in tuned_by_size(study).items():
+        best, beside = one.best, baselines.get(n_train)
+        if best is None:
+            continue
+        other = beside.best.metrics if beside is not None and beside.best is not None else {}
+        found.append(
+            TunedRecord(
+                n_train=n_train,
+                hyperparameters=dict(best.params),
+                test_mae=best.metrics["test/mae"],
+                test_p90=best.metrics["test/p90"],
+                validation_mae=best.metrics["val/mae"],
+                gain=np.nan if one.gain is None else one.gain,
+                baseline_mae=other.get("test/mae", np.nan),
+                baseline_p90=other.get("test/p90", np.nan),
+                n_complete=one.count("complete"),
+                n_pruned=one.count("pruned"),
+                n_failed=one.count("failed"),
+            )
+        )
+    return tuple(found)
+
+
+def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:
+    """Return all trials that have ended as one record, None where there are none."""
+    ended = [
+        (one, trial)
+        for one in studies.values()
+        for trial in one.trials
+        if trial.state in ("complete", "pruned", "failed")
+    ]
+    if not ended:
+        return None
+
+    def metric(name: str) -> NDArray[np.float64]:
+        return np.array([trial.metrics.get(name, np.nan) for _, trial in ended], dtype=np.float64)
+
+    values = [np.nan if trial.value is None else trial.value for _, trial in ended]
+    return TrialsRecord(
+        n_train=np.array([one.spec.n_train for one, _ in ended], dtype=np.int64),
+        state=tuple(trial.state for _, trial in ended),
+        validation_mae=np.array(values, dtype=np.float64),
+        test_mae=metric("test/mae"),
+        test_p90=metric("test/p90"),
+        is_best=np.array([trial is one.best for one, trial in ended]),
+    )
+
+
+def learning_curves(study: Study, studies: dict[int, TunedStudy]) -> tuple[LearningCurves, ...]:
+    """Return the learning curves of the best trial of each size, as MLflow keeps them."""
+    curves = []
+    for n_train, one in studies.items():
+        if one.best is not None and one.spec.settings["regressor"] == "network":
+            curves.append(_curves(study, n_train, one.best))
+    return tuple(curves)
+
+
+def _curves(study: Study, n_train: int, best: TrialView) -> LearningCurves:
+    client = run_store(study.paths).client
+    names = [n.removeprefix(CURVE) for n in client.get_run(best.run_id).data.metrics if n.startswith(CURVE)]
+    found = {
+        name: {point.step: point.value for point in client.get_metric_history(best.run_id, f"{CURVE}{name}")}
+        for name in names
+    }
+    epochs = sorted(found.get("validation_mae", {}))
+    of = {name: np.array([points.get(epoch, np.nan) for epoch in epochs]) for name, points in found.items()}
+    return LearningCurves(
+        n_train=n_train,
+        epoch=np.array(epochs, dtype=np.int64),
+        validation_mae=of.pop("validation_mae", np.zeros(0)),
+        terms=tuple(sorted(of.items())),
+        best_epoch=best.best_epoch,
+        stop_reason=best.reason,
+    )

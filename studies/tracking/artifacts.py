@@ -1,0 +1,36 @@
+"""MLflow plug-in: artifacts that lie beside the project's SQLite file, wherever the project was moved.
+
+MLflow keeps absolute places of artifacts, which are wrong once a folder is moved. An address
+`studies-project:/<label>/...` means `artifacts/<label>/...` in the folder of the SQLite file in use.
+
+MLflow loads this module while it is imported itself: no module of ours imports it.
+"""
+
+import os
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+import mlflow
+from mlflow.exceptions import MlflowException
+from mlflow.store.artifact.local_artifact_repo import LocalArtifactRepository
+
+
+class ProjectArtifacts(LocalArtifactRepository):
+    """Reads and writes artifacts in the project's folder."""
+
+    def __init__(
+        self, artifact_uri: str, tracking_uri: str | None = None, registry_uri: str | None = None
+    ) -> None:
+        # MLflow's server does not pass its store on; it keeps it in this variable.
+        served = os.environ.get("_MLFLOW_SERVER_FILE_STORE")
+        known = [uri for uri in (tracking_uri, served, mlflow.get_tracking_uri()) if uri]
+        store = next((uri for uri in known if uri.startswith("sqlite:")), None)
+        if store is None:
+            raise MlflowException(
+                f"{artifact_uri} lies in a project; set the tracking URI to its mlruns/mlflow.db"
+            )
+        root = (Path(urlparse(store).path.removeprefix("/")).resolve().parent / "artifacts").resolve()
+        place = (root / unquote(urlparse(artifact_uri).path).lstrip("/")).resolve()
+        if not place.is_relative_to(root):
+            raise MlflowException(f"{artifact_uri} lies outside the project's artifacts")
+        super().__init__(place.as_uri(), tracking_uri, registry_uri)

@@ -1,0 +1,137 @@
+"""A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import optuna
+from mlflow.exceptions import MlflowException
+
+from studies.paths import ProjectPaths
+from studies.report.wording import difference_unit, percent, significant
+from studies.tracking.datasets import dataset_inputs
+from studies.tracking.registry import register_best
+from studies.tracking.runs import RunStore
+from studies.tracking.trial_run import end_run
+from studies.tuning.declaration import Declaration
+
+if TYPE_CHECKING:
+    from studies.tuning.results import TrialView, TunedStudy
+
+BEST = "best"
+"""Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
+
+
+def open_study_run(
+    runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None, paths: ProjectPaths
+) -> str:
+    """Open the run of a study, a new one or the one it has, and return its id."""
+    if run_id is not None:
+        with suppress(MlflowException):  # deleted by its user
+            if runs.client.get_run(run_id).info.lifecycle_stage == "active":
+                runs.wake(run_id)
+                return run_id
+    role = "baseline study" if spec.is_baseline else "study"
+    tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
+    tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
+    made = runs.begin(spec.label, f"{spec.size} study", tags)
+    searched = {f"search.{name}": declared for name, declared in spec.search.items()}
+    runs.log(
+        made,
+        params={
+            "n_train": spec.n_train,
+            "n_trials": n_trials,
+            "seed": spec.seed,
+            "sampler": spec.sampler["name"],
+            "pruner": spec.pruner["name"],
+            **searched,
+        },
+    )
+    runs.client.log_inputs(made, dataset_inputs(spec, paths))
+    return made
+
+
+def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
+    """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
+    trials = study.get_trials(deepcopy=False)
+    for run in runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING"):
+        number = int(run.data.tags.get("trial", -1))
+        trial = trials[number] if 0 <= number < len(trials) else None
+        if trial is None or trial.user_attrs.get("mlflow_run_id") not in (None, run.info.run_id):
+            runs.end(run.info.run_id, "KILLED")
+        elif trial.state.is_finished():
+            end_run(runs, run.info.run_id, trial)
+
+
+def close_study(
+    runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str, paths: ProjectPaths
+) -> None:
+    """Write what a study came to on its run, mark and register its best trial, and end the run."""
+    best = found.best
+    numbers: dict[str, float] = {
+        f"n_{state}": found.count(state) for state in ("complete", "pruned", "failed")
+    }
+    if best is not None:
+        numbers |= {f"best/{name}": value for name, value in best.metrics.items()}
+        numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
+        if found.gain is not None:
+            numbers["best/gain_over_default"] = found.gain
+        mark_best(runs, spec, best)
+        if not spec.is_baseline:
+            register_best(runs, spec, best, paths)
+    runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
+    runs.end(run_id, "FINISHED", end_s=time.time())
+
+
+def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
+    """Give the tag `best` to the best trial's run of a size, and take it from the one that had it."""
+    kind = "pca-gp" if spec.is_baseline else "yes"
+    for run in runs.find(spec.label, {BEST: kind, "n_train": str(spec.n_train)}):
+        if run.info.run_id != best.run_id:
+            runs.client.delete_tag(run.info.run_id, BEST)
+    if runs.client.get_run(best.run_id).data.tags.get(BEST) != kind:
+        runs.log(best.run_id, tags={BEST: kind})
+
+
+def leaderboard_note(studies: "Sequence[TunedStudy]", note: str) -> str:
+    """Return a label's table of the best surrogate per size, as Markdown for the head of its page."""
+    tuned = [study for study in studies if not study.spec.is_baseline and study.best is not None]
+    if not tuned:
+        return note
+    baselines = {s.spec.n_train: s.best for s in studies if s.spec.is_baseline and s.best is not None}
+    unit, names = difference_unit(tuned[0].spec.output_unit), list(tuned[0].spec.space)
+    behind = f" [{unit}]" if unit else ""
+    head = [
+        "n_train",
+        *names,
+        f"MAE{behind}",
+        f"P90{behind}",
+        "gain over default",
+        f"PCA + GP MAE{behind}",
+        "trials",
+    ]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---:|" * len(head)]
+    for study in tuned:
+        best = study.best
+        assert best is not None
+        beside = baselines.get(study.spec.n_train)
+        cells: list[Any] = [study.spec.n_train, *(shown(best.settings.get(name)) for name in names)]
+        cells += [significant(best.metrics["test/mae"]), significant(best.metrics["test/p90"])]
+        cells += ["–" if study.gain is None else percent(study.gain)]
+        cells += ["–" if beside is None else significant(beside.metrics["test/mae"]), study.n_ended]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    # MLflow's page shows the first line alone until it is unfolded.
+    said = [
+        f"{study.spec.n_train}: {' / '.join(shown(best.settings.get(name)) for name in names)} → "
+        f"{significant(best.metrics['test/mae'])}, {significant(best.metrics['test/p90'])}"
+        for study in tuned
+        if (best := study.best) is not None
+    ]
+    first = f"Best per n_train ({' / '.join(names)} → test MAE, P90{behind}): {' · '.join(said)}"
+    return "\n\n".join(part for part in (first, "\n".join(lines), note) if part)
+
+
+def shown(value: Any) -> str:
+    """Return a setting as people read it."""
+    return f"{value:.3g}" if isinstance(value, float) else "–" if value is None else str(value)

@@ -1,0 +1,102 @@
+"""A trial as MLflow shows it: a run that is open while the training goes on.
+
+What the run says of the trial's end is taken from Optuna, which owns it: by the worker itself, or, where that
+died, by whoever comes next.
+"""
+
+import math
+import time
+from typing import Any
+
+from optuna.trial import FrozenTrial, TrialState
+
+from pelsvae.epochs import EpochReport
+from studies.tracking.quiet_mlflow import Metric
+from studies.tracking.runs import CURVE, PARENT, RunStatus, RunStore
+from studies.tuning.declaration import Declaration
+
+FLUSH_S = 2.0
+"""Points of curves are written this often: each call costs as much as many points."""
+STATUS: dict[TrialState, RunStatus] = {
+    TrialState.COMPLETE: "FINISHED",
+    TrialState.PRUNED: "FINISHED",
+    TrialState.FAIL: "FAILED",
+}
+
+
+class TrialRun:
+    """The MLflow run of one trial that is being trained.
+
+    Args:
+        runs: the project's runs.
+        spec: the study.
+        study_run: id of the study's run.
+        trial: number of the trial.
+        params: its hyperparameters.
+        settings: all settings of its surrogate.
+        seed: seed of its training.
+        record: what makes the trial again, kept as `recipe.json`.
+    """
+
+    def __init__(
+        self,
+        runs: RunStore,
+        spec: Declaration,
+        study_run: str,
+        *,
+        trial: int,
+        params: dict[str, Any],
+        settings: dict[str, Any],
+        seed: int,
+        record: dict[str, Any],
+    ) -> None:
+        tags = {"role": "trial", "study": spec.name, "trial": trial, "n_train": spec.n_train}
+        if study_run:
+            tags[PARENT] = study_run
+        self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
+        self._runs = runs
+        self._points: list[Metric] = []
+        self._flushed_s = time.monotonic()
+        runs.log(self.id, params={"n_train": spec.n_train, "seed": seed, **settings, **params})
+        runs.log_json(self.id, record, "recipe.json")
+
+    def hear(self, report: EpochReport) -> None:
+        """Write the learning curves, some points at a time."""
+        now = round(1000.0 * time.time())
+        seen = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
+        self._points += [
+            Metric(f"{CURVE}{name}", value, now, report.epoch)
+            for name, value in seen.items()
+            if math.isfinite(value)
+        ]
+        if time.monotonic() - self._flushed_s >= FLUSH_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is not yet written of the curves."""
+        points, self._points = self._points, []
+        self._runs.log_points(self.id, points)
+        self._flushed_s = time.monotonic()
+
+
+def errors_of(trial: FrozenTrial) -> dict[str, float]:
+    """Return a trial's errors by name, as `val/mae` and `test/p90`."""
+    found = {name: float(v) for name, v in trial.user_attrs.items() if name.startswith(("val/", "test/"))}
+    return found if trial.value is None else {"val/mae": float(trial.value), **found}
+
+
+def end_run(runs: RunStore, run_id: str, trial: FrozenTrial) -> None:
+    """Let a trial's run say what Optuna says of the trial.
+
+    Args:
+        runs: the project's runs.
+        run_id: the trial's run.
+        trial: the trial; one that still runs or waits was given to another worker, so this run is over.
+    """
+    tags = {"trial_state": trial.state.name.lower(), "pruned": trial.state == TrialState.PRUNED}
+    reason = trial.user_attrs.get("reason") or ("" if trial.state.is_finished() else "its worker was stopped")
+    errors = errors_of(trial) if trial.state == TrialState.COMPLETE else {}
+    if trial.state == TrialState.FAIL and not reason:
+        reason = "its worker died"
+    runs.log(run_id, metrics=errors, tags=tags | ({"reason": reason} if reason else {}))
+    runs.end(run_id, STATUS.get(trial.state, "KILLED"))

@@ -1,0 +1,221 @@
+"""Optuna's storage: opened, its studies made and found, trials of dead workers given to whoever comes next.
+
+A place is a trial and the retries of it: a study of 20 trials has 20 places, however often a worker died.
+"""
+
+import hashlib
+import sqlite3
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from datetime import datetime
+from typing import Any
+
+import optuna
+from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
+from optuna.trial import FrozenTrial, TrialState
+
+from simulation.errors import InputError, MachineError
+from simulation.file_lock import FileLock
+from studies.paths import ProjectPaths
+from studies.storage_url import hide_passwords
+from studies.tuning.declaration import Declaration
+from studies.tuning.owner import is_dead
+
+HEARTBEAT_S, GRACE_S = 10, 30
+MAX_RETRIES = 5
+"""Of a trial whose worker dies; a trial that kills its worker again and again fails."""
+DECLARATION, PLANNED, OWNER, RUN_ID = "declaration", "n_trials", "owner", "mlflow_run_id"
+FINISHED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+
+
+def open_storage(paths: ProjectPaths) -> RDBStorage:
+    """Open the project's Optuna storage, making it where there is none.
+
+    Raises:
+        InputError: the storage refuses or is no database of Optuna.
+        MachineError: it does not answer.
+    """
+    paths.mlruns.mkdir(parents=True, exist_ok=True)
+    try:
+        # Two processes that make the tables at the same moment would get in each other's way.
+        with FileLock(paths.mlruns / ".optuna.lock"):
+            if paths.storage is None:
+                _prepare_sqlite(paths)
+            else:
+                _prepare_schemas(paths.storage)
+            retry = RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)
+            storage = RDBStorage(
+                paths.optuna_url,
+                engine_kwargs={"connect_args": {"timeout": 60}}
+                if paths.storage is None
+                else {"pool_pre_ping": True},
+                heartbeat_interval=HEARTBEAT_S,
+                grace_period=GRACE_S,
+                heartbeat_stale_trial_callback=retry,
+            )
+    except (InputError, OSError):
+        raise
+    except Exception as error:
+        lines = hide_passwords(str(error.__cause__ or error)).splitlines() or [type(error).__name__]
+        where = paths.show(paths.optuna_database) if paths.storage is None else hide_passwords(paths.storage)
+        kind = MachineError if "Operational" in type(error.__cause__ or error).__name__ else InputError
+        raise kind(
+            f"Optuna cannot open {where} ({lines[0]}); check that it can be reached and written"
+        ) from None
+    if paths.storage is None:
+        from sqlalchemy import event
+
+        # A power cut may lose the last trial, never the file: an eighth of the time of a full sync.
+        event.listen(storage.engine, "connect", lambda one, _: one.execute("pragma synchronous=normal"))
+    return storage
+
+
+def _prepare_sqlite(paths: ProjectPaths) -> None:
+    if not paths.optuna_database.is_file():
+        with closing(sqlite3.connect(paths.optuna_database)) as made:
+            made.execute("pragma journal_mode=wal")
+
+
+def _prepare_schemas(storage: str) -> None:
+    """Make a schema for Optuna and one for MLflow: both own a table `alembic_version`."""
+    try:
+        import psycopg
+    except ImportError:
+        raise InputError(
+            "a PostgreSQL storage needs psycopg; type: pip install 'pelsvae-studies[postgres]'"
+        ) from None
+    try:
+        with psycopg.connect(storage, autocommit=True, connect_timeout=10) as connection:
+            connection.execute("select pg_advisory_lock(7365747570)")
+            for schema in ("optuna", "mlflow"):
+                connection.execute(f"create schema if not exists {schema}".encode())
+    except psycopg.Error as error:
+        said = next(iter(hide_passwords(str(error)).splitlines()), type(error).__name__)
+        kind = MachineError if "refused" in said or "timeout" in said else InputError
+        raise kind(
+            f"the storage {hide_passwords(storage)} cannot be used ({said}); correct it or start it"
+        ) from None
+
+
+@contextmanager
+def study_locked(storage: RDBStorage, paths: ProjectPaths, name: str) -> Iterator[Callable[[], None]]:
+    """Let one worker of a study at a time begin a trial, so that no study gets a trial too many.
+
+    Yields:
+        a function that gives the lock back early.
+    """
+    if paths.storage is None:
+        lock = FileLock(paths.mlruns / ".optuna.lock")
+        lock.acquire()
+        try:
+            yield lock.release
+        finally:
+            lock.release()
+        return
+    from sqlalchemy import text
+
+    number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], signed=True)
+    with storage.engine.connect() as connection:  # closing it gives the lock back
+        connection.execute(text("select pg_advisory_lock(:n)"), {"n": number})
+
+        def release() -> None:
+            if not connection.closed:
+                connection.execute(text("select pg_advisory_unlock_all()"))
+                connection.close()
+
+        try:
+            yield release
+        finally:
+            release()
+
+
+def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optuna.Study:
+    """Make the study of a declaration, or find it; its first configurations wait in it."""
+    study = optuna.create_study(
+        storage=storage, study_name=spec.name, direction="minimize", load_if_exists=True
+    )
+    if study.user_attrs.get(DECLARATION) != spec.to_dict():
+        study.set_user_attr(DECLARATION, spec.to_dict())
+    if study.user_attrs.get(PLANNED, 0) < n_trials:
+        study.set_user_attr(PLANNED, n_trials)
+    for place, params in enumerate(spec.first_points):
+        if not study.get_trials(deepcopy=False) or place:
+            origin = "default" if place == 0 else "profile"
+            study.enqueue_trial(params, user_attrs={"proposed_by": origin}, skip_if_exists=bool(params))
+    return study
+
+
+def declaration_of(study: optuna.Study) -> Declaration:
+    """Return what a study was declared with.
+
+    Raises:
+        InputError: it was made by another program or version.
+    """
+    declared = study.user_attrs.get(DECLARATION)
+    if not isinstance(declared, dict):
+        raise InputError(f"the Optuna study {study.study_name!r} was not made by this program")
+    return Declaration.from_dict(declared)
+
+
+def retried(trial: FrozenTrial) -> int | None:
+    """Return the number of the trial that a trial repeats, None where it is no retry."""
+    return RetryHeartbeatStaleTrialCallback.retried_trial_number(trial)
+
+
+def place_of(trial: FrozenTrial, trials: Sequence[FrozenTrial]) -> int:
+    """Return a trial's place in its study; a retry has the place of the trial it repeats."""
+    first = retried(trial)
+    number = trial.number if first is None else first
+    return sum(retried(other) is None for other in trials if other.number < number)
+
+
+def places(trials: Sequence[FrozenTrial]) -> list[FrozenTrial]:
+    """Return the latest attempt at each place of a study, in order."""
+    latest: dict[int, FrozenTrial] = {}
+    for trial in trials:
+        first = retried(trial)
+        latest[trial.number if first is None else first] = trial
+    return [latest[number] for number in sorted(latest)]
+
+
+def is_unfinished(trials: Sequence[FrozenTrial], n_trials: int) -> bool:
+    """Say whether there is a trial to begin: one that waits, or fewer places than planned."""
+    return any(trial.state == TrialState.WAITING for trial in trials) or n_begun(trials) < n_trials
+
+
+def n_begun(trials: Sequence[FrozenTrial]) -> int:
+    """Return the number of places that a study has."""
+    return sum(retried(trial) is None for trial in trials)
+
+
+def retry_lost(study: optuna.Study) -> list[int]:
+    """Fail the running trials whose worker on this machine has died, and let each be run again.
+
+    Call it while the study is locked. The retry is made before the trial is failed: a kill between the two
+    leaves a trial that is found again, not one that is lost.
+
+    Returns:
+        The numbers of these trials.
+    """
+    trials = study.get_trials(deepcopy=False)
+    repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
+    lost = [trial for trial in trials if trial.state == TrialState.RUNNING and _is_lost(trial)]
+    for trial in lost:
+        if trial.number not in repeated:
+            RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
+        study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
+    return [trial.number for trial in lost]
+
+
+def _is_lost(trial: FrozenTrial) -> bool:
+    owner: dict[str, Any] | None = trial.user_attrs.get(OWNER)
+    if owner is not None and owner.get("trial") == trial.number:  # a retry has inherited another one's
+        return is_dead(owner)
+    # Killed between Optuna's making of the trial and its first word; what others ask for has parameters.
+    began = trial.datetime_start
+    age_s = (datetime.now() - began).total_seconds() if began else 0.0
+    return owner is None and age_s > GRACE_S and not trial.params and not trial.intermediate_values

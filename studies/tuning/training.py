@@ -1,0 +1,140 @@
+"""Train and judge the surrogate of one trial; knows neither Optuna nor MLflow."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pelsvae.config import SurrogateConfig
+from pelsvae.epochs import EpochReport, TrainingDiverged
+from pelsvae.metrics import errors
+from pelsvae.surrogate import Surrogate
+from pelsvae.training import FitResult, fit
+from simulation.errors import InputError
+from simulation.store.row_set import RowSet
+from studies.paths import ProjectPaths
+from studies.tuning.declaration import SETS, Declaration, TrialResult, output_metric
+
+N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
+PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
+NORMAL_90 = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
+
+_Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class StudyData:
+    """The data sets of a study without their failed rows: pairs of theta (n, p) and y (n, t, k)."""
+
+    train: _Pair
+    validation: _Pair
+    test: _Pair
+
+
+def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
+    """Read a study's data sets and leave out failed simulations.
+
+    Raises:
+        InputError: a set is not here, is not what the study was declared with, or has no two good rows.
+    """
+    pairs = []
+    for name in SETS:
+        file = spec.file(paths, name)
+        rows = RowSet.load(file).read(spec.n_train if name == "train" else None)
+        if rows.digest != spec.digests[name]:
+            raise InputError(f"{file} has changed since the study was declared; type: studies tune")
+        good = rows.take(~rows.failed)
+        if good.n < 2:
+            raise InputError(
+                f"{file} has {good.n} good simulations of {rows.n}; a surrogate needs at least 2"
+            )
+        pairs.append((good.theta, good.y))
+    return StudyData(*pairs)
+
+
+def report_epochs(max_epochs: int) -> list[int]:
+    """Return the epochs at which trials are compared: a geometric row, dense where most trials stop."""
+    row = np.geomspace(max(1.0, PRUNE_AFTER * max_epochs), max_epochs, N_REPORTS)
+    return sorted({round(epoch) for epoch in row})
+
+
+def train(
+    spec: Declaration,
+    config: SurrogateConfig,
+    seed: int,
+    data: StudyData,
+    *,
+    on_epoch: Callable[[EpochReport], None],
+    on_report: Callable[[int, float], None],
+) -> tuple[FitResult, TrialResult]:
+    """Train a surrogate and judge it on the validation and the test set.
+
+    Args:
+        spec: the study.
+        config: settings of the surrogate.
+        seed: seed of the training.
+        data: the three sets.
+        on_epoch: called after every validated epoch; what it raises ends the training.
+        on_report: called with epoch and validation error where trials are compared.
+
+    Returns:
+        The surrogate and what it came to.
+
+    Raises:
+        TrainingDiverged: the loss or an error is not finite.
+    """
+    steps = report_epochs(config.max_epochs)
+    started = time.perf_counter()
+
+    def hear(report: EpochReport) -> None:
+        on_epoch(report)
+        due = [step for step in steps if step <= report.epoch]
+        # Of processes only the last report is of the surrogate; the others are of parts of the rows.
+        if due and config.regressor == "network":
+            del steps[: len(due)]
+            on_report(due[-1], report.validation_mae)
+
+    fitted = fit(
+        *data.train,
+        data.validation,
+        config=config,
+        seed=seed,
+        log_columns=np.array(spec.is_log),
+        output_scales=np.array(spec.output_scales),
+        n_jobs=1,
+        on_epoch=hear,
+    )
+    judged = judge(fitted.surrogate, spec, data)
+    if not all(map(math.isfinite, judged.values())):
+        raise TrainingDiverged("the errors of the trained surrogate are not finite")
+    result = TrialResult(
+        metrics=judged,
+        n_epochs=fitted.n_epochs,
+        best_epoch=fitted.best_epoch,
+        n_rows=len(data.train[0]),
+        wall_s=time.perf_counter() - started,
+        reason=fitted.stop_reason,
+    )
+    return fitted, result
+
+
+def judge(surrogate: Surrogate, spec: Declaration, data: StudyData) -> dict[str, float]:
+    """Return the errors of a surrogate on the validation and the test set, by name. [output's unit]."""
+    judged: dict[str, float] = {}
+    for name, (theta, y) in {"val": data.validation, "test": data.test}.items():
+        predicted = surrogate.predict(theta)
+        error = errors(predicted, y, np.array(spec.output_scales))
+        judged |= {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
+        if len(spec.output_names) > 1:
+            by_output = np.abs(predicted - y).mean(axis=(0, 1))
+            judged |= {
+                f"{name}/{output_metric(output)}": float(mae)
+                for output, mae in zip(spec.output_names, by_output, strict=True)
+            }
+        if name == "test" and surrogate.states_deviation:
+            inside = np.abs(predicted - y) <= NORMAL_90 * surrogate.deviation(theta)
+            judged["test/coverage90"] = float(inside.mean())
+    return judged

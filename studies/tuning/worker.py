@@ -1,0 +1,273 @@
+"""A worker process: runs trials of studies, one after the other, until they have as many as planned.
+
+`python -P -m studies.tuning.worker STUDY ...`, in the project's folder, on any machine with the same storage.
+Started by `studies tune`, it ends with it: it holds the other end of the pipe that is its standard input.
+"""
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import optuna
+from optuna.exceptions import UpdateFinishedTrialError
+from optuna.storages import RetryHeartbeatStaleTrialCallback
+from optuna.trial import FrozenTrial, TrialState
+
+from pelsvae.device import resolve_device
+from pelsvae.epochs import EpochReport
+from simulation.errors import InputError
+from studies.paths import ProjectPaths, find_project
+from studies.recipe import file_digest
+from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
+from studies.storage_url import hide_passwords
+from studies.tracking.origin import environment
+from studies.tracking.runs import RunStore
+from studies.tracking.trial_run import TrialRun, end_run
+from studies.tuning.declaration import Declaration, TrialResult
+from studies.tuning.sampler import RepeatableSampler, make_pruner
+from studies.tuning.storage import (
+    FINISHED,
+    MAX_RETRIES,
+    PLANNED,
+    RUN_ID,
+    declaration_of,
+    is_unfinished,
+    open_storage,
+    place_of,
+    retry_lost,
+    study_locked,
+)
+from studies.tuning.training import load_data, train
+
+SURROGATE = "surrogate"
+"""Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""
+STUDY_RUN, RECIPE = "mlflow_run_id", "recipe"
+TIME_LIMIT = "reached its limit of"
+_NO_MEMORY = ("out of memory", "can't allocate memory", "cannot allocate memory")
+
+
+class TrialFailedError(Exception):
+    """A configuration that cannot be trained; the study goes on without it."""
+
+
+class Worker:
+    """Trains trials of one study.
+
+    Args:
+        paths: the project.
+        name: name of the study.
+    """
+
+    def __init__(self, paths: ProjectPaths, name: str) -> None:
+        self._paths = paths
+        self._storage = open_storage(paths)
+        try:
+            study = optuna.load_study(study_name=name, storage=self._storage)
+        except KeyError:
+            raise InputError(f"there is no study {name!r}; type: studies status") from None
+        self._spec = declaration_of(study)
+        self._begun: Callable[[], None] = lambda: None
+        self._number: int | None = None
+        self._is_lost = False
+        sampler = RepeatableSampler(self._spec, self._storage, lambda: self._begun())
+        self._study = optuna.load_study(
+            study_name=name, storage=self._storage, sampler=sampler, pruner=make_pruner(self._spec.pruner)
+        )
+        self._data = load_data(self._spec, paths)
+        self._runs = RunStore(paths)
+        self._environment = environment(resolve_device(self._spec.base_config.device).type)
+
+    def run(self, *, until_s: float | None = None) -> None:
+        """Run trials until the study has as many as planned.
+
+        Args:
+            until_s: no trial begins after this moment. [s since 1970, UTC]
+        """
+        while until_s is None or time.time() < until_s:
+            with study_locked(self._storage, self._paths, self._spec.name) as begun:
+                self._begun = begun
+                retry_lost(self._study)
+                planned = int(self._study.user_attrs.get(PLANNED, 0))
+                if not is_unfinished(self._study.get_trials(deepcopy=False), planned):
+                    return
+                self._run_trial()
+
+    def _run_trial(self) -> None:
+        """Let Optuna run one trial; a trial that this process could not end is run again."""
+        self._number, self._is_lost = None, False
+        try:
+            self._study.optimize(
+                self._objective, n_trials=1, catch=(TrialFailedError,), callbacks=[self._end]
+            )
+        except BaseException:
+            number: int | None = self._number
+            if number is None:
+                raise
+            trial = self._study.get_trials()[number]
+            with suppress(Exception):
+                self._end(self._study, trial)
+            if self._is_lost:
+                return
+            # A full disk or a Ctrl-C is no fault of the configuration.
+            RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(self._study, trial)
+            raise
+
+    def _objective(self, trial: optuna.Trial) -> float:
+        self._number = trial.number
+        try:
+            value = self._train(trial)
+        except (optuna.TrialPruned, TrialFailedError):
+            raise
+        except Exception:
+            self._is_lost = self._is_taken(trial.number)
+            raise
+        self._is_lost = self._is_taken(trial.number)
+        return value
+
+    def _train(self, trial: optuna.Trial) -> float:
+        spec = self._spec
+        params = suggested(trial, spec.space, spec.base_config)
+        frozen = self._study.get_trials(deepcopy=False)
+        place = place_of(frozen[trial.number], frozen)
+        seed = spec.trial_seed(place, 1)
+        config = spec.config(params)
+        run = TrialRun(
+            self._runs,
+            spec,
+            str(self._study.user_attrs.get(STUDY_RUN, "")),
+            trial=trial.number,
+            params=params,
+            settings=shown_settings(spec, config.to_dict()),
+            seed=seed,
+            record={
+                "kind": "training",
+                "recipe": self._study.user_attrs.get(RECIPE, {}),
+                "declaration": spec.to_dict(),
+                "params": params,
+                "seed": seed,
+                "environment": self._environment,
+            },
+        )
+        trial.set_user_attr(RUN_ID, run.id)
+        trial.set_user_attr("seed", seed)
+        began = time.perf_counter()
+        epoch = 0
+
+        def hear(report: EpochReport) -> None:
+            nonlocal epoch
+            run.hear(report)
+            epoch = report.epoch
+            if spec.max_trial_s is not None and time.perf_counter() - began >= spec.max_trial_s:
+                trial.report(report.validation_mae, epoch)
+                stop(f"{TIME_LIMIT} {spec.max_trial_s:g} s at epoch {epoch}")
+
+        def compare(step: int, value: float) -> None:
+            trial.report(value, step)
+            if step < config.max_epochs and trial.should_prune():
+                stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
+
+        def stop(reason: str) -> None:
+            run.flush()
+            note(TrialResult(n_epochs=epoch, wall_s=time.perf_counter() - began, reason=reason))
+            raise optuna.TrialPruned(reason)
+
+        def note(result: TrialResult) -> None:
+            said = asdict(result)
+            for name, value in said.pop("metrics").items():
+                if name != "val/mae":  # Optuna has it as the trial's value
+                    trial.set_user_attr(name, value)
+            trial.set_user_attr("reason", said.pop("reason"))
+            trial.set_user_attr("training", {key: value for key, value in said.items() if value})
+
+        try:
+            fitted, result = train(spec, config, seed, self._data, on_epoch=hear, on_report=compare)
+        except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
+            raise  # a full disk is no fault of a configuration
+        except Exception as error:
+            if self._is_taken(trial.number):
+                raise
+            # Whatever else a configuration provokes (divergence, memory) is its result.
+            run.flush()
+            note(
+                TrialResult(n_epochs=epoch, wall_s=time.perf_counter() - began, reason=failure_reason(error))
+            )
+            raise TrialFailedError(failure_reason(error)) from error
+        run.flush()
+        with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
+            folder = Path(scratch) / SURROGATE
+            fitted.surrogate.save(folder)
+            weights = file_digest(folder / "weights.npz")
+            if result.metrics["val/mae"] < self._best():
+                self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
+        note(TrialResult(**{**asdict(result), "weights_sha256": weights}))
+        return result.metrics["val/mae"]
+
+    def _best(self) -> float:
+        complete = self._study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        ours = [trial.value for trial in complete if trial.value is not None and RUN_ID in trial.user_attrs]
+        return min(ours, default=float("inf"))
+
+    def _is_taken(self, number: int) -> bool:
+        """Say whether another worker has ended a trial of this one, which stood still for too long."""
+        return self._study.get_trials(deepcopy=False)[number].state in FINISHED
+
+    def _end(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        run_id = trial.user_attrs.get(RUN_ID)
+        if run_id:
+            end_run(self._runs, run_id, trial)
+
+
+def shown_settings(spec: Declaration, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that have an effect on a surrogate's form, for people and MLflow."""
+    known = OF_PCA_GP if spec.surrogate == "pca-gp" else OF_NETWORKS
+    return {name: settings[name] for name in known}
+
+
+def failure_reason(error: BaseException) -> str:
+    """Say in a line why a training failed."""
+    said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    if isinstance(error, MemoryError) or any(sign in said.lower() for sign in _NO_MEMORY):
+        return f"out of memory ({said or type(error).__name__})"
+    return f"{type(error).__name__}: {said}"
+
+
+def _end_with_parent() -> None:
+    """End this process once whoever started it is gone: nobody holds the other end of its input then."""
+
+    def wait() -> None:
+        sys.stdin.buffer.read()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def main() -> int:
+    """Run the trials of one study; the last line of standard error says why it could not."""
+    parser = argparse.ArgumentParser(prog="python -P -m studies.tuning.worker", description=__doc__)
+    parser.add_argument("studies", nargs="+", metavar="STUDY", help="name of an Optuna study")
+    parser.add_argument("--until", type=float, help="no trial begins after this moment, in s since 1970")
+    parser.add_argument("--child", action="store_true", help="end with the process that started this one")
+    chosen = parser.parse_args()
+    if chosen.child:
+        _end_with_parent()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which stops its workers
+    try:
+        for name in chosen.studies:
+            Worker(find_project(None), name).run(until_s=chosen.until)
+    except InputError as error:
+        sys.stderr.write(f"{hide_passwords(str(error))}\n")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,203 @@
+"""The project is the folder one stands in: its marker, its paths, and the embedded cases."""
+
+import os
+import platform
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from simulation.errors import InputError, MachineError
+from studies import embedded, entry
+from studies.cli import main
+from studies.commands.study import _keep_compiled_loops
+from studies.console import Console
+from studies.embedded import EMBEDDED, adopt_cases
+from studies.marker import MARKER, mark_project
+from studies.paths import ProjectPaths, find_case, find_project
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+WALL = REPOSITORY / "fmus" / "wall" / "Wall.fmu"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder, in which no project is declared."""
+    monkeypatch.delenv("STUDIES_ROOT", raising=False)
+    place = tmp_path / "a" / "b"
+    place.mkdir(parents=True)
+    monkeypatch.chdir(place)
+    return place
+
+
+def test_without_a_marker_the_working_folder_is_the_project(folder: Path) -> None:
+    (folder.parent / "fmus").mkdir()
+    (folder.parent / "pyproject.toml").touch()
+    assert find_project(None).root == folder
+
+
+def test_the_nearest_marker_above_makes_the_project(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mark_project(folder.parent.parent, Console())
+    mark_project(folder.parent, Console())
+    assert find_project(None).root == folder.parent
+    monkeypatch.chdir(folder.parent.parent)
+    assert find_project(None).root == folder.parent.parent
+    monkeypatch.setenv("STUDIES_ROOT", str(folder))
+    assert find_project(None).root == folder.parent
+
+
+def test_the_checkout_is_a_project() -> None:
+    assert (REPOSITORY / MARKER).is_file()
+    assert EMBEDDED == REPOSITORY
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [("schema = 2", "schema is 2"), ("", "schema is None"), ("schema =", "cannot be read")],
+)
+def test_a_marker_of_another_version_is_refused(folder: Path, text: str, told: str) -> None:
+    (folder / MARKER).write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        find_project(None)
+
+
+def test_the_marker_is_made_once_and_the_folder_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mark_project(folder, Console())
+    assert capsys.readouterr().err == f"project: {folder} (studies.toml made)\n"
+    mark_project(folder, Console())
+    assert capsys.readouterr().err == ""
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(folder: Path) -> None:
+    file = folder / "file"
+    file.touch()
+    with pytest.raises(MachineError, match="file: the project's folder cannot be written"):
+        mark_project(file, Console())
+
+
+@pytest.mark.parametrize("words", [["status"], ["best"], ["new", str(WALL), "--list"], ["check", "nothing"]])
+def test_what_only_reads_or_is_refused_makes_nothing(folder: Path, words: list[str]) -> None:
+    main(words)
+    assert not list(folder.iterdir())
+
+
+def test_a_new_case_lands_where_one_stands(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", str(WALL)]) == 0
+    said = capsys.readouterr()
+    assert said.err.startswith(f"project: {folder} (studies.toml made)")
+    assert "wrote fmus/wall/case.toml" in said.out
+    assert sorted(place.name for place in folder.iterdir()) == ["data", "fmus", "studies.toml"]
+
+
+def test_shown_paths_hold_in_the_working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = ProjectPaths(folder.parent)
+    file = paths.mlruns / "results" / "x.json"
+    assert paths.show(file) == "../mlruns/results/x.json"
+    assert paths.show(folder) == "."
+    monkeypatch.chdir(paths.root)
+    assert paths.show(file) == "mlruns/results/x.json"
+    assert paths.show(WALL) == str(WALL)
+    monkeypatch.chdir(folder.parent.parent)
+    assert paths.show(file) == str(file)
+
+
+def test_recorded_names_hold_wherever_the_project_moves(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = ProjectPaths(folder.parent)
+    monkeypatch.chdir(folder)
+    assert paths.recorded(paths.mlruns / "x.json") == "mlruns/x.json"
+    assert paths.recorded(WALL) == "fmus/wall/Wall.fmu"
+    assert paths.recorded(Path("/elsewhere/x.json")) == "/elsewhere/x.json"
+    assert paths.recorded(REPOSITORY / "pyproject.toml") == str(REPOSITORY / "pyproject.toml")
+
+
+def test_a_recorded_name_is_the_projects_own_file_first(folder: Path) -> None:
+    paths = ProjectPaths(folder)
+    assert paths.located("fmus/wall/Wall.fmu") == WALL
+    own = folder / "fmus" / "wall" / "Wall.fmu"
+    own.parent.mkdir(parents=True)
+    own.touch()
+    assert paths.located("fmus/wall/Wall.fmu") == own
+    assert paths.located("mlruns/x.json") == folder / "mlruns" / "x.json"
+    assert paths.located("/elsewhere/x.json") == Path("/elsewhere/x.json")
+
+
+def test_results_of_a_checkout_are_not_taken_for_the_projects(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkout = folder / "checkout"
+    made = checkout / "data" / "wall" / "generated" / "x.npz"
+    made.parent.mkdir(parents=True)
+    made.touch()
+    monkeypatch.setattr(embedded, "EMBEDDED", checkout)
+    paths = ProjectPaths(folder)
+    assert paths.located("data/wall/generated/x.npz") == folder / "data" / "wall" / "generated" / "x.npz"
+
+
+def test_a_case_of_the_project_comes_before_an_embedded_one(folder: Path) -> None:
+    paths = ProjectPaths(folder)
+    assert find_case(paths, "wall") == WALL.parent / "case.toml"
+    own = folder / "fmus" / "wall" / "case.toml"
+    own.parent.mkdir(parents=True)
+    own.touch()
+    assert find_case(paths, "wall") == own
+    with pytest.raises(InputError, match=r"did you mean 'wall'\? .*fmus: wall; embedded cases: .*thermostat"):
+        find_case(paths, "walll")
+
+
+def test_cases_are_copied_to_their_recording(folder: Path) -> None:
+    adopted = {file.relative_to(folder).as_posix() for file in adopt_cases(folder, "office-recorded")}
+    assert adopted == {
+        "fmus/office-authors/case.toml",
+        "fmus/office-recorded/case.toml",
+        "fmus/office-whitebox-metered/office-whitebox-recorded.toml",
+    }
+    assert (folder / "fmus" / "office" / "Office.fmu").is_file()
+    assert adopt_cases(folder, "office-recorded") == []
+    assert adopt_cases(REPOSITORY, "office-recorded") == []
+
+
+def test_compiled_loops_go_to_the_project_where_the_package_cannot_be_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    _keep_compiled_loops(ProjectPaths(folder))
+    assert "NUMBA_CACHE_DIR" not in os.environ
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    _keep_compiled_loops(ProjectPaths(folder))
+    assert os.environ["NUMBA_CACHE_DIR"] == str(folder / "mlruns" / "compiled")
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "told"),
+    [("darwin", "arm64", "on arm64"), ("linux", "aarch64", "on aarch64"), ("win32", "AMD64", "on AMD64")],
+)
+def test_another_machine_is_told_what_is_missing(
+    system: str,
+    machine: str,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    assert entry.main(["status"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "Linux on x86-64 is missing" in said
+    assert told in said
+
+
+def test_a_moved_project_goes_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert main(["simulate", "wall", "--profile", "smoke", "--jobs", "1", "-q"]) == 0
+    moved = folder.parent / "moved"
+    monkeypatch.chdir(folder.parent)
+    shutil.move(folder, moved)
+    monkeypatch.chdir(moved)
+    assert main(["simulate", "wall", "--profile", "smoke", "--jobs", "1", "-q"]) == 0
+    assert find_project(None).root == moved
