@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from simulation.case_parameter import ParameterTable
-from simulation.case_table import Finite, Name, Pair, Positive, Table
+from simulation.case_table import Finite, Line, Name, Pair, Positive, Table
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
 
 
@@ -89,7 +89,7 @@ class InputTable(Table):
     file: Name
     column: Name | None = None
     sum: dict[str, Finite] | None = None
-    unit: str
+    unit: Line
     fmu_unit: Name | None = None
     interpolation: Literal["held", "linear", "smooth"]
     max_gap_s: Positive | None = None
@@ -115,7 +115,7 @@ class OutputTable(Table):
     """
 
     name: Name
-    unit: str
+    unit: Line
     fmu_unit: Name | None = None
     file: Name
     column: Name
@@ -177,13 +177,13 @@ class CaseFile(Table):
 
     # Later schemas must say so, else an old program would read a new file wrongly.
     schema_version: Annotated[Literal[1], Field(alias="schema")]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
     title: str = ""
     note: str = ""
     fmu: Name
     interface: Literal["co-simulation", "model-exchange"] = "co-simulation"
     relative_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
-    data: str = "."
+    data: Line = "."
     data_origin: str = ""
     time_column: Name | None = None
     timezone: Name | None = None

@@ -22,6 +22,7 @@ from simulation.case_file import (
 from simulation.case_parameter import ParameterTable, PriorTable
 from simulation.case_table import Table
 from simulation.errors import InputError
+from simulation.foreign_text import MOST_QUOTED, quoted, shortened
 
 
 def read_case_file(path: Path) -> CaseFile:
@@ -51,7 +52,11 @@ def read_case_file(path: Path) -> CaseFile:
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}; {_line_remedy(text, str(error))}") from None
+        raise InputError(
+            f"{path}: not valid TOML: {shortened(str(error))}; {_line_remedy(text, str(error))}"
+        ) from None
+    except RecursionError:
+        raise InputError(f"{path}: its tables or lists stand in each other too deeply; correct it") from None
     except ValueError:
         # tomllib leaves this one to Python.
         raise InputError(f"{path}: a number has thousands of digits; correct it") from None
@@ -67,7 +72,7 @@ def _line_remedy(text: str, told: str) -> str:
     line = text.splitlines()[int(place[1]) - 1] if place else ""
     key = re.match(r"\s*([^\s=\"'#\[{][^=\"'#]*?)\s*=", line)
     if key and not re.fullmatch(r"[\w.-]+", key[1], re.ASCII):
-        return f'a name with more than letters and digits needs quotes; write "{key[1]}" = ...'
+        return f'a name with more than letters and digits needs quotes; write "{shortened(key[1])}" = ...'
     return "correct that line"
 
 
@@ -81,18 +86,17 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     if location[:1] == ("fixed",) and len(location) > 1:
         name = str(location[1])
         value = content["fixed"][name]
-        return f"fixed.{name} = {value!r}: {_quoted(name, value) or _FIXED_REMEDY}"
+        return f"fixed.{shortened(name)} = {quoted(value)}: {_quoted(name, value) or _FIXED_REMEDY}"
     key = _key(location, content)
     if fault["type"] == "extra_forbidden":
         return f"unknown key {key}{_suggestion(location)}; remove or correct it"
     if fault["type"] == "missing":
         return f"key {key} is missing; add it"
     if fault["type"] == "model_type" and location[-1:] == ("prior",):
-        return (
-            f"{key} = {fault['input']!r}: {_prior_remedy(fault['input'], content['parameters'][location[1]])}"
-        )
-    value = "" if isinstance(fault["input"], dict | list) else f" = {fault['input']!r}"
-    told = _PLAIN.get(fault["type"], fault["msg"].removeprefix("Value error, "))
+        remedy = _prior_remedy(fault["input"], content["parameters"][location[1]])
+        return f"{key} = {quoted(fault['input'])}: {remedy}"
+    value = "" if isinstance(fault["input"], dict | list) else f" = {quoted(fault['input'])}"
+    told = _PLAIN.get(fault["type"], shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED))
     return f"{key}{value}: {told}" + ("" if "; " in told else "; correct it")
 
 
@@ -117,11 +121,11 @@ def _quoted(name: str, value: object) -> str:
     while isinstance(value, dict) and len(value) == 1 and not told & value.keys():
         ((part, value),) = value.items()
         path += f".{part}"
-    return "" if path == name else f'a name with dots needs quotes; write "{path}" = <its value>'
+    return "" if path == name else f'a name with dots needs quotes; write "{shortened(path)}" = <its value>'
 
 
 def _prior_remedy(value: object, parameter: dict[str, Any]) -> str:
-    about = value if isinstance(value, int | float) and not isinstance(value, bool) else "<value>"
+    about = quoted(value) if isinstance(value, int | float) and not isinstance(value, bool) else "<value>"
     width = "within_factor = 1.5" if parameter.get("scale") == "log" else "within = <in its unit>"
     return f"a prior says how sure it is; write prior = {{ about = {about}, {width} }}"
 
@@ -138,7 +142,7 @@ def _key(location: tuple[int | str, ...], content: Any) -> str:
             words += f"[{name}]" if isinstance(name, str) else f"[{part}]"
         else:
             words += f".{part}" if words else part
-    return words or "the file"
+    return shortened(words) or "the file"
 
 
 def _suggestion(location: tuple[int | str, ...]) -> str:

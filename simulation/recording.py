@@ -14,6 +14,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.foreign_text import quoted, shortened
 from simulation.time_unit import UNITS
 from simulation.timestamps import Clock, Timestamps
 
@@ -111,7 +112,7 @@ def read_recording(
         if name not in header:
             raise InputError(
                 f"{path}: column {name} is missing; correct column in the case file; there are "
-                f"{', '.join(header)}"
+                f"{shortened(', '.join(header))}"
             )
         if header.count(name) > 1:
             raise InputError(
@@ -157,7 +158,9 @@ def _rows(path: Path) -> tuple[list[list[str]], str]:
         bare = re.sub('"[^"]*"', "", first)
         delimiter = next((sign for sign in ";\t" if sign in bare), ",")
         if first.startswith("sep="):
-            raise InputError(f"{path}: line 1, {first.strip()!r}, is for a spreadsheet alone; remove it")
+            raise InputError(
+                f"{path}: line 1, {quoted(first.strip())}, is for a spreadsheet alone; remove it"
+            )
         return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)), delimiter
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
@@ -189,7 +192,7 @@ def _time_column(path: Path, header: list[str], asked: str | None) -> str:
         f"time column {asked} is missing" if asked else f"no column {TIME_COLUMN} or {STAMP_COLUMN} is there"
     )
     raise InputError(
-        f"{path}: {wanted}; found {', '.join(header)}; name it with time_column in the case file"
+        f"{path}: {wanted}; found {shortened(', '.join(header))}; name it with time_column in the case file"
     )
 
 
@@ -209,8 +212,8 @@ def _check_lengths(path: Path, rows: list[list[str]], n_used: int, delimiter: st
         if len(row) < n_used:
             raise InputError(
                 f"{path}: line {line} has {len(row)} of the {n_used} cells up to column "
-                f"{rows[0][n_used - 1].strip()}; remove it, or complete it with an empty cell for each value "
-                "that is not known"
+                f"{shortened(rows[0][n_used - 1].strip())}; remove it, or complete it with an empty cell for "
+                "each value that is not known"
             )
 
 
@@ -229,14 +232,14 @@ def _numbers(path: Path, name: str, cells: list[str], *, has_commas: bool) -> Fl
         except ValueError:
             if cell.casefold() not in _WORDS:
                 raise InputError(
-                    f"{path}: line {row + FIRST_LINE}, column {name}: {cell!r} is not a number; "
+                    f"{path}: line {row + FIRST_LINE}, column {name}: {quoted(cell)} is not a number; "
                     "correct it, or leave the cell empty"
                 ) from None
             values[row] = _WORDS[cell.casefold()]
         if abs(values[row]) > _MOST:
             raise InputError(
-                f"{path}: line {row + FIRST_LINE}, column {name}: {cell} is no measured value; leave the "
-                "cell empty"
+                f"{path}: line {row + FIRST_LINE}, column {name}: {shortened(cell)} is no measured value; "
+                "leave the cell empty"
             )
     return values
 
@@ -259,9 +262,9 @@ def _has_decimal_commas(path: Path, cells: Mapping[str, list[str]]) -> bool:
         (comma, row_of_comma), (point, row_of_point) = commas, points
         where = "" if point == comma else f" in column {point}"
         raise InputError(
-            f"{path}: column {comma} has a comma in {cells[comma][row_of_comma]!r} (line "
-            f"{row_of_comma + FIRST_LINE}) and there is a point in {cells[point][row_of_point]!r} (line "
-            f"{row_of_point + FIRST_LINE}{where}); write all numbers alike, without thousands signs"
+            f"{path}: column {comma} has a comma in {quoted(cells[comma][row_of_comma])} (line "
+            f"{row_of_comma + FIRST_LINE}) and there is a point in {quoted(cells[point][row_of_point])} "
+            f"(line {row_of_point + FIRST_LINE}{where}); write all numbers alike, without thousands signs"
         )
     return commas is not None
 
@@ -282,6 +285,6 @@ def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str], tim
                 else "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
             )
         raise InputError(
-            f"{path}: line {row + FIRST_LINE + 1}: {stamps} = {cells[row + 1]} {said} the line above "
-            f"({cells[row]}); sort the rows and drop duplicates{hint}"
+            f"{path}: line {row + FIRST_LINE + 1}: {stamps} = {shortened(cells[row + 1])} {said} the line "
+            f"above ({shortened(cells[row])}); sort the rows and drop duplicates{hint}"
         )

@@ -67,6 +67,9 @@ def sweep(prefix: str) -> None:
     place = Path(tempfile.gettempdir())
     for folder in (*place.glob(f"{prefix}*"), *place.glob(f".{prefix}*")):
         with contextlib.suppress(OSError):
+            # Everybody may make one in the temporary folder, or a link to somewhere else.
+            if folder.lstat().st_uid != os.getuid() or folder.is_symlink():
+                continue
             # Between its making and its lock an unseen one may belong to somebody.
             if folder.name.startswith(".") and time.time() - folder.stat().st_mtime < UNSEEN_S:
                 continue

@@ -10,6 +10,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.foreign_text import quoted
 
 Clock = Literal["seconds", "local", "utc"]
 
@@ -71,8 +72,8 @@ class Timestamps:
             if not cell.strip():
                 raise InputError(f"{where}: the time is missing; add it, or remove the line") from None
             raise InputError(
-                f"{where}: {cell!r} is no timestamp; write 2018-02-21T00:30:00+01:00 or 21.02.2018 00:30, or "
-                "seconds in a column time_s, or a unit in its name, as in time [h]"
+                f"{where}: {quoted(cell)} is no timestamp; write 2018-02-21T00:30:00+01:00 or 21.02.2018 "
+                "00:30, or seconds in a column time_s, or a unit in its name, as in time [h]"
             ) from None
 
 

@@ -19,6 +19,8 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from simulation.errors import InputError, MachineError
+from simulation.foreign_text import escaped
+from simulation.workers.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
 from studies.interrupts import interrupt_heeded, interrupts_kept, is_interrupt
@@ -104,6 +106,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
+    if argv is None:
+        start_safely()
     arguments = list(sys.argv[1:] if argv is None else argv)
     _make_writable()
     console = Console(as_json="--json" in arguments)
@@ -114,6 +118,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as done:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
+    if argv is None:
+        from studies.command_folder import give_temporary_folder
+
+        give_temporary_folder()
     with interrupts_kept():
         try:
             answer: int = command_module(chosen.command).run(chosen, console)
@@ -254,7 +262,8 @@ def _failed(console: Console, error: BaseException) -> int:
 
     explained = explain(error)
     if explained is None and not isinstance(error, StageError | MachineError):
-        sys.stderr.write(hide_passwords("".join(traceback.format_exception(error))))
+        told = hide_passwords("".join(traceback.format_exception(error)))
+        sys.stderr.write(escaped(told, keep_lines=True))
     line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
     console.warn(f"error: {line}")
     console.document({"error": line})

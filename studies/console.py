@@ -8,8 +8,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
+
+from simulation.foreign_text import escaped
 
 Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
 """Tone of a text: good, bad, a warning, strong, or of less weight."""
@@ -114,11 +116,11 @@ class Console:
     def say(self, line: str) -> None:
         """Write one line of progress to stderr."""
         if not self.quiet:
-            _write(sys.stderr, line)
+            _write(sys.stderr, escaped(line))
 
     def warn(self, line: str) -> None:
         """Write one line to stderr, also when quiet."""
-        _write(sys.stderr, f"studies: {line}")
+        _write(sys.stderr, escaped(f"studies: {line}"))
 
     @contextmanager
     def stage(self, name: str, what: str) -> Iterator[None]:
@@ -176,7 +178,7 @@ class Console:
         def show(what: str, done: float, total: float, news: str = "") -> None:
             if what not in tasks:
                 tasks[what] = progress.add_task(what, total=total)
-            said = f"{what}{news}"
+            said = escaped(f"{what}{news}")
             # In a narrow window, the times matter more than the end of the text.
             room = max(progress.console.width - _BAR_COLUMNS, 12)
             said = said if len(said) <= room else said[: room - 1] + "…"
@@ -194,7 +196,7 @@ class Console:
         if not self.as_json:
             from studies.screen import print_blocks
 
-            print_blocks(blocks)
+            print_blocks([_without_control(block) for block in blocks])
 
     def watch(self, look: Callable[[], Sequence[Block]], *, period_s: float = 1.0) -> None:
         """Show tables and texts again and again until Ctrl-C; once if the output is no terminal.
@@ -208,12 +210,12 @@ class Console:
             return
         from studies.screen import watch_blocks
 
-        watch_blocks(look, period_s=period_s)
+        watch_blocks(lambda: [_without_control(block) for block in look()], period_s=period_s)
 
     def result(self, line: str) -> None:
         """Write one line of the result to stdout, or nothing where the result is a JSON document."""
         if not self.as_json:
-            _write(sys.stdout, line)
+            _write(sys.stdout, escaped(line, keep_lines=True))
 
     def document(self, content: dict[str, Any]) -> None:
         """Write the one JSON document to stdout, or nothing where the result is for people."""
@@ -230,6 +232,23 @@ def format_seconds(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.1f} min"
     return f"{seconds / 3600:.1f} h"
+
+
+def _without_control(block: Block) -> Block:
+    """Return a block without signs that a terminal obeys; names in it may be a stranger's."""
+    if isinstance(block, Said):
+        return replace(block, text=escaped(block.text, keep_lines=True))
+    if isinstance(block, Facts):
+        facts = [(escaped(word), _safe_cell(said, keep_lines=True)) for word, said in block.facts]
+        return Facts(escaped(block.title), facts)
+    columns = [replace(column, title=escaped(column.title)) for column in block.columns]
+    rows = [[_safe_cell(cell) for cell in row] for row in block.rows]
+    return replace(block, title=escaped(block.title), columns=columns, rows=rows)
+
+
+def _safe_cell(cell: object, *, keep_lines: bool = False) -> object:
+    text = escaped(str(cell), keep_lines=keep_lines)
+    return replace(cell, text=text) if isinstance(cell, Said) else text
 
 
 def _write(stream: Any, line: str) -> None:

@@ -1,11 +1,13 @@
 """Where everything lies: the project's root, its cases, and what a run leaves behind."""
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
 from simulation.errors import InputError
+from simulation.foreign_text import has_control, quoted, shortened
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.marker import find_root
 from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
@@ -69,15 +71,15 @@ class ProjectPaths:
 
     def generated(self, case_name: str) -> Path:
         """Folder of the simulated trajectories of a case."""
-        return self.data / case_name / "generated"
+        return self.data / folder_name(case_name) / "generated"
 
     def results(self, label: str) -> Path:
         """Folder of stage manifests and calibration results."""
-        return self.mlruns / "results" / label
+        return self.mlruns / "results" / folder_name(label)
 
     def report(self, label: str) -> Path:
         """Folder of tables and figures."""
-        return self.mlruns / "reports" / label
+        return self.mlruns / "reports" / folder_name(label)
 
     def relative(self, file: Path) -> str:
         """Return the place of a file below the root, which holds wherever the project is moved.
@@ -117,6 +119,22 @@ class ProjectPaths:
         return str(path.resolve())
 
 
+def folder_name(name: str) -> str:
+    """Return the name of a case or a label as that of a folder.
+
+    Raises:
+        InputError: it would lead to another place, or holds what no name may hold.
+    """
+    if (
+        name in ("", ".", "..")
+        or "/" in name
+        or has_control(name)
+        or len(name.encode(errors="replace")) > 200
+    ):
+        raise InputError(f"{quoted(name)} is no name of a case or a label; `studies status` lists the labels")
+    return name
+
+
 def size_name(n_train: int) -> str:
     """Return the zero-padded name of a training-set size, so that names sort as numbers."""
     return f"n{n_train:04d}"
@@ -149,17 +167,20 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
     if case in named:
         return named[case]
     given = Path(case).expanduser()
-    if given.is_dir():
+    with suppress(OSError):  # a name that is too long
         if (given / "case.toml").is_file():
             return given / "case.toml"
-        raise InputError(f"the folder {case!r} has no case.toml; give a case's name, its file or its folder")
-    if given.is_file():
-        return given
+        if given.is_dir():
+            raise InputError(
+                f"the folder {case!r} has no case.toml; give a case's name, its file or its folder"
+            )
+        if given.is_file():
+            return given
     known = f"cases in {paths.fmus}: {', '.join(own) or 'none'}"
     if paths.root != EMBEDDED:
         known += f"; embedded cases: {', '.join(embedded) or 'none'}"
     if given.suffix or len(given.parts) > 1:
-        raise InputError(f"there is no case file {case}; {known}")
+        raise InputError(f"there is no case file {shortened(case)}; {known}")
     close = get_close_matches(case, named, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    raise InputError(f"there is no case {case!r}; {hint}{known}")
+    raise InputError(f"there is no case {quoted(case)}; {hint}{known}")

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,6 +12,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from simulation.errors import InputError
+from simulation.foreign_text import MOST_QUOTED, quoted, shortened
 from studies.search_space import STRICT, Count, Positive, SearchParameter, SearchSpace, check_space, space_of
 
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
@@ -147,7 +149,7 @@ class Profile:
         polish: budget of the polish.
     """
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
     data: DataBudget
     tuning: TuningBudget
     sensitivity: SensitivityBudget = Field(default_factory=SensitivityBudget)
@@ -175,9 +177,16 @@ def load_profile(profile: str) -> Profile:
     try:
         return _READER.validate_python(tomllib.loads(file.read_text(encoding="utf-8-sig")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} is no TOML: {error}") from None
+        raise InputError(f"{file} is no TOML: {shortened(str(error))}") from None
+    except RecursionError:
+        raise InputError(f"{file}: its tables or lists stand in each other too deeply; correct it") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); give a text file") from None
     except ValidationError as error:
         raise InputError(f"{file}: {_in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
+    except ValueError:
+        # tomllib leaves this one to Python.
+        raise InputError(f"{file}: a number has thousands of digits; correct it") from None
 
 
 def profile_from(content: Mapping[str, Any], where: str) -> Profile:
@@ -203,9 +212,10 @@ def _in_one_line(error: ValidationError) -> str:
     fault = (unknown or faults)[0]
     key = ".".join(str(part) for part in fault["loc"]) or "the file"
     if unknown:
-        return f"unknown key {key}; remove or correct it"
-    value = "" if isinstance(fault["input"], dict | ArgsKwargs) else f" = {fault['input']!r}"
-    return f"{key}{value}: {fault['msg'].removeprefix('Value error, ')}"
+        return f"unknown key {shortened(key)}; remove or correct it"
+    value = "" if isinstance(fault["input"], dict | ArgsKwargs) else f" = {quoted(fault['input'])}"
+    told = shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED)
+    return f"{shortened(key)}{value}: {told}"
 
 
 _OPTIONS = {
@@ -251,11 +261,13 @@ def profile_names() -> list[str]:
 
 def _find_profile(profile: str) -> Path:
     shipped = PROFILE_FOLDER / f"{profile}.toml"
-    if shipped.is_file() and Path(profile).name == profile:
+    if profile in profile_names():
         return shipped
     given = Path(profile).expanduser()
-    if given.is_file():
-        return given
+    with suppress(OSError):  # a name that is too long
+        if given.is_file():
+            return given
     raise InputError(
-        f"there is no profile {profile!r}; give {', '.join(profile_names())} or the path of a profile file"
+        f"there is no profile {quoted(profile)}; give {', '.join(profile_names())} or the path of a "
+        "profile file"
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
+from simulation.foreign_text import quoted
 
 Array = NDArray[np.float64]
 
@@ -172,5 +173,7 @@ def _read_csv(file: Path) -> dict[str, Array]:
             try:
                 table[line - 2, index] = float(text)
             except ValueError:
-                raise InputError(f"{file}, line {line}, {heading[index]}: {text!r} is not a number") from None
+                raise InputError(
+                    f"{file}, line {line}, {heading[index]}: {quoted(text)} is not a number"
+                ) from None
     return {name: table[:, index] for index, name in enumerate(heading)}

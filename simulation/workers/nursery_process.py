@@ -20,6 +20,7 @@ from typing import IO, Final, Self
 
 from simulation.workers.messages import Learnt, Limits, Rest, Rested, Task
 from simulation.workers.recipe import Recipe, packed
+from simulation.workers.safe_start import as_for_fmus
 
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -203,11 +204,11 @@ os.register_at_fork(after_in_child=_forget)
 
 def _command(descriptor: int) -> list[str]:
     places = [place or str(Path.cwd()) for place in sys.path]
-    return [sys.executable, "-c", _BOOTSTRAP, str(descriptor), *places]
+    return [sys.executable, "-P", "-c", _BOOTSTRAP, str(descriptor), *places]
 
 
 def _environment() -> dict[str, str]:
-    return dict.fromkeys(_THREADS, "1") | os.environ
+    return dict.fromkeys(_THREADS, "1") | as_for_fmus(os.environ)
 
 
 def _working_folder() -> str | None:

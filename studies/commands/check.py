@@ -38,6 +38,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.check import check_stage
 
     study = open_study(chosen, console)
+    console.say(options.NATIVE_CODE)
     _, diagnosis = check_stage(study, again=True, is_thorough=chosen.thorough)
     show_diagnosis(console, study.label, diagnosis)
     console.document({"command": "check", "label": study.label, **diagnosis.to_dict()})

@@ -2,6 +2,7 @@
 
 import argparse
 
+from studies.commands import options
 from studies.console import Console
 from studies.paths import find_project
 
@@ -54,4 +55,9 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.new.terminal import list_variables, new_case
 
-    return (list_variables if chosen.list else new_case)(chosen, find_project(chosen.storage), console)
+    paths = find_project(chosen.storage)
+    if chosen.list:
+        return list_variables(chosen, paths, console)
+    code = new_case(chosen, paths, console)
+    console.say(options.NATIVE_CODE)
+    return code

@@ -4,6 +4,8 @@ import argparse
 
 from studies.commands import values
 
+NATIVE_CODE = "an FMU is native code that runs with your rights; SECURITY.md says how to run one apart"
+
 
 def add_case(command: argparse.ArgumentParser) -> None:
     """Which case, budget, window, seed, and how many processes."""

@@ -1,6 +1,8 @@
 """`studies ui`: open MLflow's user interface on this project's runs."""
 
 import argparse
+import os
+from pathlib import Path
 
 from studies.commands import values
 from studies.console import Console
@@ -40,6 +42,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.tracking.ui_server import open_ui
 
+    # MLflow's server, uvicorn, looks for modules in the working folder first; so in one of ours.
+    os.environ.setdefault("UVICORN_APP_DIR", str(Path(__file__).resolve().parents[2]))
     return open_ui(
         find_project(chosen.storage),
         console,

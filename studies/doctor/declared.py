@@ -7,9 +7,10 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.case import Case
+from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import ParameterSpace
-from simulation.time_unit import told_period
+from simulation.time_unit import DAY_S, told_period, unit_for
 from studies.calibration.prior import Prior
 from studies.doctor.finding import Finding
 from studies.report.wording import count, difference_unit, quantity, squared
@@ -21,6 +22,8 @@ FEW, FAR = 200, 10.0
 """One value of so many may be far from the others: farther than so many times their own span."""
 MANY = 0.2
 """Share of the values that may be one and the same far value, which stands for no value."""
+BARE = 0.05
+"""Share of the window at its begin or end that may be without measured values, as a gap may lie there."""
 LONGEST = 4
 """Names told in one line."""
 
@@ -39,15 +42,17 @@ def look_at_data(case: Case) -> Iterator[Finding]:
     """Look at the recordings, as the model and the comparison get them."""
     measurement, scenario = case.measurement, case.scenario
     n_samples, p = measurement.n_samples, case.parameter_space.n_parameters
-    enough = n_samples > p
+    partly = list(_partly_covered(case))
+    remedies = ["shorten the window, or measure all of it: the rest is not calibrated"] * bool(partly)
+    if n_samples <= p:
+        told = f"{count(p, 'parameter')} cannot be told from {count(n_samples, 'value')}"
+        remedies.append(told if partly else f"{told}; lengthen the window")
     yield Finding(
         "data",
-        "ok" if enough else "warn",
-        f"{told_period(case.window_d)} are covered: {count(n_samples, 'measured value')}, "
-        f"communication step {case.communication_step_s:g} s",
-        ""
-        if enough
-        else f"{count(p, 'parameter')} cannot be told from {count(n_samples, 'value')}; lengthen the window",
+        "warn" if remedies else "ok",
+        f"{'; '.join(partly[:LONGEST]) or f'{told_period(case.window_d)} are covered'}: "
+        f"{count(n_samples, 'measured value')}, communication step {case.communication_step_s:g} s",
+        "; ".join(remedies),
     )
     series = {name: scenario.inputs[:, i] for i, name in enumerate(scenario.input_names)}
     still = [name for name, values in series.items() if np.ptp(values) == 0.0]
@@ -84,6 +89,22 @@ def temperature_doubt(values: FloatArray, unit: str) -> str:
         if LIKE_KELVIN[0] < low and high < LIKE_KELVIN[1]:
             return f"{span} is very hot: rather K"
     return ""
+
+
+def _partly_covered(case: Case) -> Iterator[str]:
+    """Say which outputs are not measured at the begin or the end of the window, and when they are."""
+    begin_s, end_s = (float(case.measurement.time[i]) for i in (0, -1))
+    unit = unit_for(case.window_d[1] * DAY_S)
+    for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
+        bare_s = max(GAP_STEPS * float(np.median(np.diff(samples.time))), BARE * (end_s - begin_s))
+        first, last = (case.window_d[0] + (float(samples.time[i]) - begin_s) / DAY_S for i in (0, -1))
+        told = "covered"
+        if samples.time[0] - begin_s > bare_s:
+            told += f" from {unit.moment(first)}"
+        if end_s - samples.time[-1] > bare_s:
+            told += f" to {unit.moment(last)}"
+        if told != "covered":
+            yield f"{output.name} is {told} of {unit.period(case.window_d)}"
 
 
 def _far_from_others(case: Case) -> Iterator[Finding]:

@@ -3,7 +3,7 @@
 import getpass
 import hashlib
 import platform
-import subprocess
+import re
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,10 +25,14 @@ CODE: dict[str, tuple[str, ...]] = {
 """Where the text lies that decides numbers: not that of commands, pages and pictures."""
 
 _CODE = Path(__file__).resolve().parents[2]
+_REVISION = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
+_BRANCH = re.compile(r"refs/[^\x00-\x20\x7f~^:?*\\\[]+")
+_MOST_BYTES = 16 * 2**20
+"""Longest file of git that is read: a list of some 200,000 branches."""
 
 
 def origin_tags(root: Path) -> dict[str, str]:
-    """Describe user and git state in the tags that MLflow's pages show.
+    """Describe user and commit in the tags that MLflow's pages show.
 
     Args:
         root: folder of the project; without git there is no commit to name.
@@ -38,11 +42,35 @@ def origin_tags(root: Path) -> dict[str, str]:
         tags["mlflow.user"] = getpass.getuser()
     except (KeyError, OSError):  # a container's user may have no name
         tags["mlflow.user"] = "unknown"
-    commit = _git(root, "rev-parse", "HEAD")
-    if commit:
-        tags["mlflow.source.git.commit"] = commit
-        tags["git_dirty"] = str(bool(_git(root, "status", "--porcelain", "--untracked-files=no"))).lower()
+    for folder in (root, *root.parents):
+        if commit := checked_out(folder):
+            return tags | {"mlflow.source.git.commit": commit}
     return tags
+
+
+def checked_out(folder: Path) -> str:
+    """Return the commit that a git checkout is on, "" where the folder is none.
+
+    It is read from git's files: git itself runs commands that the configuration of a checkout names, which
+    may be a stranger's.
+
+    Args:
+        folder: folder that holds `.git`.
+    """
+    git = folder / ".git"
+    if linked := _text(git):  # of a second working tree: the place of its files
+        git = folder / linked.removeprefix("gitdir: ")
+    shared = git / (_text(git / "commondir") or ".")
+    head = _text(git / "HEAD")
+    branch = head.removeprefix("ref: ")
+    if branch != head:
+        if not _BRANCH.fullmatch(branch) or ".." in branch:
+            return ""
+        packed = _text(shared / "packed-refs").splitlines()
+        listed = (line.partition(" ") for line in packed)
+        in_list = next((revision for revision, _, name in listed if name == branch), "")
+        head = _text(git / branch) or _text(shared / branch) or in_list
+    return head if _REVISION.fullmatch(head) else ""
 
 
 def versions() -> dict[str, str]:
@@ -74,13 +102,9 @@ def _code_state() -> dict[str, str]:
         for file in sorted(file for place in places for file in _modules(_CODE / place)):
             content.update(f"{file.relative_to(_CODE).as_posix()}\0".encode() + file.read_bytes() + b"\0")
         found[f"code {room}"] = content.hexdigest()
-    # An installed copy may lie in a folder of somebody else's repository.
-    if _git(_CODE, "ls-files", str(Path(__file__).resolve())):
-        found["git_commit"] = _git(_CODE, "rev-parse", "HEAD")
-        changed = _git(_CODE, "diff", "HEAD", "--binary", "--no-ext-diff", "--", *CODE)
-        found["git_dirty"] = str(bool(changed)).lower()
-        if changed:
-            found["git_diff_sha256"] = hashlib.sha256(changed.encode()).hexdigest()
+    # An installed copy may lie in a folder of somebody else's repository, but not beside its .git.
+    if commit := checked_out(_CODE):
+        found["git_commit"] = commit
     return found
 
 
@@ -114,12 +138,11 @@ def _blas() -> dict[str, str]:
     return {}
 
 
-def _git(root: Path, *arguments: str) -> str:
-    command = ["git", *arguments]
+def _text(file: Path) -> str:
+    """Return the text of a small file, "" where there is none."""
     try:
-        answer = subprocess.run(
-            command, cwd=root, capture_output=True, text=True, errors="replace", timeout=10, check=True
-        )
-    except (OSError, subprocess.SubprocessError):
+        if not file.is_file() or file.stat().st_size > _MOST_BYTES:
+            return ""
+        return file.read_text(encoding="utf-8", errors="replace").strip()
+    except (OSError, ValueError):  # ValueError: a name with a zero byte
         return ""
-    return answer.stdout.strip()

@@ -84,7 +84,7 @@ def test_every_command_works_on_the_storage_that_is_named(
     """A storage that cannot be one tells which commands look at it before they do anything."""
     answer = studies(*examples(command_module(command).MORE)[0], "--storage", "sqlite:///elsewhere.db")
     assert (answer.code, answer.out) == (2, "")
-    assert "'sqlite:///elsewhere.db' is no PostgreSQL URL" in answer.err
+    assert "the storage sqlite://... is no PostgreSQL URL" in answer.err
 
 
 def test_version(studies: Run) -> None:

@@ -214,6 +214,29 @@ def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     assert "ySupTAC" in found["series that never change"].found
 
 
+@pytest.mark.parametrize(
+    ("kept", "told"),
+    [
+        (slice(None), "days 0 to 10 are covered: 481 measured values"),
+        (slice(None, 145), "TAir is covered to day 3 of days 0 to 10: 145 measured values"),
+        (slice(96, 145), "TAir is covered from day 2 to day 3 of days 0 to 10: 49 measured values"),
+        (slice(3, -3), "days 0 to 10 are covered: 475 measured values"),
+        (slice(0, 3), "TAir is covered to day 0.0416667 of days 0 to 10: 3 measured values"),
+    ],
+)
+def test_a_measurement_that_ends_within_the_window_is_worth_a_look(
+    project: Path, kept: slice, told: str
+) -> None:
+    case = load_case(project / "fmus" / "office")
+    (samples,) = case.measurement.samples
+    fewer = replace(samples, time=samples.time[kept], values=samples.values[kept])
+    spoilt = replace(case, measurement=replace(case.measurement, samples=(fewer,)))
+    (found,) = (one for one in look_at_data(spoilt) if one.what == "data")
+    assert told in found.found
+    assert (found.level == "ok") == ("are covered" in told)
+    assert bool(found.remedy) == (found.level == "warn")
+
+
 def test_values_that_no_sensor_meant_are_worth_a_look(project: Path) -> None:
     case = load_case(project / "fmus" / "office")
     measured = case.measurement

@@ -89,7 +89,7 @@ def test_a_fixed_value_may_have_a_unit(decay_case: Path, value: str, kelvin: flo
         ("[1.0]", r"fixed\.x0 = \[1\.0\]: give a number, true or false, a text, \{ value = 20\.0"),
         ("{ value = 7.0 }", r"toml: fixed\.x0 = \{'value': 7\.0\}: give a number, .*, \{ value = 20\.0"),
         ('{ value = 7.0, unti = "K" }', r"toml: fixed\.x0 = \{'value': 7\.0, 'unti': 'K'\}: give a number"),
-        ("1" + 400 * "0", r"toml: fixed\.x0 = 10{400}: give a number"),
+        ("1" + 400 * "0", r"toml: fixed\.x0 = 10{196}\.\.\.: give a number"),
         ("1" + 5000 * "0", r"toml: a number has thousands of digits; correct it"),
         ("nan", r"toml: fixed\.x0 = nan: give a number"),
         (

@@ -107,6 +107,19 @@ def test_a_scratch_folder_is_never_seen_without_its_lock_and_goes_after_its_owne
     assert not list(tmp_path.iterdir())
 
 
+def test_a_link_in_the_place_of_a_scratch_folder_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    mine = tmp_path / "mine"
+    for folder in (mine, tmp_path / "tmp"):
+        folder.mkdir()
+    (tmp_path / "tmp" / "test-scratch-x").symlink_to(mine)
+    ScratchFolder("test-scratch-").remove()
+    assert not list(mine.iterdir())
+
+
 def test_another_system_is_told_at_once():
     script = "import sys; sys.platform = 'darwin'; import simulation"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

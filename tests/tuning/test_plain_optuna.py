@@ -28,11 +28,11 @@ def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: Project
     study = plain_study(copied, spec.name)
     distributions, params = study.best_trial.distributions, {"n_latent": 5, "n_hidden": 17, "beta": 77.0}
     study.set_user_attr("mine", "kept")
+    asked = study.ask()  # by a program that takes its time
     study.enqueue_trial(params, user_attrs={"why": "a guess"})
     study.add_trial(
         create_trial(params=params, distributions=distributions, value=1e-6, user_attrs={"mine": 1})
     )
-    asked = study.ask()  # by a program that takes its time
     forgotten = create_trial(state=TrialState.RUNNING)
     forgotten.datetime_start = datetime.now() - timedelta(hours=1)
     study.add_trial(forgotten)
@@ -44,18 +44,17 @@ def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: Project
     trials = study.get_trials()
     assert len(trials) == n_before + 2
     assert study.user_attrs["mine"] == "kept"
-    enqueued, added, *foreign = trials[N_TUNED:n_before]
-    # Optuna's own ask() takes what waits: the enqueued trial is the other program's, if it came first.
-    by_number = {trial.number: trial for trial in trials}
-    assert by_number[asked.number].state == TrialState.RUNNING
-    assert foreign[-1].state == TrialState.RUNNING
+    other, enqueued, added, left = trials[N_TUNED:n_before]
+    assert (other.number, other.state, left.state) == (asked.number, TrialState.RUNNING, TrialState.RUNNING)
+    assert enqueued.state.is_finished()
+    assert enqueued.params == params
     assert (added.value, added.user_attrs) == (1e-6, {"mine": 1})
     assert enqueued.user_attrs["why"] == "a guess"
     assert set(states(trials[n_before:])) <= {"COMPLETE", "PRUNED"}
     # What was not trained here has no surrogate to offer.
     assert found.best is not None
     assert found.best.run_id
-    assert found.count("running") == states(trials).count("RUNNING")
+    assert found.count("running") == 2
     assert not [run for run in runs_of(copied, spec.label) if run.info.status == "RUNNING"]
 
 

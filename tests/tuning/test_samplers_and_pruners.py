@@ -60,7 +60,7 @@ def test_a_nested_pruner_has_the_pruner_it_wraps() -> None:
     patient = make_pruner(NESTED)
     study = optuna.create_study(pruner=patient)
     for _ in range(6):
-        study.add_trial(a_trial({1: 1.0, 2: 0.5, 3: 0.4, 9: 0.3}, value=0.3))
+        study.add_trial(a_trial({step: 1.0 / step for step in range(1, 10)}, value=0.3))
     worse = study.ask()
     for step in range(1, 9):
         worse.report(5.0 + step, step)

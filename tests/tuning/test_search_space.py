@@ -159,16 +159,16 @@ def test_a_wrong_profile_is_told_in_one_line(tmp_path: Path, search: str, more: 
 def test_a_profile_survives_json_with_its_search(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     search = (
-        'optimizer = { kind = "categorical", choices = ["adam", "adamw"] }\n'
-        'patience = { kind = "int", low = 5, high = 9, when = { optimizer = ["adam"] } }'
+        'activation = { kind = "categorical", choices = ["relu", "silu"] }\n'
+        'patience = { kind = "int", low = 5, high = 9, when = { activation = ["relu"] } }'
     )
-    more = 'enqueue = [{ optimizer = "adam" }]\npruner = { name = "PatientPruner", patience = 2 }'
+    more = 'enqueue = [{ activation = "relu" }]\npruner = { name = "PatientPruner", patience = 2 }'
     file.write_text(PROFILE.format(search=search, more=more))
     profile = load_profile(str(file))
     again = profile_from(profile.to_dict(), "here")
     assert again.to_dict() == profile.to_dict()
     assert again.tuning.space == profile.tuning.space
-    assert again.tuning.enqueue == ({"optimizer": "adam"},)
+    assert again.tuning.enqueue == ({"activation": "relu"},)
 
 
 @pytest.mark.parametrize("name", profile_names())

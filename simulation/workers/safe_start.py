@@ -1,0 +1,22 @@
+"""Python processes that are started do not import modules from the working folder, which may be a stranger's.
+
+`python -c` and `python -m` look there first: a file `multiprocessing.py` in it would be run by every process
+that multiprocessing starts.
+"""
+
+import os
+from collections.abc import Mapping
+from typing import Final
+
+_VARIABLE: Final = "PYTHONSAFEPATH"
+_OURS: Final = "studies"  # Python heeds any text
+
+
+def start_safely() -> None:
+    """Have the processes that this one starts leave the working folder out of what they import from."""
+    os.environ.setdefault(_VARIABLE, _OURS)
+
+
+def as_for_fmus(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return an environment without this: an FMU may be a Python script that imports its neighbours."""
+    return {name: value for name, value in environment.items() if (name, value) != (_VARIABLE, _OURS)}

@@ -1,0 +1,114 @@
+"""Studies without a training: trials that Optuna was told of, and calibrations, where real ones lie."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.distributions import FloatDistribution, IntDistribution
+from optuna.trial import FrozenTrial, TrialState
+
+from pelsvae.config import VARIANTS
+from studies.paths import ProjectPaths
+from studies.tuning.declaration import Declaration
+from studies.tuning.storage import DECLARATION, PLANNED, RUN_ID, open_storage
+
+MAX_EPOCHS = 400
+WALL_S = 60.0
+SPACE = {
+    "n_latent": IntDistribution(8, 128, log=True),
+    "n_hidden": IntDistribution(64, 256, log=True),
+    "beta": FloatDistribution(1.0, 1000.0, log=True),
+}
+SEARCH = {
+    name: {"kind": kind, "low": one.low, "high": one.high, "log": True}
+    for (name, one), kind in zip(SPACE.items(), ("int", "int", "float"), strict=True)
+}
+DIGESTS = {
+    name: digit * 64 for name, digit in zip(("case", "fmu", "validation", "test"), "1245", strict=True)
+}
+
+
+def declared(label: str, n_train: int, **changes: Any) -> Declaration:
+    """Declare a study; anything of it may be changed by name."""
+    variant = VARIANTS["refined"].replace(max_epochs=MAX_EPOCHS)
+    settings = {k: v for k, v in variant.to_dict().items() if k not in ("device", "n_threads")}
+    values: dict[str, Any] = {
+        "label": label,
+        "n_train": n_train,
+        "case_name": "office",
+        "surrogate": "refined",
+        "settings": settings,
+        "search": SEARCH,
+        "sampler": {"name": "TPESampler"},
+        "pruner": {"name": "CatchUpPruner"},
+        "seed": 0,
+        "parameter_names": ("UWin",),
+        "lower": (0.1,),
+        "upper": (1.0,),
+        "is_log": (True,),
+        "output_names": ("TAir",),
+        "output_unit": "degC",
+        "output_scales": (1.0,),
+        "files": {name: f"data/office/{name}.npz" for name in ("train", "validation", "test")},
+        "digests": DIGESTS | {"train": f"{n_train:064x}"},
+    }
+    return Declaration(**(values | changes))
+
+
+def declared_baseline(label: str, n_train: int, **changes: Any) -> Declaration:
+    """Declare the PCA + GP beside a study."""
+    return declared(label, n_train, surrogate="pca-gp", search={}, is_baseline=True, **changes)
+
+
+def write_study(
+    root: Path, spec: Declaration, *, n_trials: int, n_planned: int | None = None
+) -> optuna.Study:
+    """Tell Optuna of the trials of a study: the first complete, every sixth pruned, every tenth failed."""
+    study = optuna.create_study(storage=open_storage(ProjectPaths(root)), study_name=spec.name)
+    study.set_user_attr(DECLARATION, spec.to_dict())
+    study.set_user_attr(PLANNED, n_trials if n_planned is None else n_planned)
+    random = np.random.default_rng((spec.seed, spec.n_train))
+    for index in range(n_trials):
+        error = float(0.2 + random.gamma(4.0) / np.sqrt(spec.n_train))
+        study.add_trial(ended_trial(spec, index, error, n_latent=int(2 ** random.integers(3, 7))))
+    return study
+
+
+def ended_trial(spec: Declaration, index: int, error: float, *, n_latent: int = 64) -> FrozenTrial:
+    """Make up a trial that has ended."""
+    states = {5: TrialState.PRUNED, 9: TrialState.FAIL}
+    state = states.get(index % 12, TrialState.COMPLETE)
+    others = {"val/p90": 1.8 * error, "test/mae": 1.1 * error, "test/p90": 2.0 * error}
+    return optuna.create_trial(
+        state=state,
+        value=error if state == TrialState.COMPLETE else None,
+        params={"n_latent": n_latent, "n_hidden": 128, "beta": 100.0} if spec.search else {},
+        distributions=SPACE if spec.search else {},
+        intermediate_values={epoch: error + 10.0 / epoch for epoch in (25, 100, MAX_EPOCHS)},
+        user_attrs={
+            RUN_ID: f"{index:032x}",
+            "proposed_by": "default" if index == 0 else "TPESampler" if index > 5 else "start-up",
+            "training": {"wall_s": WALL_S, "n_epochs": MAX_EPOCHS},
+            **(others if state == TrialState.COMPLETE else {"reason": "made up"}),
+        },
+    )
+
+
+def write_calibration(
+    root: Path, label: str, name: str, numbers: dict[str, Any], *, case: Path, finished: str = "2026-01-01"
+) -> None:
+    """Write what a finished calibration leaves."""
+    folder = root / "mlruns" / "results" / label
+    folder.mkdir(parents=True, exist_ok=True)
+    manifest = {"stage": f"calibrate-{name}", "digest": "d" * 64, "inputs": {}, "summary": {}}
+    (folder / f"calibrate-{name}.json").write_text(
+        json.dumps(manifest | {"finished": finished}), encoding="utf-8"
+    )
+    told = {"place": f"fmus/{case.parent.name}/case.toml", "text": case.read_text(encoding="utf-8")}
+    told |= dict.fromkeys(("digest", "measurement_digest", "text_sha256"), "1" * 64)
+    recipe = {"case": told, "files": [], "window_d": [0.0, 9.0]}
+    (folder / f"calibration-{name}.json").write_text(
+        json.dumps({**numbers, "recipe": recipe}), encoding="utf-8"
+    )

@@ -1,0 +1,112 @@
+"""Names of cases, profiles and labels that lead elsewhere or hold control signs, and long quotations."""
+
+from pathlib import Path
+
+import pytest
+from project_for_tests import Run
+
+from simulation.case_reading import read_case_file
+from simulation.errors import InputError
+from simulation.foreign_text import MOST_QUOTED
+from simulation.recording import read_recording
+from studies.paths import ProjectPaths
+from studies.profile import load_profile
+
+BAD = ("..", "../x", "a/b", "/etc", "a\0b", "a\x1b[2J", "a\nb", "\u202ea", ".", "", "a" * 300)
+LONG = "x" * 5000
+
+
+def toml(text: str) -> str:
+    """Write a text as TOML does."""
+    return (
+        '"'
+        + "".join(f"\\u{ord(sign):04x}" if ord(sign) < 32 or ord(sign) > 126 else sign for sign in text)
+        + '"'
+    )
+
+
+def refusal(answer: object) -> str:
+    code, err = getattr(answer, "code", None), str(getattr(answer, "err", ""))
+    assert code == 2, err
+    assert len(err.splitlines()) == 1
+    assert "Traceback" not in err
+    assert len(err) < MOST_QUOTED * 5
+    return err
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_no_folder_of_a_project_has_such_a_name(tmp_path: Path, name: str) -> None:
+    paths = ProjectPaths(tmp_path)
+    for place in (paths.results, paths.report, paths.generated):
+        with pytest.raises(InputError, match="is no name of a case or a label"):
+            place(name)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_case_of_such_a_name_is_refused(project: Path, studies: Run, name: str) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    text = case.read_text(encoding="utf-8")
+    case.write_text(text.replace('name = "office"', f"name = {toml(name)}", 1), encoding="utf-8")
+    assert "name" in refusal(studies("check"))
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_profile_of_such_a_name_is_refused(project: Path, studies: Run, name: str) -> None:
+    text = (Path(__file__).parents[2] / "studies" / "profiles" / "smoke.toml").read_text(encoding="utf-8")
+    (project / "own.toml").write_text(text.replace('"smoke"', toml(name), 1), encoding="utf-8")
+    assert "name" in refusal(studies("check", "--profile", "own.toml"))
+
+
+@pytest.mark.parametrize("key", ["fmu", "data", "file", "unit", "column"])
+def test_no_text_of_a_case_file_holds_control_signs(project: Path, studies: Run, key: str) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    lines = case.read_text(encoding="utf-8").splitlines()
+    place = next(i for i, line in enumerate(lines) if line.startswith(f"{key} ="))
+    for sign in ("\0", "\x1b", "\n"):
+        lines[place] = f"{key} = {toml(f'a{sign}b')}"
+        case.write_text("\n".join(lines), encoding="utf-8")
+        assert f"{key} = " in refusal(studies("check"))
+
+
+@pytest.mark.parametrize("words", [("report",), ("show",), ("calibrate", "--profile")])
+@pytest.mark.parametrize("name", ["../../x", "a\x1b[2J", LONG])
+def test_what_is_typed_is_no_way_out(project: Path, studies: Run, words: tuple[str, ...], name: str) -> None:
+    answer = studies(*words, name)
+    assert answer.code == 2
+    assert len(answer.err.splitlines()) == 1
+    assert "\x1b" not in answer.err
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        f'{LONG} = 1\nname = "a"',
+        f"name = '{LONG}'",
+        f"{LONG}",
+        f"[{LONG}]\na = '{LONG}'",
+        f"fixed = {{ {LONG} = ['{LONG}'] }}",
+        f"schema = {'9' * 4000}",
+        f"schema = {'9' * 6000}",
+        f"seed = {'[' * 3000}{']' * 3000}",
+        f"seed = [{'1, ' * 3000}]",
+    ],
+)
+def test_messages_about_files_are_short(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "file.toml"
+    file.write_text(content, encoding="utf-8")
+    for read in (read_case_file, lambda place: load_profile(str(place))):
+        with pytest.raises(InputError) as found:
+            read(file)
+        assert len(str(found.value).replace(f"{file}", "")) < 5 * MOST_QUOTED
+
+
+@pytest.mark.parametrize(
+    "content",
+    [f"time_s,{LONG}\n0,1\n1,2\n", f"time_s,a\n0,{LONG}\n1,2\n", f"{LONG}\n", f"time_s,a\n1,1\n{LONG},2\n"],
+)
+def test_messages_about_recordings_are_short(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "file.csv"
+    file.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError) as found:
+        read_recording(file, ["a"])
+    assert len(str(found.value).replace(f"{file}", "")) < 3 * MOST_QUOTED

@@ -1,0 +1,83 @@
+"""Texts of strangers on the terminal: nothing in them is obeyed, and what messages quote of them is short."""
+
+import io
+import unicodedata
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from project_for_tests import Run
+
+from simulation.foreign_text import MOST_QUOTED, escaped, quoted
+from studies.console import Column, Console, Facts, Said, Table
+
+CLEAR = "\x1b[2J\x1b]0;title\x07"
+HOSTILE = f"a{CLEAR}\x9b31m\u202eb\u2066c\r\x00d\x08\x7f\u2028e"
+"""Clears a screen, sets a title, turns the direction of writing, and goes back to the line's begin."""
+
+
+def is_harmless(text: str, allowed: str = "\n") -> bool:
+    return all(
+        sign in allowed or unicodedata.category(sign) not in ("Cc", "Zl", "Zp") for sign in text
+    ) and not any(
+        unicodedata.bidirectional(sign) in ("RLO", "LRO", "RLE", "LRE", "RLI", "LRI") for sign in text
+    )
+
+
+@given(st.text(st.characters()))
+def test_escaped_texts_are_harmless_and_others_stay(text: str) -> None:
+    said = escaped(text)
+    assert is_harmless(said, "")
+    assert escaped(said) == said
+    if text.isprintable():
+        assert said == text
+    assert is_harmless(escaped(text, keep_lines=True), "\n\t")
+
+
+@given(st.recursive(st.text() | st.integers(), st.lists, max_leaves=300))
+def test_quotations_are_short(value: object) -> None:
+    assert len(quoted(value)) <= MOST_QUOTED
+    assert len(quoted("x" * 100_000)) == MOST_QUOTED
+    assert "digits" in quoted(10**5000)
+
+
+def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console()
+    for write in (console.say, console.warn, console.result):
+        write(f"{HOSTILE} umlaut ä, K², 日本")
+    console.show(
+        [
+            Said(HOSTILE, "bad"),
+            Facts(HOSTILE, [(HOSTILE, f"two\nlines {HOSTILE}")]),
+            Table(
+                HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [Said(HOSTILE, "warn"), None]]
+            ),
+        ]
+    )
+    console.watch(lambda: [Said(HOSTILE)])
+    said = capsys.readouterr()
+    assert is_harmless(said.out), repr(said.out)
+    assert is_harmless(said.err), repr(said.err)
+    assert "umlaut ä, K², 日本" in said.out
+    assert r"\x1b[2J" in said.out
+    assert said.err.count("\n") == 2
+
+
+def test_colours_are_the_consoles_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setattr("sys.stdout", terminal := Terminal())
+    Console().show([Said(f"red {CLEAR}", "bad")])
+    assert "\x1b[31m" in terminal.getvalue()
+    assert CLEAR not in terminal.getvalue()
+
+
+def test_a_path_with_control_signs_does_not_reach_the_terminal(project: Path, studies: Run) -> None:
+    answer = studies("check", f"fmus/{HOSTILE.replace(chr(0), '')}.toml")
+    assert answer.code == 2
+    assert len(answer.err.splitlines()) == 1
+    assert is_harmless(answer.err)

@@ -1,0 +1,335 @@
+"""What `studies status` and `studies best` say of studies and calibrations, without a training."""
+
+import fcntl
+import os
+import pty
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import optuna
+import pytest
+from optuna.trial import FrozenTrial, TrialState
+from project_for_tests import REPOSITORY, Run
+from studies_for_tests import (
+    MAX_EPOCHS,
+    SPACE,
+    WALL_S,
+    declared,
+    declared_baseline,
+    ended_trial,
+    write_calibration,
+    write_study,
+)
+
+LIMIT_S = 60.0
+OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
+
+
+@pytest.fixture
+def project(new_project: Path) -> Path:
+    """Looking needs no store of MLflow."""
+    return new_project
+
+
+def least(study: optuna.Study) -> FrozenTrial:
+    """Return the completed trial of least error."""
+    return study.best_trial
+
+
+def test_an_empty_project_says_what_to_type_first(project: Path, studies: Run) -> None:
+    for command in ("status", "best"):
+        answer = studies(command)
+        assert answer.code == 0
+        assert "studies run" in answer.out
+        assert len(answer.out.splitlines()) == 1
+    assert studies("status", "--json").document["studies"] == []
+    assert studies("best", "--json").document["sizes"] == []
+    assert not (project / "mlruns").exists()
+
+
+def test_every_study_has_a_line_and_the_counts_are_those_of_its_trials(project: Path, studies: Run) -> None:
+    study = write_study(project, declared("office-quick", 64), n_trials=12, n_planned=20)
+    write_study(project, declared("office-quick", 128), n_trials=3)
+    (first, second) = studies("status", "--json").document["studies"]
+    states = [trial.state for trial in study.get_trials()]
+    assert (first["n_complete"], first["n_pruned"], first["n_failed"]) == tuple(
+        states.count(state) for state in (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
+    )
+    assert (first["n_planned"], first["n_proposed"], first["n_running"], first["n_waiting"]) == (20, 6, 0, 0)
+    assert (first["to_go_s"], second["to_go_s"]) == (8 * WALL_S, 0.0)
+    assert (second["n_train"], second["n_planned"], second["unit"]) == (128, 3, "K")
+    best = least(study)
+    assert first["best_params"] == best.params
+    assert first["best_metrics"]["val/mae"] == best.value
+    shown = studies("status").out
+    lines = shown.splitlines()
+    (of_64,) = (line for line in lines if "office-quick/n0064" in line)
+    (of_128,) = (line for line in lines if "office-quick/n0128" in line)
+    for words in ("12/20", f"{best.user_attrs['test/mae']:.3f}", f"{best.params['n_latent']}", "8.0 min"):
+        assert f" {words} " in f"{of_64} "
+    assert {"3/3", "done"} <= set(of_128.split())
+    assert {"n_latent", "n_hidden", "beta", "MAE", "P90", "PCA+GP"} <= set(shown.split())
+    assert "2 studies: 15 of 23 trials done, 1 pruned, 1 failed, 15.0 min of training" in shown
+
+
+def test_running_trials_are_shown_with_their_epoch_and_waiting_ones_are_counted(
+    project: Path, studies: Run
+) -> None:
+    study = write_study(project, declared("office-quick", 64), n_trials=10, n_planned=20)
+    running = study.ask(SPACE)
+    running.report(0.5, 100)
+    study.enqueue_trial({"n_latent": 32})
+    (found,) = studies("status", "--json").document["studies"]
+    assert (found["n_running"], found["n_waiting"], found["to_go_s"]) == (1, 1, 10 * WALL_S)
+    shown = studies("status").out
+    (line,) = (line for line in shown.splitlines() if "trial 10" in line)
+    assert f"100/{MAX_EPOCHS}" in line
+    assert " 0.500 " in line
+    assert "1 running, 1 waiting" in shown
+
+
+def test_trials_and_studies_of_others_are_counted_or_let_be(project: Path, studies: Run) -> None:
+    study = write_study(project, declared("office-quick", 64), n_trials=3)
+    best = least(study)
+    study.add_trial(optuna.create_trial(params=best.params, distributions=SPACE, value=1e-6))
+    optuna.create_study(storage=f"sqlite:///{project}/mlruns/optuna.db", study_name="another program's")
+    (found,) = studies("status", "--json").document["studies"]
+    # Nothing was trained here that could be registered or calibrated with.
+    assert (found["n_complete"], found["best_trial"]) == (4, best.number)
+    (size,) = studies("best", "--json").document["sizes"]
+    assert (size["trial"], size["n_trials"]) == (best.number, 4)
+
+
+def test_a_retried_trial_is_one_trial(project: Path, studies: Run) -> None:
+    study = write_study(project, declared("office-quick", 64), n_trials=3, n_planned=4)
+    lost = optuna.create_trial(state=TrialState.FAIL, params={}, distributions={})
+    study.add_trial(lost)
+    again = ended_trial(declared("office-quick", 64), 3, 0.1)
+    again.system_attrs = {"failed_trial": 3, "retry_history": [3]}
+    study.add_trial(again)
+    (found,) = studies("status", "--json").document["studies"]
+    assert (found["n_complete"], found["n_failed"], found["best_trial"]) == (4, 0, 4)
+
+
+def test_twins_have_their_whole_names_and_best_takes_the_latest(project: Path, studies: Run) -> None:
+    specs = [declared("office-quick", 64, seed=seed) for seed in (1, 2)]
+    twins = [write_study(project, spec, n_trials=4) for spec in specs]
+    shown = studies("status").out
+    assert all(spec.name in shown for spec in specs)
+    (model,) = studies("best", "--json").document["sizes"]
+    assert model["study"] == specs[1].name
+    assert model["mae"] == least(twins[1]).user_attrs["test/mae"]
+
+
+def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run) -> None:
+    for label in ("office-quick", "office-quick-seed1", "office-paper"):
+        write_study(project, declared(label, 64), n_trials=1)
+    for label, case in (("office-recorded-quick", "office-recorded"), ("wall-quick", "the wall")):
+        write_study(project, declared(label, 64, case_name=case), n_trials=1)
+
+    def labels(which: str) -> list[str]:
+        return [study["label"] for study in studies("status", which, "--json").document["studies"]]
+
+    assert labels("office") == ["office-paper", "office-quick", "office-quick-seed1"]
+    assert labels("office-quick") == ["office-quick"]
+    assert labels("office-recorded") == ["office-recorded-quick"]
+    assert labels("the wall") == ["wall-quick"]
+    assert labels("*-seed?") == ["office-quick-seed1"]
+    for command in ("status", "best"):
+        answer = studies(command, "ofice-paper")
+        assert answer.code == 2
+        assert answer.err.count("\n") == 1
+        assert "did you mean office-paper?" in answer.err
+
+
+def test_a_study_of_another_version_is_one_line(project: Path, studies: Run) -> None:
+    study = write_study(project, declared("office-quick", 64), n_trials=1)
+    study.set_user_attr("declaration", study.user_attrs["declaration"] | {"objectives": ["mae"]})
+    for command in ("status", "best"):
+        answer = studies(command)
+        assert (answer.code, answer.err.count("\n")) == (2, 1)
+        assert "declared by another version (objectives)" in answer.err
+
+
+def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(
+    project: Path, studies: Run
+) -> None:
+    spec = declared("office-quick", 64)
+    study = write_study(project, spec, n_trials=8)
+    best, default = least(study), study.get_trials()[0]
+    beside = write_study(project, declared_baseline("office-quick", 64), n_trials=1).best_trial
+    elsewhere = {**declared_baseline("office-quick", 64).digests, "test": "9" * 64}
+    write_study(project, declared_baseline("office-quick", 64, digests=elsewhere), n_trials=1)
+    document = studies("best", "--json").document
+    (size,) = document["sizes"]
+    assert size["params"] == best.params
+    assert (size["mae"], size["p90"]) == (best.user_attrs["test/mae"], best.user_attrs["test/p90"])
+    assert size["gain_over_default"] == pytest.approx(1 - best.value / default.value)
+    assert size["pca_gp"]["test/mae"] == beside.user_attrs["test/mae"]
+    assert size["model_uri"] == "models:/office-quick-n0064@champion"
+    loaded = optuna.load_study(study_name=size["study"], storage=document["optuna_storage"])
+    assert loaded.best_trial.number == best.number
+    shown = studies("best").out
+    (line,) = (line for line in shown.splitlines() if line.split()[:1] == ["64"])
+    for value in (best.params["n_latent"], 128, 100, f"{size['mae']:.3f}", f"{size['p90']:.3f}"):
+        assert str(value) in line.split()
+    assert {"n_latent", "n_hidden", "beta", "MAE", "P90", "PCA+GP"} <= set(shown.split())
+    assert f'optuna.load_study(study_name="{spec.name}", storage="sqlite:///' in shown
+    (of_status,) = (line for line in studies("status").out.splitlines() if "office-quick/n0064" in line)
+    assert f" {beside.user_attrs['test/mae']:.3f} " in of_status
+
+
+def test_best_of_a_size_that_nobody_tuned_is_one_line(project: Path, studies: Run) -> None:
+    write_study(project, declared("office-quick", 64), n_trials=1)
+    answer = studies("best", "--n-train", "99")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "there are 64" in answer.err
+
+
+def test_best_tells_a_small_gain_from_none(project: Path, studies: Run) -> None:
+    spec = declared("office-quick", 64)
+    study = write_study(project, spec, n_trials=1)
+    study.add_trial(ended_trial(spec, 1, 0.996 * study.best_value))
+    shown = studies("best").out
+    assert " -0.4 % " in shown
+    assert "by 0.4 % of its validation error" in shown
+    write_study(project, replace(spec, n_train=128), n_trials=1)
+    assert " ±0 % " in studies("best", "--n-train", "128").out
+
+
+def test_best_tells_errors_of_an_output_that_is_a_small_number(project: Path, studies: Run) -> None:
+    spec = declared("office-quick", 64)
+    study = write_study(project, spec, n_trials=1)
+    study.add_trial(ended_trial(spec, 1, 0.0000234))
+    shown = studies("best").out
+    assert " 2.34e-05 " in shown
+    assert " 2.57e-05 " in shown
+
+
+def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studies: Run) -> None:
+    for n_train, mse in ((64, 0.04), (128, 0.02)):
+        numbers = {
+            "n_train": n_train,
+            "mse_polished": mse,
+            "theta": {"UWin": 0.5 + mse, "b": 1.25},
+            "ledger": {"total_paper": 100, "total_honest": 200},
+            "case_sha256": "1",
+            "measurement_sha256": "2",
+            "restriction": {"fixed": {"b": 1.25}, "why": {"b": "its estimate"}},
+        }
+        write_calibration(project, "office-quick", f"n{n_train:04d}", numbers, case=OFFICE)
+    (found,) = studies("best", "--json").document["calibrations"]
+    assert (found["name"], found["theta"]) == ("office-quick/n0128", {"UWin": 0.52, "b": 1.25})
+    lines = [line.split() for line in studies("best", "office-quick").out.splitlines()]
+    assert ["UWin", "W/(m2.K)", "0.52"] in lines
+    assert ["b", "1.25", "fixed"] in lines
+    shown = studies("best", "office-quick").out
+    assert "MSE 0.02000 K², 100 model calls in the paper's count\n" in shown
+    assert "0.02000" in studies("status").out
+
+
+def test_calibrations_without_a_surrogate_have_a_unit_and_each_case_its_best(
+    project: Path, studies: Run
+) -> None:
+    units = {"vanderpol": "V²", "wall": "K²"}
+    for k, case in enumerate(units):
+        for window, mse in (("", 0.03), ("-0-9", 0.04 + 0.01 * k)):
+            numbers = {
+                "n_train": 0,
+                "mse": mse,
+                "theta": {"U": 0.5 + mse},
+                "ledger": {"total_paper": 20, "total_honest": 20},
+                "case_sha256": f"{case}{window}",
+                "measurement_sha256": "2",
+            }
+            file = REPOSITORY / "fmus" / case / "case.toml"
+            day = f"2026-01-0{1 + len(window)}"
+            write_calibration(project, f"{case}-quick{window}", "adaptive", numbers, case=file, finished=day)
+    found = {
+        one["case"]: (one["name"], one["unit"]) for one in studies("best", "--json").document["calibrations"]
+    }
+    # The one of the latest window: errors on other windows are not comparable.
+    assert found == {case: (f"{case}-quick-0-9/adaptive", unit) for case, unit in units.items()}
+    shown = studies("best").out
+    # There is nothing that the paper would count otherwise.
+    assert "vanderpol: best calibration: MSE 0.04000 V², 20 model calls\n" in shown
+    assert "wall: best calibration: MSE 0.05000 K², 20 model calls\n" in shown
+    assert "wall" not in studies("best", "vanderpol").out
+    lines = [line for line in studies("status").out.splitlines() if "/adaptive" in line]
+    assert len(lines) == 4
+    assert all(units[line.split()[0].split("-")[0]] in line for line in lines)
+
+
+def test_looking_loads_nothing_that_trains_or_simulates(project: Path) -> None:
+    write_study(project, declared("office-quick", 64), n_trials=2)
+    program = (
+        "import sys\nfrom studies.cli import main\nmain(['status'])\n"
+        "heavy = ('torch', 'mlflow', 'pyarrow', 'scipy', 'matplotlib', 'fmpy', 'numba')\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, env=in_project(project)
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def in_project(project: Path) -> dict[str, str]:
+    return os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY), "TERM": "xterm"}
+
+
+@pytest.mark.parametrize(("columns", "shown", "left_out"), [(80, "MAE", "trials/h"), (140, "trials/h", "")])
+def test_live_draws_until_ctrl_c_and_leaves_what_fits_the_terminal(
+    project: Path, columns: int, shown: str, left_out: str
+) -> None:
+    write_study(project, declared("office-quick", 64), n_trials=2)
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, columns, 0, 0))
+    words = [sys.executable, "-m", "studies", "status", "--live"]
+    # The terminal tells its size, not what the tests' own terminal is said to have.
+    environment = {k: v for k, v in in_project(project).items() if k not in ("COLUMNS", "LINES")}
+    process = subprocess.Popen(
+        words, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=environment, close_fds=True
+    )
+    os.close(theirs)
+    seen = ""
+    deadline = time.monotonic() + LIMIT_S
+    is_new_there = False
+    while "office-quick/n0128" not in seen:
+        assert time.monotonic() < deadline
+        seen += os.read(ours, 4096).decode(errors="replace")
+        if "office-quick/n0064" in seen and not is_new_there:
+            # a second study appears while it is watched
+            write_study(project, declared("office-quick", 128), n_trials=1)
+            is_new_there = True
+    process.send_signal(signal.SIGINT)
+    rest = ""
+    try:
+        while chunk := os.read(ours, 4096):
+            rest += chunk.decode(errors="replace")
+    except OSError:
+        pass  # the terminal has no writer left
+    assert process.stderr is not None
+    with process.stderr as stderr:
+        assert stderr.read() == b""
+    assert process.wait(LIMIT_S) == 0
+    os.close(ours)
+    # The alternate screen is left, and the last table stands on the terminal's own.
+    last = rest.rpartition("\x1b[?1049l")[2]
+    assert "office-quick/n0064" in last
+    assert shown in last
+    assert not left_out or left_out not in last
+
+
+def test_without_a_terminal_live_prints_once(project: Path, studies: Run) -> None:
+    write_study(project, declared("office-quick", 64), n_trials=2)
+    answer = studies("status", "--live")
+    assert answer.code == 0
+    assert answer.out.count("office-quick/n0064") == 1
+    assert "\x1b" not in answer.out
+    assert studies("status", "--live", "--json").document["command"] == "status"

@@ -1,0 +1,178 @@
+"""Trials as MLflow shows them, to its own clients: runs, the best per size, models, a moved project."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import mlflow
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import N_TUNED
+from mlflow.exceptions import MlflowException
+from toy_study_for_tests import (
+    LABEL,
+    ROOT,
+    SPECS,
+    plain_study,
+    runs_of,
+    tuned_study,
+)
+
+from studies.paths import ProjectPaths
+from studies.tracking.artifacts import ProjectArtifacts
+from studies.tracking.quiet_mlflow import connect
+from studies.tracking.registry import load_surrogate, model_uri
+from studies.tracking.runs import RunStore
+from studies.tuning.results import read_studies
+from studies.tuning.storage import open_storage
+from studies.tuning.tune import tune
+from studies.tuning.worker import Worker
+
+THETA = pd.DataFrame({"R": [1.0, 2.0, 3.0], "C": [1e4, 2e4, 3e4]})
+
+
+def best_per_size(paths: ProjectPaths) -> pd.DataFrame:
+    mlflow.set_tracking_uri(paths.tracking_uri)
+    found = mlflow.search_runs(experiment_names=[LABEL], filter_string="tags.best = 'yes'")
+    assert isinstance(found, pd.DataFrame)
+    return found
+
+
+def test_a_complete_trial_has_its_run(tuned: ProjectPaths) -> None:
+    spec = tuned_study(16)
+    study = plain_study(tuned, spec.name)
+    best, client = study.best_trial, connect(tuned.tracking_uri)
+    run = client.get_run(best.user_attrs["mlflow_run_id"])
+    parent = client.get_run(run.data.tags["mlflow.parentRunId"])
+    assert parent.data.tags["role"] == "study"
+    assert parent.data.tags["study"] == run.data.tags["study"] == spec.name
+    assert run.data.tags["trial"] == str(best.number)
+    assert {name: run.data.params[name] for name in best.params} == {n: str(v) for n, v in best.params.items()}
+    assert set(best.params) == {"n_latent", "n_hidden", "beta"}
+    assert run.data.params["learning_rate"] == str(spec.base_config.learning_rate)
+    errors = {name: value for name, value in run.data.metrics.items() if name.startswith(("val/", "test/"))}
+    assert set(errors) == {"val/mae", "val/p90", "test/mae", "test/p90"}
+    assert errors["val/mae"] == best.value
+    curve = client.get_metric_history(run.info.run_id, "curve/validation_mae")
+    assert [point.step for point in curve] == list(range(1, 13))
+    assert min(point.value for point in curve) == pytest.approx(errors["val/mae"])
+    assert {one.path for one in client.list_artifacts(run.info.run_id)} >= {"recipe.json", "surrogate"}
+
+
+def test_a_pruned_trial_has_curves_and_no_errors(tuned: ProjectPaths) -> None:
+    pruned = runs_of(tuned, LABEL, pruned="True")
+    assert pruned
+    for run in pruned:
+        assert run.info.status == "FINISHED"
+        assert run.data.tags["reason"].startswith("pruned by MedianPruner at epoch ")
+        assert not [name for name in run.data.metrics if name.startswith(("val/", "test/"))]
+        assert "curve/validation_mae" in run.data.metrics
+
+
+def test_the_run_of_a_study_says_what_it_came_to(tuned: ProjectPaths) -> None:
+    spec = tuned_study(24)
+    (run,) = runs_of(tuned, LABEL, role="study", study=spec.name)
+    assert run.info.status == "FINISHED"
+    assert run.data.metrics["best/val/mae"] == plain_study(tuned, spec.name).best_value
+    assert {"best/n_latent", "best/n_hidden", "best/beta", "best/test/p90"} <= set(run.data.metrics)
+    assert run.data.metrics["n_complete"] + run.data.metrics["n_pruned"] == N_TUNED
+    sets = {one.dataset.name: one.dataset.digest for one in run.inputs.dataset_inputs}
+    assert sets == {
+        "toy train n=24": spec.digests["train"][:32],
+        "toy validation": spec.digests["validation"][:32],
+        "toy test": spec.digests["test"][:32],
+    }
+    experiment = connect(tuned.tracking_uri).get_experiment_by_name(LABEL)
+    assert experiment is not None
+    note = experiment.tags["mlflow.note.content"]
+    assert "| n_train | n_latent | n_hidden | beta | MAE [K] | P90 [K] |" in note
+
+
+def test_the_best_of_each_size_is_found_in_one_call_also_after_more_trials(copied: ProjectPaths) -> None:
+    before = best_per_size(copied)
+    assert sorted(before["params.n_train"]) == ["16", "24"]
+    assert before["metrics.test/p90"].notna().all()
+    spec = tuned_study(16)
+    tune([spec], paths=copied, n_trials=N_TUNED + 2, n_jobs=1, until_s=0.0)
+    study = plain_study(copied, spec.name)
+    default = study.trials[0].params
+    study.enqueue_trial(default | {"n_latent": 7})
+    study.enqueue_trial(default | {"n_latent": 6})
+    Worker(copied, spec.name).run()
+    tune([spec], paths=copied, n_trials=N_TUNED + 2, n_jobs=1)
+    after = best_per_size(copied)
+    assert sorted(after["params.n_train"]) == ["16", "24"]
+    best = {one.spec.n_train: one.best for one in read_studies(copied) if not one.spec.is_baseline}
+    for _, row in after.iterrows():
+        found = best[int(row["params.n_train"])]
+        assert found is not None
+        assert row["run_id"] == found.run_id
+        version = connect(copied.tracking_uri).get_model_version_by_alias(
+            f"{LABEL}-n{int(row['params.n_train']):04d}", "champion"
+        )
+        assert version.run_id == found.run_id
+
+
+@pytest.mark.parametrize("n_train", [16, 24])
+def test_the_best_model_of_a_size_is_loaded_by_mlflow_alone(tuned: ProjectPaths, n_train: int) -> None:
+    mlflow.set_tracking_uri(tuned.tracking_uri)
+    predicted = mlflow.pyfunc.load_model(model_uri(LABEL, n_train)).predict(THETA)
+    assert predicted.shape == (3, 25, 1)
+    best = next(one.best for one in read_studies(tuned) if one.spec == tuned_study(n_train))
+    assert best is not None
+    same = load_surrogate(RunStore(tuned), best.run_id).predict(THETA.to_numpy())
+    np.testing.assert_array_equal(predicted, same)
+
+
+def test_the_registered_model_is_a_logged_model_with_its_numbers(tuned: ProjectPaths) -> None:
+    client = connect(tuned.tracking_uri)
+    version = client.get_model_version_by_alias(f"{LABEL}-n0016", "champion")
+    model = client.get_logged_model(version.model_id)
+    assert model.status == "READY"
+    assert {"n_train", "n_latent", "n_hidden", "beta"} <= set(model.params)
+    assert {metric.key for metric in model.metrics} >= {"val/mae", "test/mae", "test/p90"}
+
+
+def test_a_moved_project_has_its_runs_and_models(copied: ProjectPaths, tmp_path: Path) -> None:
+    moved = ProjectPaths(tmp_path / "moved elsewhere")
+    shutil.move(copied.root, moved.root)
+    mlflow.set_tracking_uri(moved.tracking_uri)
+    assert mlflow.pyfunc.load_model(model_uri(LABEL, 16)).predict(THETA).shape == (3, 25, 1)
+    best = read_studies(moved)[0].best
+    assert best is not None
+    recipe = RunStore(moved).fetch(best.run_id, "recipe.json", tmp_path)
+    assert recipe.stat().st_size > 1000
+    Worker(moved, SPECS[0].name).run()  # what is finished stays finished
+
+
+def test_an_artifact_outside_the_project_is_refused(tuned: ProjectPaths) -> None:
+    inside = ProjectArtifacts("studies-project:/toy/a%20b", tuned.tracking_uri)
+    assert inside.artifact_dir == str(tuned.artifacts.resolve() / "toy" / "a b")
+    for uri in ("studies-project:/../../mlflow.db", "studies-project:/toy/%2e%2e/%2e%2e/x"):
+        with pytest.raises(MlflowException, match="outside the project's artifacts"):
+            ProjectArtifacts(uri, tuned.tracking_uri)
+
+
+def test_an_artifact_of_no_project_is_refused(tmp_path: Path) -> None:
+    mlflow.set_tracking_uri("http://127.0.0.1:1")
+    with pytest.raises(MlflowException, match="set the tracking URI"):
+        ProjectArtifacts("studies-project:/toy", "http://127.0.0.1:1")
+
+
+def test_processes_that_make_the_stores_at_once_do_not_get_in_each_other_s_way(tmp_path: Path) -> None:
+    script = (
+        "import sys; from pathlib import Path; from studies.paths import ProjectPaths\n"
+        "from studies.tuning.storage import open_storage\n"
+        "from studies.tracking.runs import RunStore\n"
+        "paths = ProjectPaths(Path(sys.argv[1]))\n"
+        "open_storage(paths); print(RunStore(paths).experiment('toy'))"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path)]
+    pipe = subprocess.PIPE
+    three = [subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT) for _ in range(3)]
+    said = [process.communicate(timeout=300) for process in three]
+    assert [process.returncode for process in three] == [0, 0, 0], said
+    assert len({out for out, _ in said}) == 1
+    assert open_storage(ProjectPaths(tmp_path)).get_all_studies() == []
