@@ -103,6 +103,8 @@ class Calibration:
         found = []
         for place, digest, is_text in made_from:
             file = self.paths.located(place)
+            if not file.is_file():  # gone, or something that reading would wait for
+                continue
             with suppress(OSError, UnicodeDecodeError):
                 now = text_digest(file.read_text(encoding="utf-8-sig")) if is_text else file_digest(file)
                 found += [] if now == digest else [file.name]

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
-from studies.paths import ProjectPaths
+from studies.paths import ProjectPaths, folder_name
 from studies.storage_url import hide_passwords
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database
@@ -164,6 +164,7 @@ class RunStore:
 
     def _location(self, label: str) -> str:
         # On a server there is no file that artifacts could lie beside: they lie in this project's folder.
+        folder = folder_name(label)
         if self._paths.storage is None:
-            return f"{SCHEME}:/{label}"
-        return (self._paths.artifacts.resolve() / label).as_uri()
+            return f"{SCHEME}:/{folder}"
+        return (self._paths.artifacts.resolve() / folder).as_uri()

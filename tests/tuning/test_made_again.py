@@ -1,0 +1,128 @@
+"""`studies reproduce` of trials on a case of the project: complete, pruned, and after the case has changed."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mlflow_store_for_tests import give_store
+from toy_study_for_tests import ROOT, runs_of
+
+from studies.cli import main
+from studies.paths import ProjectPaths
+
+PROFILE = """\
+schema = 1
+name = "tiny"
+[data]
+n_train = [16]
+n_validation = 16
+n_test = 16
+[tuning]
+n_trials = 5
+max_epochs = 12
+patience = 12
+baseline = false
+sampler = { name = "TPESampler", n_startup_trials = 2 }
+pruner = { name = "PercentilePruner", percentile = 1.0, n_startup_trials = 1, n_warmup_steps = 3 }
+[tuning.search]
+n_latent = { kind = "int", low = 2, high = 8 }
+n_hidden = { kind = "int", low = 8, high = 16 }
+beta = { kind = "float", low = 10.0, high = 100.0, log = true }
+"""
+LABEL = "wall-tiny"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> ProjectPaths:
+    """A project with a tuned wall."""
+    root = tmp_path_factory.mktemp("wall") / "project"
+    for folder in ("fmus/wall", "data/wall"):
+        shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("generated"))
+    give_store(root)
+    (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
+    (root / "tiny.toml").write_text(PROFILE, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STUDIES_ROOT", str(root))
+        patch.chdir(root)
+        assert main(["tune", "wall", "--profile", "tiny.toml", "--jobs", "2", "--quiet"]) == 0
+    return ProjectPaths(root)
+
+
+@pytest.fixture
+def here(made: ProjectPaths, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ProjectPaths:
+    """That project at another place, as a test may spoil it."""
+    root = tmp_path / "elsewhere"
+    shutil.copytree(made.root, root)
+    monkeypatch.setenv("STUDIES_ROOT", str(root))
+    monkeypatch.chdir(root)
+    return ProjectPaths(root)
+
+
+def reproduced(run_id: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    capsys.readouterr()
+    code = main(["reproduce", run_id, "--jobs", "1", "--json"])
+    answer = capsys.readouterr()
+    assert code == 0, answer.out + answer.err
+    found: dict[str, Any] = json.loads(answer.out)
+    return found
+
+
+def trial_run(paths: ProjectPaths, state: str) -> str:
+    runs = runs_of(paths, LABEL, role="trial", trial_state=state)
+    assert runs, f"no trial is {state}"
+    return str(runs[-1].info.run_id)
+
+
+def test_a_complete_trial_is_made_again_to_the_last_digit(
+    here: ProjectPaths, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = reproduced(trial_run(here, "complete"), capsys)
+    assert document["equal"]
+    rows = {row["name"]: row for row in document["numbers"]}
+    assert {"val/mae", "val/p90", "test/mae", "test/p90", "curve/validation_mae"} <= set(rows)
+
+
+def test_a_pruned_trial_is_made_again_as_far_as_it_went(
+    here: ProjectPaths, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = reproduced(trial_run(here, "pruned")[:12], capsys)
+    assert document["equal"]
+    names = {row["name"] for row in document["numbers"]}
+    assert "curve/validation_mae" in names
+    assert "val/mae" not in names
+
+
+def test_simulations_that_are_gone_are_made_again(
+    here: ProjectPaths, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.rmtree(here.data / "wall" / "generated")
+    assert reproduced(trial_run(here, "complete"), capsys)["equal"]
+
+
+def test_a_changed_case_is_refused(here: ProjectPaths, capsys: pytest.CaptureFixture[str]) -> None:
+    case = here.fmus / "wall" / "case.toml"
+    case.write_text(case.read_text().replace("upper = 750", "upper = 700"))
+    assert main(["reproduce", trial_run(here, "complete")]) == 2
+    said = capsys.readouterr().err
+    assert "this cannot be made again: fmus/wall/case.toml has changed since" in said
+    assert len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["0123456789abcdef", "wall-tiny/nothing", "nobody"])
+def test_what_there_is_not_is_told(
+    here: ProjectPaths, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert main(["reproduce", name]) == 2
+    assert f"{name!r}" in capsys.readouterr().err
+
+
+def test_the_same_command_reuses_what_is_finished(
+    here: ProjectPaths, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["tune", "wall", "--profile", "tiny.toml", "--json"]) == 0
+    answer = capsys.readouterr()
+    assert all(stage["reused"] for stage in json.loads(answer.out)["stages"])
+    assert "finished before, 5 trials reused" in answer.err

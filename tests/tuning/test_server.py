@@ -1,0 +1,67 @@
+"""Tuning on a PostgreSQL server: workers side by side, one of them killed, and plain Optuna on its URL."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import optuna
+import psutil
+import pytest
+from toy_study_for_tests import assert_mlflow_agrees, states, toy_study
+
+from simulation.errors import InputError, MachineError
+from studies.paths import ProjectPaths
+from studies.tuning.storage import open_storage, places
+from studies.tuning.tune import tune
+
+if TYPE_CHECKING:
+    from postgres_for_tests import PostgresServer
+
+
+def test_two_workers_one_killed_reach_the_trials(
+    project: ProjectPaths, storage: str, postgres_server: "PostgresServer"
+) -> None:
+    paths = ProjectPaths(project.root, storage)
+    spec = toy_study()
+    n_killed = 0
+
+    def kill_one(_: object, trials: list[optuna.trial.FrozenTrial]) -> None:
+        nonlocal n_killed
+        children = psutil.Process().children()
+        workers = [one for one in children if "studies.tuning.worker" in " ".join(one.cmdline())]
+        if not n_killed and len(workers) == 2 and sum(trial.state.is_finished() for trial in trials) >= 2:
+            workers[0].kill()
+            n_killed += 1
+
+    (found,) = tune([spec], paths=paths, n_trials=10, n_jobs=2, n_parallel=2, on_trials=kill_one)
+    assert n_killed == 1
+    assert found.n_ended == 10
+    study = optuna.load_study(study_name=spec.name, storage=paths.optuna_url)
+    trials = study.get_trials()
+    assert set(states(trials)) <= {"COMPLETE", "FAIL"}
+    assert states(places(trials)) == ["COMPLETE"] * 10
+    assert_mlflow_agrees(paths, spec.label, spec.name)
+    schemas = postgres_server.execute(
+        "select table_schema from information_schema.tables where table_name = 'alembic_version'",
+        storage.rsplit("/", 1)[1],
+    )
+    assert sorted(schemas) == [("mlflow",), ("optuna",)]
+
+
+def test_a_server_that_does_not_answer_is_told_in_one_line(project: ProjectPaths) -> None:
+    pytest.importorskip("psycopg")
+    paths = ProjectPaths(project.root, "postgresql://tester:secret@127.0.0.1:1/studies")
+    with pytest.raises(MachineError, match=r"tester:\*\*\*@127.*correct it or start it"):
+        open_storage(paths)
+
+
+def test_a_database_that_is_not_there_is_told(project: ProjectPaths, storage: str) -> None:
+    with pytest.raises(InputError, match="nowhere"):
+        open_storage(ProjectPaths(project.root, storage.rsplit("/", 1)[0] + "/nowhere"))
+
+
+def test_a_file_that_is_no_database_is_told(tmp_path: Path) -> None:
+    paths = ProjectPaths(tmp_path)
+    paths.mlruns.mkdir()
+    paths.optuna_database.write_text("no database at all, but long enough to be one")
+    with pytest.raises((InputError, MachineError), match=r"Optuna cannot open .*optuna\.db"):
+        open_storage(paths)
