@@ -77,7 +77,7 @@ def calibration_values(one: Calibration) -> dict[str, Any]:
 
 def _studies(project: Project, tuned: Sequence[TunedStudy]) -> Table:
     names = list(dict.fromkeys(name for study in tuned for name in study.spec.space))
-    baselines = {(s.spec.label, s.spec.n_train): s.best for s in project.studies if s.spec.is_baseline}
+    baselines = {_sets(s): s.best for s in project.studies if s.spec.is_baseline}
     units = {difference_unit(study.spec.output_unit) for study in tuned}
     alike = [(study.spec.label, study.spec.n_train) for study in tuned]
     columns = [Column("study"), Column("trials", True), Column("pruned", True, 5), Column("failed", True, 8)]
@@ -87,7 +87,7 @@ def _studies(project: Project, tuned: Sequence[TunedStudy]) -> Table:
     rows = []
     for study in tuned:
         key, best = (study.spec.label, study.spec.n_train), study.best
-        beside, n_failed = baselines.get(key), study.count("failed")
+        beside, n_failed = baselines.get(_sets(study)), study.count("failed")
         name = study.spec.name if alike.count(key) > 1 else study.spec.name.rsplit("/", 1)[0]
         n_timed = sum(trial.wall_s > 0.0 for trial in study.trials)
         left = MISSING if study.to_go_s is None else format_seconds(study.to_go_s)
@@ -108,6 +108,11 @@ def _studies(project: Project, tuned: Sequence[TunedStudy]) -> Table:
     unit = f", in {units.pop()}" if len(units) == 1 else ""
     title = f"Studies (errors of the best trial on the test set{unit})"
     return Table(title, columns, rows, is_dense=True)
+
+
+def _sets(study: TunedStudy) -> tuple[Any, ...]:
+    """Return what two studies share whose errors are compared: the label and the data."""
+    return study.spec.label, study.spec.n_train, *sorted(study.spec.digests.items())
 
 
 def _error(best: TrialView | None, name: str) -> str:

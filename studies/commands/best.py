@@ -2,6 +2,7 @@
 
 import argparse
 
+from simulation.errors import InputError
 from studies.commands import options
 from studies.console import Console
 
@@ -38,6 +39,13 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     paths = find_project(chosen.storage)
     refuse_old_project(paths)
     project = read_project(paths).chosen(chosen.which)
+    known = sorted({one.spec.n_train for one in project.studies})
+    for n_train in chosen.n_train or ():
+        if n_train not in known:
+            there = ", ".join(map(str, known)) or "none"
+            raise InputError(
+                f"nothing was tuned with n_train = {n_train}, there are {there}; correct --n-train"
+            )
     console.show(best_blocks(project, chosen.n_train))
     console.document(best_document(project, chosen.n_train))
     return 0

@@ -48,7 +48,8 @@ def open_study_run(
             **searched,
         },
     )
-    runs.client.log_inputs(made, dataset_inputs(spec, paths))
+    with suppress(MlflowException):  # another machine writes the same data sets at this moment
+        runs.client.log_inputs(made, dataset_inputs(spec, paths))
     return made
 
 

@@ -1,175 +1,82 @@
-"""What a trial costs beside its training: claim, record, Optuna and MLflow, with files and with PostgreSQL.
+"""What a trial of 200 epochs with 4 curves costs beside its training: Optuna, MLflow and the weights.
 
-A trial of 200 epochs with 4 curves. Beside it a naive logger: Optuna's report and MLflow's log_metric at
-every epoch. What the worker pays delays its next trial; the command's own process does the rest meanwhile.
+Two workers on two studies side by side, as `studies tune` runs them, on SQLite and on PostgreSQL. The cost of
+a trial is the time from its begin to that of the next one, less the time that its training takes alone,
+without anybody who listens, in this process. Prints and gates nothing; the goal is 0.3 s. Type:
 
     python tests/benchmarks/trial_overhead.py
 """
 
-import json
-import logging
+import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import optuna
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-from postgres_for_tests import PostgresServer, missing_postgres
-
-from simulation.toy import ToyRC
-from studies.paths import ProjectPaths
-from studies.search_ranges import NETWORK_RANGES
-from studies.tracking.origin import environment
-from studies.tracking.tracker import open_tracker
-from studies.tuning.claim import this_owner
-from studies.tuning.slots import Slot, take_slot
-from studies.tuning.study_spec import StudySpec
-from studies.tuning.study_store import StudyStore, open_optuna
-from studies.tuning.trial_record import TrialRecord
-from studies.tuning.trial_store import open_trials
-
-N_TRIALS, N_EPOCHS = 30, 200
-CURVES = ("loss", "reconstruction", "divergence", "validation_mae")
-
-
-def a_spec() -> StudySpec:
-    """Return a study whose hyperparameters cost no search."""
-    return StudySpec(
-        label="overhead",
-        n_train=64,
-        case_name="toy",
-        case_digest="c" * 64,
-        fmu_sha256="f" * 64,
-        parameter_space=ToyRC().parameter_space,
-        output_names=("T",),
-        output_unit="K",
-        output_scales=(1.0,),
-        train_file=Path("train.npz"),
-        validation_file=Path("validation.npz"),
-        test_file=Path("test.npz"),
-        train_digest="1" * 64,
-        validation_digest="2" * 64,
-        test_digest="3" * 64,
-        variant="refined",
-        search=NETWORK_RANGES,
-        enqueue=tuple({"beta": 2.0 + index} for index in range(N_TRIALS)),
-    )
-
-
-def a_record(spec: StudySpec, slot: Slot, origin: dict[str, str]) -> TrialRecord:
-    """Return what a training would have come to."""
-    claim = slot.claim
-    errors = dict.fromkeys(("val/mae", "val/p90", "test/mae", "test/p90"), 0.1 + 0.001 * claim.index)
-    return TrialRecord(
-        study=spec.name,
-        n_train=spec.n_train,
-        index=claim.index,
-        state="complete",
-        reason="",
-        params=claim.params,
-        config=claim.config,
-        seed=claim.seed,
-        started_s=claim.started_s,
-        wall_s=1.0,
-        digests=spec.digests,
-        owner=claim.owner,
-        origin=claim.origin,
-        environment=origin,
-        metrics=errors,
-        reports={str(epoch): 1.0 / epoch for epoch in range(5, N_EPOCHS + 1, 13)},
-        n_epochs=N_EPOCHS,
-        best_epoch=N_EPOCHS,
-        n_rows=64,
-    )
-
-
-def ours(paths: ProjectPaths) -> dict[str, float]:
-    """Return the median cost of a trial to its worker and to the command's process. [ms]."""
-    spec, origin = a_spec(), environment()
-    store, view, tracker = open_trials(paths, spec), StudyStore(spec, paths), open_tracker(paths)
-    tracker.start_study(spec, n_trials=N_TRIALS)
-    weights = paths.root / "weights"
-    weights.mkdir()
-    generator = np.random.default_rng(0)
-    (weights / "weights.npz").write_bytes(generator.bytes(400_000))
-    (weights / "surrogate.json").write_text("{}")
-    history = {"epoch": np.arange(1, N_EPOCHS + 1), **{name: generator.random(N_EPOCHS) for name in CURVES}}
-    costs: dict[str, list[float]] = {"claim": [], "record": [], "optuna": [], "mlflow": []}
-    owner = this_owner()
-
-    def timed(name: str, work: Callable[[], Any]) -> Any:
-        tick = time.perf_counter()
-        result = work()
-        costs[name].append(1000.0 * (time.perf_counter() - tick))
-        return result
-
-    def keep(record: TrialRecord) -> None:
-        store.write(record, history, weights)
-        store.keep_only_best()
-
-    for _ in range(N_TRIALS):
-        slot = timed("claim", lambda: take_slot(spec, store, n_trials=N_TRIALS, owner=owner))
-        record = a_record(spec, slot, origin)
-        timed("record", lambda record=record: keep(record))
-        timed("optuna", lambda: view.tell(store))
-        timed(
-            "mlflow",
-            lambda record=record: tracker.log_trial(spec, record, lambda: store.history(record.index)),
-        )
-    view.close()
-    medians = {name: float(np.median(found)) for name, found in costs.items()}
-    medians["worker"] = medians["claim"] + medians["record"]
-    medians["all"] = medians["worker"] + medians["optuna"] + medians["mlflow"]
-    return medians
-
-
-def naive(paths: ProjectPaths) -> float:
-    """Return what one trial costs whose every epoch is told singly. [ms]."""
-    from studies.tracking.quiet_mlflow import connect
-
-    client = connect(paths.tracking_uri)
-    experiment = client.create_experiment("naive", (paths.root / "artifacts").as_uri())
-    study = optuna.create_study(storage=open_optuna(paths), study_name="naive")
-    tick = time.perf_counter()
-    trial = study.ask()
-    trial.suggest_float("beta", 1.0, 10.0)
-    run = client.create_run(experiment)
-    for epoch in range(N_EPOCHS):
-        trial.report(1.0 / (epoch + 1), epoch)
-        for name in CURVES:
-            client.log_metric(run.info.run_id, name, 1.0 / (epoch + 1), step=epoch)
-    study.tell(trial, 0.1)
-    client.set_terminated(run.info.run_id)
-    return 1000.0 * (time.perf_counter() - tick)
+TESTS = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(TESTS.parent), str(TESTS), str(TESTS / "tuning")]
+N_TRIALS, N_EPOCHS, GOAL_S = 15, 200, 0.3
+SIZES = (16, 24)
 
 
 def main() -> None:
-    """Measure both storages and print medians and ratios."""
-    logging.disable(logging.WARNING)
-    found = {}
+    """Measure both storages and print medians."""
+    from mlflow_store_for_tests import give_store
+    from postgres_for_tests import PostgresServer, missing_postgres
+    from toy_study_for_tests import add_sets, toy_study
+
+    from studies.paths import ProjectPaths
+    from studies.tuning.declaration import Declaration
+
+    def spec(n_train: int) -> Declaration:
+        settings = toy_study().settings | {"max_epochs": N_EPOCHS, "patience": N_EPOCHS}
+        # One configuration again and again, so that each trial trains for the same time.
+        return toy_study(n_train, settings=settings, search={})
+
     server = None if missing_postgres() else PostgresServer()
     try:
-        for name in ("files", "postgres"):
-            if name == "postgres" and server is None:
-                print(f"postgres: {missing_postgres()}")
+        for name in ("SQLite", "PostgreSQL"):
+            if name == "PostgreSQL" and server is None:
+                print(f"PostgreSQL: {missing_postgres()}")
                 continue
             with tempfile.TemporaryDirectory() as folder:
-                url = server.new_database() if server and name == "postgres" else None
-                paths = ProjectPaths(Path(folder), url)
-                costs = ours(paths)
-                simple = naive(paths)
-            costs["naive logger"] = simple
-            found[name] = {key: round(value, 1) for key, value in costs.items()}
-            print(f"{name}: {found[name]}; the naive logger costs {simple / costs['all']:.0f} times as much")
+                root = Path(folder)
+                add_sets(root)
+                give_store(root)
+                url = server.new_database() if server and name == "PostgreSQL" else None
+                _measure(name, [spec(n) for n in SIZES], ProjectPaths(root, url))
     finally:
         if server is not None:
             server.close()
-    print(json.dumps(found))
+
+
+def _measure(name: str, specs: list, paths) -> None:  # type: ignore[no-untyped-def, type-arg]
+    from threadpoolctl import threadpool_limits
+    from toy_study_for_tests import plain_study
+
+    from studies.tuning.training import load_data, train
+    from studies.tuning.tune import tune
+
+    tune(specs, paths=paths, n_trials=N_TRIALS, n_jobs=len(specs))
+    for spec in specs:
+        data, alone = load_data(spec, paths), []
+        with threadpool_limits(1):
+            for place in range(5):
+                began = time.perf_counter()
+                seed = spec.trial_seed(place, 1)
+                train(spec, spec.base_config, seed, data, on_epoch=lambda _: None, on_report=lambda *_: None)
+                alone.append(time.perf_counter() - began)
+        trials = plain_study(paths, spec.name).get_trials()
+        begins = [trial.datetime_start.timestamp() for trial in trials if trial.datetime_start]
+        # The first trials of a process load what the later ones have.
+        whole = [later - earlier for earlier, later in pairwise(begins[2:])]
+        cost, spread = statistics.median(whole) - statistics.median(alone), max(whole) - min(whole)
+        print(
+            f"{name}, n_train {spec.n_train}: a trial takes {statistics.median(whole):.2f} s (spread "
+            f"{spread:.2f} s), its training alone {statistics.median(alone):.2f} s: {cost:.2f} s of "
+            f"bookkeeping (goal {GOAL_S:g} s)"
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """A small finished project, its interface in a server of its own, and a real browser."""
 
 import importlib.util
-import json
 import os
 import shutil
 import signal
@@ -79,24 +78,25 @@ def project(needs_a_browser: None, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.fixture(scope="module")
-def page_address(project: Path) -> Iterator[str]:
-    """The address that `studies ui` prints; the server ends with the module."""
+def addresses(project: Path) -> Iterator[dict[str, str]]:
+    """The addresses that `studies ui` prints, by what it says of each; the server ends with the module."""
     server = subprocess.Popen(
-        [sys.executable, "-m", "studies", "ui", "--json"],
+        [sys.executable, "-u", "-m", "studies", "ui"],
         env=os.environ | {"STUDIES_ROOT": str(project)},
         cwd=project,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    said = ""
+    said: dict[str, str] = {}
     try:
         assert server.stdout is not None
         for line in server.stdout:
-            said += line
-            if line.rstrip() == "}":
+            what, separator, address = line.rstrip().partition(": ")
+            if not separator:
                 break
-        yield json.loads(said)["url"]
+            said[what] = address
+        yield said
     finally:
         server.send_signal(signal.SIGTERM)
         _, errors = server.communicate(timeout=STOP_LIMIT_S)

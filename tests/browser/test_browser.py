@@ -1,4 +1,4 @@
-"""What a person sees who opens MLflow on a finished project: the leaderboard, a study, its pictures."""
+"""What a person sees who opens the addresses that `studies ui` prints: runs, best trials, curves, models."""
 
 import os
 from collections.abc import Iterator
@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from studies.paths import ProjectPaths
-from studies.tracking.ui_address import ALL, leaderboard_page
-from studies.tuning.trial_record import TrialRecord, best_record
-from studies.tuning.trial_store import list_studies, open_trials
+from studies.tuning.results import TunedStudy, read_studies
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 SHOTS = os.environ.get("STUDIES_SCREENSHOTS")
 SLOW_MS = 90_000
+ALL = "All runs of office-small"
+BEST = "Best trial per training-set size of office-small"
+MODELS = "Registered models"
 
 
 @pytest.fixture
@@ -28,69 +29,11 @@ def page(browser: "Browser") -> "Iterator[Page]":
 
 
 @pytest.fixture(scope="module")
-def best(project: Path) -> dict[int, TrialRecord]:
-    """The best trial of each size, as its record says."""
-    paths = ProjectPaths(project)
-    found = {
-        entry.n_train: best_record(open_trials(paths, entry.name).records()) for entry in list_studies(paths)
-    }
-    return {n: record for n, record in found.items() if record is not None}
-
-
-def test_first_screen_is_the_leaderboard_with_the_best_of_each_size(
-    page: "Page", page_address: str, best: dict[int, TrialRecord]
-) -> None:
-    page.goto(page_address)
-    cells = page.get_by_role("gridcell")
-    for n_train, record in best.items():
-        cells.filter(has_text=f"n{n_train:04d} study").first.wait_for()
-        for metric in ("test/mae", "test/p90"):
-            shown = float(f"{record.metrics[metric]:.4g}")
-            cells.get_by_text(f"{shown:g}", exact=True).first.wait_for()
-    shot(page, "leaderboard")
-    page.get_by_text("Best test error [K] for n = 16").first.wait_for()
-    assert cells.filter(has_text="trial 0").count() == 0, "trials are not on the first screen"
-    assert not page.get_by_text("MLflow Assistant").is_visible()
-    for column in ("best/test/mae", "default/test/mae", "gain_percent", "tuning_h", "calibrated/mse"):
-        assert page.get_by_role("columnheader", name=column).count() > 0
-
-
-def test_experiment_shows_the_picture_of_all_trials_over_n(page: "Page", page_address: str) -> None:
-    page.goto(page_address)
-    assert_is_drawn(page, "img[src*='mae_over_n.png']")
-
-
-def test_study_leads_to_its_best_trial_and_its_pictures(
-    page: "Page", page_address: str, best: dict[int, TrialRecord]
-) -> None:
-    n_train = max(best)
-    page.goto(page_address)
-    page.get_by_role("link", name=f"n{n_train:04d} study").first.click()
-    page.get_by_text(f"Trial {best[n_train].index} is best").first.wait_for()
-    page.get_by_role("link", name=f"n{n_train:04d} trial {best[n_train].index:03d}").first.wait_for()
-    shot(page, "study")
-    picture = page.get_by_role("link", name="learning curves").first.get_attribute("href")
-    page.goto(f"{page_address.partition('#')[0]}{picture}")
-    page.get_by_text("figures/learning_curves.png").first.wait_for()
-    assert_is_drawn(page, "img")
-    shot(page, "picture")
-
-
-def test_champion_is_in_the_registry_under_its_alias(
-    page: "Page", page_address: str, best: dict[int, TrialRecord]
-) -> None:
-    model = f"office-small-n{max(best):04d}"
-    page.goto(f"{page_address.partition('#')[0]}#/models/{model}?workflowType=machine_learning")
-    page.get_by_text("champion").first.wait_for()
-    shot(page, "registry")
-
-
-def assert_is_drawn(page: "Page", selector: str) -> None:
-    """Fail unless the browser has loaded a picture: it is wider than the sign of a broken one."""
-    page.wait_for_function(
-        "selector => [...document.querySelectorAll(selector)].some(p => p.complete && p.naturalWidth > 300)",
-        arg=selector,
-    )
+def tuned(project: Path) -> list[TunedStudy]:
+    """The study of each size, as Optuna has it."""
+    found = [one for one in read_studies(ProjectPaths(project)) if not one.spec.is_baseline]
+    assert [one.spec.n_train for one in found] == [16, 24]
+    return found
 
 
 def shot(page: "Page", name: str) -> None:
@@ -98,10 +41,23 @@ def shot(page: "Page", name: str) -> None:
         page.screenshot(path=Path(SHOTS) / f"test_{name}.png")
 
 
-def test_address_is_that_of_the_label_asked_for(page_address: str) -> None:
-    server = page_address.partition("#")[0].replace("studies.localhost", "127.0.0.1")
-    assert leaderboard_page(server, label="office-small") == page_address.removeprefix(
-        page_address.partition("#")[0]
-    )
-    assert leaderboard_page(server, label="office-smal") == ALL
-    assert leaderboard_page("http://127.0.0.1:1/", label=None) == ALL, "nobody answers there"
+def test_three_addresses_of_this_machine_are_printed(addresses: dict[str, str]) -> None:
+    assert set(addresses) == {ALL, BEST, MODELS}
+    assert all(address.startswith("http://127.0.0.1:") for address in addresses.values())
+
+
+def test_runs(page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]) -> None:
+    for name, what in (("all", ALL), ("best", BEST), ("models", MODELS)):
+        page.goto(addresses[what])
+        page.wait_for_timeout(8000)
+        shot(page, name)
+    server = addresses[ALL].partition("#")[0]
+    best = tuned[0].best
+    page.goto(f"{addresses[ALL].partition('/runs')[0]}/runs/{best.run_id}")
+    page.wait_for_timeout(8000); shot(page, "run")
+    page.goto(f"{addresses[ALL].partition('/runs')[0]}/runs/{best.run_id}/model-metrics")
+    page.wait_for_timeout(8000); shot(page, "metrics")
+    page.goto(f"{server}#/models/office-small-n0016")
+    page.wait_for_timeout(8000); shot(page, "model")
+    page.goto(f"{addresses[ALL].partition('/runs')[0]}/models")
+    page.wait_for_timeout(8000); shot(page, "logged")

@@ -4,16 +4,22 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet
 import pytest
 from project_for_tests import REPOSITORY, Run, make_project
+
+from studies.paths import ProjectPaths
+from studies.tracking.quiet_mlflow import connect
+from studies.tuning.results import read_studies
 
 LABEL = "office-smoke"
 LIMIT_S = 300.0
@@ -76,6 +82,17 @@ def stored_after(words: str) -> Callable[[Path, str], bool]:
     return look
 
 
+def a_trial_has_ended(project: Path, text: str) -> bool:
+    """Notice the first trial of the command, read as any program may: without a lock."""
+    file = project / "mlruns" / "optuna.db"
+    try:
+        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+            (n,) = database.execute("select count(*) from trials where state = 'COMPLETE'").fetchone()
+    except sqlite3.Error:
+        return False
+    return bool(n)
+
+
 def there_is(pattern: str) -> Callable[[Path, str], bool]:
     return lambda project, text: any(project.glob(pattern))
 
@@ -85,7 +102,7 @@ MOMENTS = {
     "simulate": stored_after("simulate: 96"),
     "sensitivity": stored_after("sensitivity: Sobol"),
     "tune, at its start": said("tune: "),
-    "tune, after a trial": there_is(f"mlruns/trials/{LABEL}/*/t000/trial.json"),
+    "tune, after a trial": a_trial_has_ended,
     "calibrate": said("calibrate-n0016: differential"),
     "report": there_is(f"mlruns/reports/{LABEL}/*.png"),
 }
@@ -94,17 +111,29 @@ MOMENTS = {
 def results(project: Path) -> dict[str, Any]:
     """Return all numbers that a run leaves, without times, processes and places."""
     folder = project / "mlruns" / "results" / LABEL
-    found: dict[str, Any] = {
-        file.name: json.loads(file.read_text()) for file in sorted(folder.glob("calibration-*.json"))
-    }
+    found: dict[str, Any] = {}
+    for file in sorted(folder.glob("calibration-*.json")):
+        numbers = json.loads(file.read_text())
+        for surrogate in (numbers["surrogate"], numbers["recipe"]["surrogate"]):
+            # A trial that was killed and run again has another number and another run.
+            del surrogate["run_id"], surrogate["trial"]
+        found[file.name] = numbers
     for name in ("simulate", "sensitivity"):
         summary = json.loads((folder / f"{name}.json").read_text())["summary"]
         found[name] = {key: value for key, value in summary.items() if key != "n_reused"}
-    for file in sorted((project / "mlruns" / "trials" / LABEL).glob("*/t*/trial.json")):
-        record = json.loads(file.read_text())
-        kept = ("params", "config", "seed", "metrics", "state", "n_epochs", "best_epoch", "digests")
-        found[str(file.relative_to(project))] = {key: record[key] for key in kept}
+    for study in read_studies(ProjectPaths(project)):
+        kept = ("state", "params", "settings", "value", "metrics", "reports", "proposed_by", "n_epochs",
+                "best_epoch", "seed", "weights_sha256")  # fmt: skip
+        for trial in study.trials:
+            found[f"{study.spec.name}/{trial.place}"] = {key: getattr(trial, key) for key in kept}
     return found
+
+
+def open_runs(project: Path) -> list[str]:
+    """Return the runs that MLflow takes for running ones."""
+    client = connect(ProjectPaths(project).tracking_uri)
+    ids = [one.experiment_id for one in client.search_experiments()]
+    return [run.info.run_name for run in client.search_runs(ids, "attributes.status = 'RUNNING'")]
 
 
 def stored_rows(project: Path) -> dict[str, int]:
@@ -123,12 +152,22 @@ def stored_rows(project: Path) -> dict[str, int]:
 
 def finished_work(project: Path) -> dict[str, object]:
     """Return the identity of every finished simulation and trial; redone ones are others."""
-    trials = {
-        str(f.relative_to(project)): (f.stat().st_ino, f.stat().st_mtime_ns)
-        for f in project.glob("mlruns/trials/**/trial.json")
-        if not f.parent.name.startswith(".")
-    }
-    return trials | stored_rows(project)
+    return ended_trials(project) | stored_rows(project)
+
+
+def ended_trials(project: Path) -> dict[str, object]:
+    """Return when each trial ended, by study and number; those of a killed worker have not ended."""
+    file = project / "mlruns" / "optuna.db"
+    if not file.is_file():
+        return {}
+    with closing(sqlite3.connect(file)) as database:
+        try:
+            rows = database.execute(
+                "select study_id, number, datetime_complete from trials where state in ('COMPLETE', 'PRUNED')"
+            ).fetchall()
+        except sqlite3.Error:  # its tables are not made yet
+            return {}
+    return {f"{study_id}/{number}": ended for study_id, number, ended in rows}
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +189,7 @@ def uninterrupted(template: Path, tmp_path_factory: pytest.TempPathFactory) -> P
         assert f"{stage}: finished before" in log
     assert "96 simulations reused" in log
     assert finished_work(project) == work
+    assert open_runs(project) == []
     return project
 
 
@@ -177,6 +217,7 @@ def test_a_run_interrupted_in_every_stage_ends_the_same(
     assert {name: after.get(name) for name in before} == before
     assert "simulate: finished before" in log
     assert results(project) == results(uninterrupted)
+    assert open_runs(project) == []
 
 
 def test_another_scale_is_another_search_on_the_same_simulations(uninterrupted: Path, tmp_path: Path) -> None:
@@ -194,29 +235,35 @@ def test_another_scale_is_another_search_on_the_same_simulations(uninterrupted: 
 def test_a_copy_at_another_place_calibrates_to_the_same_numbers(
     template: Path, tmp_path: Path, uninterrupted: Path
 ) -> None:
-    """Needs the champion's folder alone: no simulations, no Optuna store, no MLflow runs."""
+    """Needs the two databases and the weights: no simulations, no results of before."""
     project = shutil.copytree(template, tmp_path / "moved" / "elsewhere")
-    shutil.copytree(uninterrupted / "mlruns" / "champions", project / "mlruns" / "champions")
+    shutil.rmtree(project / "mlruns")
+    left_out = shutil.ignore_patterns("results", "reports")
+    shutil.copytree(uninterrupted / "mlruns", project / "mlruns", ignore=left_out)
     command = [*RUN[:3], "calibrate", "--profile", "smoke", "--n-train", "32", "--json", "--again"]
     done = subprocess.run(
         command, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
     assert done.returncode == 0, done.stderr
     assert not json.loads(done.stdout)["stages"][0]["finished_before"]
-    file = project / "mlruns" / "results" / LABEL / "calibration-n0032.json"
-    assert json.loads(file.read_text()) == results(uninterrupted)["calibration-n0032.json"]
+    file = Path("mlruns") / "results" / LABEL / "calibration-n0032.json"
+    assert json.loads((project / file).read_text()) == json.loads((uninterrupted / file).read_text())
 
 
-def test_a_limit_in_time_before_the_first_trial_is_said_and_so_is_what_another_command_goes_on_with(
+def test_a_limit_in_time_before_the_first_trial_is_said_and_the_same_study_goes_on(
     project: Path, studies: Run
 ) -> None:
-    words = ("tune", "--profile", "smoke", "--n-train", "16", "--max-hours", "1e-9")
-    first = studies(*words, "--parallel", "2")
+    words = ("tune", "--profile", "smoke", "--n-train", "16")
+    first = studies(*words, "--max-hours", "1e-9", "--parallel", "2")
     assert first.code == 1
     assert first.err.splitlines()[-1].endswith(
-        "--max-hours ended it after 0 of 2 trials, none of n_train = 16 is complete; type it again to go on"
+        "--max-hours ended it after 0 of 2 trials; the same command goes on; "
+        "n_train = 16 has no complete trial yet"
     )
-    assert "stays at" not in first.err
-    second = studies(*words)
-    assert second.code == 1
-    assert "stays at 0 of 2 trials: --parallel 2 goes on with it" in second.err
+    # Another number of workers is no other study.
+    second = studies(*words, "--quiet", "--json")
+    assert second.code == 0, second.err
+    (tuned,) = second.document["stages"][1]["studies"]
+    assert tuned["n_trials"] == 2
+    known = studies("status", "--json").document["studies"]
+    assert [one["study"] for one in known if not one["is_baseline"]] == [tuned["study"]]

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet
 import pytest
-from kept_project import copy_project
-from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
 
 from simulation.case import load_case
@@ -27,6 +25,7 @@ from studies.report.uncertainty import sentences, uncertainty_record
 from studies.report.uncertainty_told import intervals_table
 from studies.stages.restriction import held_numbers, restriction_of
 from studies.stages.results import parameter_box, read_arrays
+from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
 FEW = ("--most-relevant", "3")
@@ -274,12 +273,6 @@ def test_a_restricted_calibration_is_judged_given_what_it_fixed(
     shown = re.sub(r"\s+", " ", studies(*JUDGE_FEW).out)
     assert "90 % intervals of the adaptive-relevant3 calibration (4 parameters fixed)" in shown
     assert told["in_words"] in shown
-    card = re.sub(r"\s+", " ", studies("show", "wall-quick/uncertainty-adaptive-relevant3").out)
-    assert told["in_words"] in card
-
-    again = studies("reproduce", "wall-quick/adaptive-relevant3 uncertainty", "--json")
-    assert again.code == 0, again.err
-    assert again.document["equal"]
 
 
 def test_page_and_mlflow_tell_of_both_posteriors(
@@ -301,13 +294,14 @@ def test_page_and_mlflow_tell_of_both_posteriors(
     assert escape(results_of(project, "adaptive-relevant3")["restriction"]["in_words"]) in html
     assert "What the fixing cost: the MSE is " in html
 
-    # MLflow's view is written again from what lies on disk.
-    from studies.keeping.stage_views import write_stages
-    from studies.stages.tracking import tracker_of
-
-    give_store(project)
-    tracker_of.cache_clear()
-    assert write_stages(ProjectPaths(project), "wall-quick") == []
+    client = connect(ProjectPaths(project).tracking_uri)
+    experiment = client.get_experiment_by_name("wall-quick")
+    assert experiment is not None
+    runs = client.search_runs([experiment.experiment_id], "tags.role = 'uncertainty'")
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    assert sorted(run.info.run_name for run in runs) == [
+        "adaptive uncertainty", "adaptive-relevant3 uncertainty",
+    ]  # fmt: skip
 
 
 def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(
@@ -334,7 +328,7 @@ def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(
 def test_a_calibration_from_a_surrogate_says_what_judges_it(
     finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy_project(finished, tmp_path / "project", monkeypatch)
+    copy_of(finished, tmp_path / "project", monkeypatch)
     (line,) = [
         line
         for line in studies("calibrate", "--profile", "tiny.toml", "--method", "paper").out.splitlines()

@@ -16,7 +16,8 @@ from studies.cli import COMMANDS, DESCRIPTION, EPILOG, build_parser, command_mod
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), ROOT / "data" / "benchmarks" / "README.md"]
+OTHERS = ("data/benchmarks/README.md", "mlruns/README.md", "SECURITY.md", "CHANGELOG.md", "CONTRIBUTING.md")
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), *(ROOT / name for name in OTHERS)]
 MAX_LINES, MAX_WORDS, MAX_SENTENCE = 120, 1000, 30
 BANNED = re.compile(
     r"\b(nursery|arena|hire|bury|ghosts?|twins?|crown|champion folder|somebody|nobody|told|elsewhere|dull"

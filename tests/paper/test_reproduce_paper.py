@@ -12,6 +12,8 @@ import pytest
 from simulation.case import load_case
 from studies.paper.catalog import ITEMS
 from studies.paper.fig7 import SPREADS
+from studies.paths import ProjectPaths
+from studies.tuning.results import read_studies
 
 Reproduce = Callable[..., tuple[int, dict[str, Any]]]
 MADE = ("fig5", "fig6", "fig7", "table3", "fig8", "table4", "seeds")
@@ -111,10 +113,13 @@ def test_a_spread_of_one_is_the_test_set_and_one_of_zero_a_single_point(project:
         assert len(everything) == len(SPREADS) == 11
         # At spread 1 nothing is restricted: both kinds are the test set that trials are judged by.
         assert important[-1] == everything[-1]
-        judged = json.loads(
-            (project / "mlruns/champions/office-toy" / f"n{int(n):04d}" / "champion.json").read_text()
+        (tuned,) = (
+            one
+            for one in read_studies(ProjectPaths(project), label="office-toy")
+            if one.spec.n_train == int(n) and not one.spec.is_baseline
         )
-        assert everything[-1] == pytest.approx(judged["metrics"]["test/mae"], rel=1e-6)
+        assert tuned.best is not None
+        assert everything[-1] == pytest.approx(tuned.best.metrics["test/mae"], rel=1e-6)
         # At spread 0 all rows are one, so the 90th percentile is the mean.
         assert numbers["p90"]["all"][n][0] == pytest.approx(everything[0], rel=1e-6)
     # Ten spreads of each kind below 1, one point for spread 0 of all; the test set itself is another item.
@@ -167,19 +172,19 @@ def test_unknown_words_are_one_line(reproduce: Reproduce) -> None:
 @pytest.mark.parametrize(
     ("words", "refused"),
     [
-        (["--dry-run"], "leave --dry-run away"),
-        (["--only", "fig5"], "leave --only fig5 away"),
-        (["--only", "table2", "fig5", "--again"], "leave --only table2 fig5 and --again away"),
-        (["--only", "table3", "--export", "out.json"], "leave --export away"),
+        (["--dry-run"], "remove --dry-run"),
+        (["--only", "fig5"], "remove --only fig5"),
+        (["--only", "table2", "fig5", "--again"], "remove --only table2 fig5 and --again"),
+        (["--only", "table3", "--export", "out.json"], "remove --export"),
     ],
 )
 def test_a_row_alone_is_refused_beside_what_it_would_ignore(
     reproduce: Reproduce, words: list[str], refused: str
 ) -> None:
     code, document = reproduce("--row", "powell-scalar-physical-seed0-001", *words)
-    assert (code, document["error"]) == (2, f"--row makes one row of table3 and nothing else; {refused}")
+    assert (code, document["error"]) == (2, f"--row computes one row of table3 and nothing else; {refused}")
 
 
 def test_a_dry_run_exports_nothing(reproduce: Reproduce) -> None:
     code, document = reproduce("--dry-run", "--export", "out.json")
-    assert (code, "leave one of them away" in document["error"]) == (2, True)
+    assert (code, "remove one of them" in document["error"]) == (2, True)

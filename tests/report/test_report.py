@@ -87,7 +87,7 @@ def checked(page: Path) -> Checker:
 
 def small(**changes: object) -> ReportData:
     """Return a report with few pictures."""
-    nothing = {"coverage": None, "sensitivity": None, "trials": None, "learning_curves": ()}
+    nothing = {"coverage": None, "sensitivity": None, "trials": None, "tuned": (), "learning_curves": ()}
     return report_data(**{**nothing, "calibrations": (calibration(64),), **changes})
 
 
@@ -257,9 +257,16 @@ def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
     all_trials, indices = data.trials, data.sensitivity
     assert all_trials is not None
     assert indices is not None
-    for row in tuning.records():
-        best = np.flatnonzero((all_trials.n_train == row["n_train"]) & all_trials.is_best)
-        assert row["test_mae"] == all_trials.test_mae[best[0]]
+    rows = tuning.records()
+    assert [row["n_train"] for row in rows] == sorted({*all_trials.n_train.tolist()})
+    for row, record in zip(rows, data.tuned, strict=True):
+        (best,) = np.flatnonzero((all_trials.n_train == row["n_train"]) & all_trials.is_best)
+        assert row["test_mae"] == all_trials.test_mae[best]
+        assert row["test_p90"] == all_trials.test_p90[best]
+        assert {name: row[name] for name in ("n_latent", "n_hidden", "beta")} == record.hyperparameters
+        assert row["pca_gp_test_mae"] == record.baseline_mae
+        assert row["pca_gp_test_p90"] is None
+    assert rows[0]["gain"] is None
     firsts = [row["first_order"] for row in sobol.records()]
     assert firsts == sorted(firsts, reverse=True)
     assert firsts[0] == pytest.approx(np.nanmean(indices.first_order[:, 0], axis=0).max(), rel=1e-12)
@@ -417,7 +424,7 @@ def test_numbers_are_written_for_readers(value: float, text: str) -> None:
 def test_settings_lose_no_zero_that_counts() -> None:
     values = (100.0, 2000.0, 0.5, 3e-05, 128, True, "log", None)
     assert [setting(value) for value in values] == [
-        "100", "2,000", "0.5", "3.00e-05", "128", "True", "log", "None",
+        "100", "2,000", "0.5", "3.00e-05", "128", "True", "log", "–",
     ]  # fmt: skip
 
 

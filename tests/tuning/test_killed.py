@@ -67,7 +67,9 @@ def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> N
     few = toy_study().settings | {"max_epochs": 4, "patience": 4}
     startup = {"name": "TPESampler", "n_startup_trials": 1}
     # The label changes no trial.
-    specs = [replace(toy_study(settings=few, sampler=startup), label=f"toy-{n}") for n in range(len(kills) + 1)]
+    specs = [
+        replace(toy_study(settings=few, sampler=startup), label=f"toy-{n}") for n in range(len(kills) + 1)
+    ]
     tune(specs, paths=project, n_trials=2, n_jobs=1, until_s=0.0)
     Worker(project, specs[-1].name).run()
     undisturbed = essence(plain_study(project, specs[-1].name))
@@ -164,7 +166,12 @@ def test_a_killed_and_an_interrupted_command_go_on(
 def test_a_trial_that_kills_its_worker_again_and_again_fails(project: ProjectPaths) -> None:
     spec = toy_study()
     tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)
-    script = [sys.executable, str(HERE / "killed_workers.py"), str(project.root), f"{spec.name}:{'30,' * 5}30"]
+    script = [
+        sys.executable,
+        str(HERE / "killed_workers.py"),
+        str(project.root),
+        f"{spec.name}:{'30,' * 5}30",
+    ]
     subprocess.run(script, check=True, capture_output=True, timeout=300, cwd=ROOT)
     Worker(project, spec.name).run()
     trials = plain_study(project, spec.name).get_trials()

@@ -1,4 +1,4 @@
-"""`studies reproduce` of trials on a case of the project: complete, pruned, and after the case has changed."""
+"""`studies reproduce` of trials on a case: complete, pruned, and after the case has changed."""
 
 import json
 import shutil
@@ -111,9 +111,7 @@ def test_a_changed_case_is_refused(here: ProjectPaths, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize("name", ["0123456789abcdef", "wall-tiny/nothing", "nobody"])
-def test_what_there_is_not_is_told(
-    here: ProjectPaths, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_what_there_is_not_is_told(here: ProjectPaths, capsys: pytest.CaptureFixture[str], name: str) -> None:
     assert main(["reproduce", name]) == 2
     assert f"{name!r}" in capsys.readouterr().err
 

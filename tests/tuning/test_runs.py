@@ -23,13 +23,14 @@ from toy_study_for_tests import (
 from studies.paths import ProjectPaths
 from studies.tracking.artifacts import ProjectArtifacts
 from studies.tracking.quiet_mlflow import connect
-from studies.tracking.registry import load_surrogate, model_uri
+from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import RunStore
 from studies.tuning.results import read_studies
 from studies.tuning.storage import open_storage
 from studies.tuning.tune import tune
 from studies.tuning.worker import Worker
 
+pytestmark = pytest.mark.filterwarnings("ignore")  # MLflow's of its own dependencies, used plainly here
 THETA = pd.DataFrame({"R": [1.0, 2.0, 3.0], "C": [1e4, 2e4, 3e4]})
 
 
@@ -49,7 +50,9 @@ def test_a_complete_trial_has_its_run(tuned: ProjectPaths) -> None:
     assert parent.data.tags["role"] == "study"
     assert parent.data.tags["study"] == run.data.tags["study"] == spec.name
     assert run.data.tags["trial"] == str(best.number)
-    assert {name: run.data.params[name] for name in best.params} == {n: str(v) for n, v in best.params.items()}
+    assert {name: run.data.params[name] for name in best.params} == {
+        n: str(v) for n, v in best.params.items()
+    }
     assert set(best.params) == {"n_latent", "n_hidden", "beta"}
     assert run.data.params["learning_rate"] == str(spec.base_config.learning_rate)
     errors = {name: value for name, value in run.data.metrics.items() if name.startswith(("val/", "test/"))}
@@ -118,7 +121,7 @@ def test_the_best_of_each_size_is_found_in_one_call_also_after_more_trials(copie
 @pytest.mark.parametrize("n_train", [16, 24])
 def test_the_best_model_of_a_size_is_loaded_by_mlflow_alone(tuned: ProjectPaths, n_train: int) -> None:
     mlflow.set_tracking_uri(tuned.tracking_uri)
-    predicted = mlflow.pyfunc.load_model(model_uri(LABEL, n_train)).predict(THETA)
+    predicted = mlflow.pyfunc.load_model(tuned_study(n_train).model_uri).predict(THETA)
     assert predicted.shape == (3, 25, 1)
     best = next(one.best for one in read_studies(tuned) if one.spec == tuned_study(n_train))
     assert best is not None
@@ -139,7 +142,7 @@ def test_a_moved_project_has_its_runs_and_models(copied: ProjectPaths, tmp_path:
     moved = ProjectPaths(tmp_path / "moved elsewhere")
     shutil.move(copied.root, moved.root)
     mlflow.set_tracking_uri(moved.tracking_uri)
-    assert mlflow.pyfunc.load_model(model_uri(LABEL, 16)).predict(THETA).shape == (3, 25, 1)
+    assert mlflow.pyfunc.load_model(tuned_study(16).model_uri).predict(THETA).shape == (3, 25, 1)
     best = read_studies(moved)[0].best
     assert best is not None
     recipe = RunStore(moved).fetch(best.run_id, "recipe.json", tmp_path)

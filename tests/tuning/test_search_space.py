@@ -105,7 +105,10 @@ def test_the_default_of_a_narrow_space_is_its_nearest_point() -> None:
         ({"kind": "int", "low": 1}, "has low and high and no choices"),
         ({"kind": "float", "low": 2.0, "high": 1.0}, r"low = 2\.0 is larger than high = 1\.0"),
         ({"kind": "float", "low": 0.0, "high": 1.0, "log": True}, "log = true needs low > 0"),
-        ({"kind": "int", "low": 1, "high": 9, "log": True, "step": 2}, "log = true needs low > 0 and no step"),
+        (
+            {"kind": "int", "low": 1, "high": 9, "log": True, "step": 2},
+            "log = true needs low > 0 and no step",
+        ),
         ({"kind": "int", "low": 1.5, "high": 3}, "are whole numbers"),
         ({"kind": "number", "low": 1, "high": 3}, "'int', 'float' or 'categorical'"),
     ],
@@ -120,7 +123,11 @@ def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: st
     [
         ('beta = { kind = "float", low = 5.0, high = 1.0 }', "", r"low = 5\.0 is larger than high = 1\.0"),
         ('n_trees = { kind = "int", low = 1, high = 2 }', "", "search.n_trees has no effect on surrogate"),
-        ('n_layers = { kind = "int", low = 1, high = 2 }', "", "search.n_layers: n_layers = 1 must be at least"),
+        (
+            'n_layers = { kind = "int", low = 1, high = 2 }',
+            "",
+            "search.n_layers: n_layers = 1 must be at least",
+        ),
         ('beta = { kind = "float", lower = 1.0, high = 2.0 }', "", "unknown key tuning.search.beta.lower"),
         (
             'beta = { kind = "float", low = 1.0, high = 2.0, when = { n_latent = 8 } }\n'
@@ -143,7 +150,11 @@ def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: st
             "enqueue = [{ beta = 3.0 }]",
             r"enqueue\[0\].beta = 3.0 is no value of search.beta",
         ),
-        ('beta = { kind = "float", low = 1.0, high = 2.0 }', 'sampler = { n = "x" }', "sampler is a table with"),
+        (
+            'beta = { kind = "float", low = 1.0, high = 2.0 }',
+            'sampler = { n = "x" }',
+            "sampler is a table with",
+        ),
         ("beta = [1.0, 2.0]", "", "tuning.search.beta"),
     ],
 )

@@ -8,7 +8,7 @@ from studies.console import Block, Said, Table
 from studies.finished import read_project
 from studies.paths import ProjectPaths
 from studies.status import status_blocks, status_document
-from studies.tuning.results import importances, latest_studies, read_studies
+from studies.tuning.results import latest_studies, read_studies
 from studies.tuning.tune import tune
 
 
@@ -73,10 +73,9 @@ def test_status_as_a_document(tuned: ProjectPaths) -> None:
     document = status_document(read_project(tuned))
     tuned_ones = [study for study in document["studies"] if not study["is_baseline"]]
     assert len(document["studies"]) == 4
-    assert document["running"] == []
     for study in tuned_ones:
         assert study["n_complete"] + study["n_pruned"] == study["n_planned"] == N_TUNED
-        assert study["trials_per_h"] > 0.0
+        assert study["n_running"] == study["n_waiting"] == 0
         assert study["to_go_s"] == 0.0
         assert {"n_latent", "n_hidden", "beta"} == set(study["best_params"])
 
@@ -92,12 +91,9 @@ def test_a_study_on_its_way_shows_its_running_trial_and_the_time_to_go(copied: P
     assert cells["trials"][0] == f"{N_TUNED}/{N_TUNED + 8}"
     assert cells["running"][0] == "1"
     assert cells["to go"][0] != "done"
-    assert document["running"][0] | {"began_s": 0.0} == {
-        "study": spec.name,
-        "trial": N_TUNED,
-        "epoch": 6,
-        "began_s": 0.0,
-    }
+    (shown,) = [one for one in document["studies"] if one["study"] == spec.name]
+    assert shown["n_running"] == 1
+    assert shown["to_go_s"] > 0.0
     running = [block for block in blocks if isinstance(block, Table)][1]
     assert running.rows[0][0] == f"{spec.name} trial {N_TUNED}"
     assert running.rows[0][1:2] == ["6/12"]
@@ -109,13 +105,6 @@ def test_an_empty_project_says_what_to_type(project: ProjectPaths) -> None:
     assert "type: studies run" in told(status_blocks(empty))
     assert "No completed trial" in told(best_blocks(empty, None))
     assert best_document(empty, None)["sizes"] == []
-
-
-def test_importances_sum_to_one(tuned: ProjectPaths) -> None:
-    study = next(one for one in read_studies(tuned) if one.spec == tuned_study(16))
-    shares = importances(study)
-    assert set(shares) == {"n_latent", "n_hidden", "beta"}
-    assert abs(sum(shares.values()) - 1.0) < 1e-9
 
 
 def test_studies_of_other_data_are_told_apart(tuned: ProjectPaths) -> None:

@@ -167,7 +167,7 @@ STATUS = {"COMPLETE": "FINISHED", "PRUNED": "FINISHED", "FAIL": "FAILED"}
 
 
 def assert_mlflow_agrees(paths: ProjectPaths, label: str = LABEL, *names: str) -> None:
-    """Check that each place of the studies has one run that says what Optuna says, and that no run is open."""
+    """Check that each place of the studies has one run, which says what Optuna says, and no run is open."""
     runs = runs_of(paths, label)
     assert not [run.info.run_name for run in runs if run.info.status == "RUNNING"]
     by_id: Mapping[str, Run] = {run.info.run_id: run for run in runs}
