@@ -105,8 +105,9 @@ class Calibration:
             file = self.paths.located(place)
             if not file.is_file():  # gone, or something that reading would wait for
                 continue
-            with suppress(OSError, UnicodeDecodeError):
-                now = text_digest(file.read_text(encoding="utf-8-sig")) if is_text else file_digest(file)
+            with suppress(OSError):
+                text = file.read_text(encoding="utf-8-sig", errors="replace") if is_text else ""
+                now = text_digest(text) if is_text else file_digest(file)
                 found += [] if now == digest else [file.name]
         return tuple(dict.fromkeys(found))
 

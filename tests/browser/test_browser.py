@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from studies.paths import ProjectPaths
+from studies.report.wording import setting, significant
 from studies.tuning.results import TunedStudy, read_studies
 
 if TYPE_CHECKING:
@@ -36,28 +37,71 @@ def tuned(project: Path) -> list[TunedStudy]:
     return found
 
 
-def shot(page: "Page", name: str) -> None:
-    if SHOTS:
-        page.screenshot(path=Path(SHOTS) / f"test_{name}.png")
-
-
 def test_three_addresses_of_this_machine_are_printed(addresses: dict[str, str]) -> None:
     assert set(addresses) == {ALL, BEST, MODELS}
     assert all(address.startswith("http://127.0.0.1:") for address in addresses.values())
 
 
-def test_runs(page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]) -> None:
-    for name, what in (("all", ALL), ("best", BEST), ("models", MODELS)):
-        page.goto(addresses[what])
-        page.wait_for_timeout(8000)
-        shot(page, name)
-    server = addresses[ALL].partition("#")[0]
+def test_the_first_screen_names_the_best_of_each_size_above_the_runs(
+    page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]
+) -> None:
+    page.goto(addresses[ALL])
+    cells = page.get_by_role("gridcell")
+    for name in ("n0016 study", "n0024 study", "n0024 calibration"):
+        cells.filter(has_text=name).first.wait_for()
+    note = page.get_by_text("Best per n_train (n_latent / n_hidden / beta").first
+    note.wait_for()
+    for study in tuned:
+        assert study.best is not None
+        chosen = [study.best.params[name] for name in ("n_latent", "n_hidden", "beta")]
+        errors = [study.best.metrics[name] for name in ("test/mae", "test/p90")]
+        said = f"{' / '.join(map(setting, chosen))} → {', '.join(map(significant, errors))}"
+        assert f"{study.spec.n_train}: {said}" in note.inner_text()
+    shot(page, "runs")
+
+
+def test_the_best_trials_are_filtered_from_the_others(
+    page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]
+) -> None:
+    page.goto(addresses[BEST])
+    page.get_by_text("Expand rows").first.click()
+    cells = page.get_by_role("gridcell")
+    for study in tuned:
+        assert study.best is not None
+        cells.filter(has_text=f"n{study.spec.n_train:04d} trial {study.best.number:03d}").first.wait_for()
+    shot(page, "best")
+    assert cells.filter(has_text="trial").count() == len(tuned)
+    assert cells.filter(has_text="PCA + GP").count() == 0
+    assert cells.filter(has_text="calibration").count() == 0
+
+
+def test_a_trial_shows_its_hyperparameters_errors_and_curves(
+    page: "Page", addresses: dict[str, str], tuned: list[TunedStudy]
+) -> None:
     best = tuned[0].best
-    page.goto(f"{addresses[ALL].partition('/runs')[0]}/runs/{best.run_id}")
-    page.wait_for_timeout(8000); shot(page, "run")
-    page.goto(f"{addresses[ALL].partition('/runs')[0]}/runs/{best.run_id}/model-metrics")
-    page.wait_for_timeout(8000); shot(page, "metrics")
-    page.goto(f"{server}#/models/office-small-n0016")
-    page.wait_for_timeout(8000); shot(page, "model")
-    page.goto(f"{addresses[ALL].partition('/runs')[0]}/models")
-    page.wait_for_timeout(8000); shot(page, "logged")
+    assert best is not None
+    run = f"{addresses[ALL].partition('/runs')[0]}/runs/{best.run_id}"
+    page.goto(run)
+    for word in ("n_latent", "n_hidden", "beta", "test/mae", "test/p90", "Finished"):
+        page.get_by_text(word, exact=True).first.wait_for()
+    for value in (best.metrics["test/mae"], best.metrics["test/p90"], best.params["n_latent"]):
+        page.get_by_text(str(value), exact=True).first.wait_for()
+    shot(page, "trial")
+    page.goto(f"{run}/model-metrics")
+    page.get_by_text(f"n0016 trial {best.number:03d} (curve/validation_mae)").first.wait_for()
+    shot(page, "curves")
+
+
+def test_the_best_model_is_in_the_registry_under_its_alias(page: "Page", addresses: dict[str, str]) -> None:
+    page.goto(addresses[MODELS])
+    page.get_by_role("link", name="office-small-n0016").first.wait_for()
+    page.get_by_role("link", name="office-small-n0024").first.wait_for()
+    shot(page, "models")
+    page.goto(addresses[MODELS].replace("#/models", "#/models/office-small-n0024"))
+    page.get_by_text("champion").first.wait_for()
+    shot(page, "model")
+
+
+def shot(page: "Page", name: str) -> None:
+    if SHOTS:
+        page.screenshot(path=Path(SHOTS) / f"test_{name}.png")

@@ -18,8 +18,10 @@ from simulation.measurement import Measurement
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
+from studies.paths import ProjectPaths
 from studies.surrogate_model import SurrogateModel
-from studies.tuning.champion import load_champion
+from studies.tracking.registry import load_surrogate
+from studies.tracking.runs import RunStore
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"
@@ -72,9 +74,8 @@ def test_it_takes_minutes_and_leaves_everything_behind(first: Done) -> None:
     assert first.wall_s < 600.0
     left = [
         f"mlruns/reports/{LABEL}/index.html",
-        f"mlruns/champions/{LABEL}/n0064/weights.npz",
         f"mlruns/results/{LABEL}/calibration-n0064.json",
-        "mlruns/optuna.journal",
+        "mlruns/optuna.db",
         "mlruns/mlflow.db",
     ]
     assert [name for name in left if not (first.project / name).is_file()] == []
@@ -99,26 +100,41 @@ def test_a_second_run_does_nothing_twice(first: Done) -> None:
     assert [c["mse_polished"] for c in again.calibrations] == [c["mse_polished"] for c in first.calibrations]
 
 
+def test_the_sampler_proposes_at_least_half_of_the_trials_of_each_size(first: Done) -> None:
+    for study in first.stage("tune")["studies"]:
+        assert study["n_trials"] == 20
+        assert study["n_complete"] + study["n_pruned"] == 20
+        assert 2 * study["n_proposed"] >= study["n_trials"]
+
+
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
-def test_every_trial_can_be_searched_in_mlflow_by_its_errors(first: Done) -> None:
+def test_one_call_of_mlflow_answers_the_best_model_of_each_size(first: Done) -> None:
     from mlflow import MlflowClient
 
     client = MlflowClient(f"sqlite:///{first.project}/mlruns/mlflow.db")
     experiment = client.get_experiment_by_name(LABEL)
     assert experiment is not None
-    found = client.search_runs(
-        [experiment.experiment_id],
-        "metrics.`test/mae` > 0 and metrics.`test/p90` > 0 and params.n_latent != ''",
-    )
-    studies = first.stage("tune")["studies"]
-    assert len(found) >= len(studies)
-    assert all(trial.data.tags["mlflow.parentRunId"] for trial in found)
+    runs = client.search_runs([experiment.experiment_id], "tags.best = 'yes'")
+    found = {int(run.data.params["n_train"]): run for run in runs}
+    studies = {study["n_train"]: study for study in first.stage("tune")["studies"]}
+    assert len(runs) == len(found) == len(studies) == 5
+    for n_train, study in studies.items():
+        run = found[n_train]
+        assert run.info.run_id == study["run_id"]
+        assert run.data.tags["mlflow.parentRunId"]
+        for name in ("val/mae", "test/mae", "test/p90"):
+            assert run.data.metrics[name] == study["best_metrics"][name]
+        for name in ("n_latent", "n_hidden", "beta"):
+            assert run.data.params[name] == str(study["best_params"][name])
+        # The named baseline stands beside it.
+        assert study["baseline_metrics"]["test/mae"] > 0.0
     assert client.search_runs([experiment.experiment_id], "attributes.status = 'RUNNING'") == []
 
 
 def test_known_parameters_are_found_again_up_to_what_they_do(first: Done) -> None:
     case = load_case(first.project / "fmus" / "office")
-    surrogate, _ = load_champion(first.project / f"mlruns/champions/{LABEL}/n0064", case_digest=case.digest)
+    (run_id,) = (one["run_id"] for one in first.stage("tune")["studies"] if one["n_train"] == 64)
+    surrogate = load_surrogate(RunStore(ProjectPaths(first.project)), run_id)
     space = case.parameter_space
     truth = space.from_unit(np.random.default_rng(5).uniform(0.3, 0.7, (1, space.n_parameters)))
     with case.open_model() as office:

@@ -25,6 +25,7 @@ from toy_study_for_tests import (
     states,
     toy_study,
     tuned_study,
+    workers_of,
 )
 
 from studies.paths import ProjectPaths
@@ -42,11 +43,6 @@ def wait_until(is_so: Callable[[], object]) -> None:
     while not is_so():
         assert time.monotonic() < deadline
         time.sleep(0.05)
-
-
-def workers_of(process: int) -> list[psutil.Process]:
-    found = psutil.Process(process).children(recursive=True)
-    return [one for one in found if "studies.tuning.worker" in " ".join(one.cmdline())]
 
 
 def assert_each_place_ended(paths: ProjectPaths, name: str, n: int) -> None:

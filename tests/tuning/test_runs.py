@@ -132,7 +132,7 @@ def test_the_best_model_of_a_size_is_loaded_by_mlflow_alone(tuned: ProjectPaths,
 def test_the_registered_model_is_a_logged_model_with_its_numbers(tuned: ProjectPaths) -> None:
     client = connect(tuned.tracking_uri)
     version = client.get_model_version_by_alias(f"{LABEL}-n0016", "champion")
-    model = client.get_logged_model(version.model_id)
+    model = client.get_logged_model(version.source.removeprefix("models:/"))
     assert model.status == "READY"
     assert {"n_train", "n_latent", "n_hidden", "beta"} <= set(model.params)
     assert {metric.key for metric in model.metrics} >= {"val/mae", "test/mae", "test/p90"}

@@ -1,12 +1,12 @@
 """Tuning on a PostgreSQL server: workers side by side, one of them killed, and plain Optuna on its URL."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import optuna
-import psutil
 import pytest
-from toy_study_for_tests import assert_mlflow_agrees, states, toy_study
+from toy_study_for_tests import assert_mlflow_agrees, states, toy_study, workers_of
 
 from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths
@@ -26,8 +26,7 @@ def test_two_workers_one_killed_reach_the_trials(
 
     def kill_one(_: object, trials: list[optuna.trial.FrozenTrial]) -> None:
         nonlocal n_killed
-        children = psutil.Process().children()
-        workers = [one for one in children if "studies.tuning.worker" in " ".join(one.cmdline())]
+        workers = workers_of(os.getpid())
         if not n_killed and len(workers) == 2 and sum(trial.state.is_finished() for trial in trials) >= 2:
             workers[0].kill()
             n_killed += 1

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import optuna
+import psutil
 from optuna.trial import FrozenTrial
 
 from pelsvae.config import VARIANTS
@@ -161,6 +163,16 @@ def runs_of(paths: ProjectPaths, label: str, **tags: str) -> list[Run]:
     wanted = " and ".join(f"tags.`{name}` = '{value}'" for name, value in tags.items())
     ids = [experiment.experiment_id]
     return list(client.search_runs(ids, wanted, order_by=["attributes.start_time ASC"], max_results=5000))
+
+
+def workers_of(process: int) -> list[psutil.Process]:
+    """Return the workers that a process has started and that live."""
+    found = []
+    for one in psutil.Process(process).children(recursive=True):
+        with suppress(psutil.Error):  # it has just ended
+            if "studies.tuning.worker" in " ".join(one.cmdline()):
+                found.append(one)
+    return found
 
 
 STATUS = {"COMPLETE": "FINISHED", "PRUNED": "FINISHED", "FAIL": "FAILED"}
