@@ -139,7 +139,7 @@ class AdaptiveSearch:
             self._look_as_far_as_understood()
             if self._fits_exactly:
                 return Ending(
-                    f"the best simulation leaves less than {EXACT:g} of the measured variance", converged=True
+                    f"the best simulation leaves {EXACT:g} of the measured variance or less", converged=True
                 )
             if self._leg_is_over():
                 is_clear = self._unexplained <= CLEAR or self._confirmation.n_restarts >= settings.n_elsewhere
@@ -163,8 +163,10 @@ class AdaptiveSearch:
     @property
     def _fits_exactly(self) -> bool:
         """Whether there is nothing left to gain: every gain would be large beside an error of nearly zero."""
-        is_wanted = self._settings.target_mse is None and self._horizon.is_whole and self._prior is None
-        return is_wanted and self._unexplained <= EXACT
+        if self._settings.target_mse is not None or not self._horizon.is_whole or self._prior is not None:
+            return False
+        # Of a measurement that never varies all is explained.
+        return self._recorder.best_mse == 0.0 or 0.0 < self._unexplained <= EXACT
 
     @property
     def _has_settled(self) -> bool:
@@ -389,7 +391,8 @@ class AdaptiveSearch:
             little = f"a gain of less than {self._least_gain:g} of the error"
             missed = "" if target is None else f"; the target of {target:g} is missed"
             nowhere = f", and nowhere {WANTED:g} times the error" if self._is_too_large else ""
-            return Ending(f"the state equations expect {little}{nowhere}{missed}", converged=True)
+            is_known = target is None or self._is_sure
+            return Ending(f"the state equations expect {little}{nowhere}{missed}", converged=is_known)
         if self._is_too_large and not self._confirmation.is_excluded:
             return too_large(self._confirmation)
         little = f"less than {CONFIRMED:g} of the error to be gained anywhere in the box"
