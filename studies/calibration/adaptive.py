@@ -7,14 +7,17 @@ Where the rows explain too little, the search looks at the beginning of the traj
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from simulation.arrays import FloatArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
 from studies.calibration.adaptive_search import AdaptiveSearch
+from studies.calibration.doubt import doubtful_mse
+from studies.calibration.ending import Ending
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress, Recorder
 from studies.calibration.state_guide import StateGuide
@@ -35,7 +38,11 @@ class AdaptiveResult:
         expected_gain: Part of the error that the surrogate last expected to gain. [1]
         history: Best MSE over rows asked.
         stop_reason: Why it ended, in words.
-        converged: True when target or tolerance ended it, False for a budget or failures.
+        converged: True when the target ended it, or little was expected and tests of that found nothing;
+            False for a budget, failures, or an error that is too large and was not explained.
+        left: Where it did not converge, what may be left to gain and what the next round would try.
+        is_flat: Parameters on which the error around the best point hardly depends over all of their ranges,
+            as far as rows or state equations show. Shape (p,).
     """
 
     u: FloatArray
@@ -49,6 +56,8 @@ class AdaptiveResult:
     history: History
     stop_reason: str
     converged: bool
+    left: str
+    is_flat: BoolArray
 
 
 @dataclass(frozen=True)
@@ -63,16 +72,18 @@ class Adaptive:
         least_radius: Half width below which a bad step no longer shrinks it, only failures do. [1]
         n_descents: Descents on the surrogate per round, the first from the best row. [1]
         n_parallel: Rows asked per round.
-        ftol: Stop when the surrogate expects less than this relative gain, `patience` rounds running. [1]
-        patience: Rounds without expectation or gain before a leg ends. [1]
+        ftol: Where the surrogate expects less than this relative gain, a leg ends; the search ends once tests
+            of that, all over the box, have found nothing. [1]
+        patience: Rounds without expectation or gain before a leg away from the best row ends. [1]
         stall_rounds: Rounds within which a leg must gain `stall_gain`, or it ends too. [1]
         stall_gain: The relative gain that a leg owes. [1]
-        n_elsewhere: Legs away from the best row, for problems with several valleys, that a search makes
-            before it may converge; 0 never leaves the first valley. [1]
-        doubtful_mse: Error above which a valley is no answer: the search goes on elsewhere, however little
-            is expected, until its budget is spent or its surrogate excludes half the error everywhere; None
-            believes every valley. [first output's unit squared]
-        target_mse: Stop at this error, or None. [first output's unit squared]
+        n_elsewhere: Legs away from the best row, for problems with several valleys, that a search makes at
+            least before it may converge; 0 never leaves the first valley. [1]
+        doubtful_mse: Error above which a valley is no answer: the search goes on elsewhere until its
+            surrogate excludes half the error everywhere, or stops, without converging, after eight legs in
+            vain; None believes every valley. [first output's unit squared]
+        target_mse: Go on to this error or the end of the budget, however little is expected; or None. [first
+            output's unit squared]
         max_calls: Most rows that may be asked of the model.
     """
 
@@ -116,6 +127,27 @@ class Adaptive:
                 f"adaptive calibration: least_radius is {self.least_radius} and radius {self.radius}; "
                 "give 0 < least_radius <= radius <= 1"
             )
+
+    @classmethod
+    def for_sensor(
+        cls, sensor: float, *, max_calls: int, n_parallel: int = 1, target_mse: float | None = None
+    ) -> Self:
+        """Return the settings of `studies calibrate`.
+
+        Args:
+            sensor: Uncertainty of the first output's sensor, infinite where it is not known. [first output's
+                unit]
+            max_calls: Most rows that may be asked of the model.
+            n_parallel: Rows asked per round.
+            target_mse: Error to stop at, or None. [first output's unit squared]
+        """
+        return cls(
+            max_calls=max_calls,
+            n_parallel=n_parallel,
+            # Where every output is off by its own sensor's uncertainty, the MSE is the first one's squared.
+            doubtful_mse=doubtful_mse(sensor),
+            target_mse=target_mse,
+        )
 
     def design_size(self, n_parameters: int) -> int:
         """Return the rows of the first design."""
@@ -163,14 +195,14 @@ class Adaptive:
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
         search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known, guide)
-        converged = False
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             with threadpool_limits(limits=1, user_api="blas"):
-                reason = search.run()
-            converged = True
+                ending = search.run()
         except BudgetExceeded as end:
-            reason = str(end)
+            missed = "" if self.target_mse is None else f"; the target of {self.target_mse:g} is missed"
+            ending = Ending(f"{end}{missed}", converged=False)
+        reason = ending.reason
         best = recorder.best
         assert best is not None, "a budget of at least one row lets the first design be asked"
         if best.failures[0]:
@@ -186,5 +218,7 @@ class Adaptive:
             expected_gain=search.expected_gain,
             history=recorder.history,
             stop_reason=reason,
-            converged=converged,
+            converged=ending.converged,
+            left="" if ending.converged else search.left,
+            is_flat=search.is_flat,
         )

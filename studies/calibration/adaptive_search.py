@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
+from studies.calibration.confirmation import least_unlikely
 from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least_excluded
+from studies.calibration.ending import (
+    CONFIRMED,
+    N_RESTARTS_DOUBTED,
+    Confirmation,
+    Ending,
+    still_falling,
+    too_large,
+)
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
@@ -37,12 +46,15 @@ OWED_ELSEWHERE = 0.2
 DULL, DULL_IN_A_BEGINNING, DULL_ROUNDS = 1e-4, 0.1, 2
 # A leg elsewhere whose next point is so near the best row has come back.
 AT_HOME = 0.1
-# So many legs in a row that begin where everything is excluded end the doubt: there is no deeper valley.
-EXCLUDED_LEGS = 2
 # A row so many times worse than most of the first design tells of a simulation that has diverged.
 ABSURD = 1e6
 # A search whose best error falls by this factor within so many rounds is not lost.
 FALLING, FALLING_ROUNDS = 0.5, 3
+# A best row that leaves no more than this share of the measured variance fits exactly: each round would gain
+# most of an error of nearly zero.
+EXACT = 1e-8
+# A parameter whose error, at so many values across its range, varies by less than this part has no effect.
+N_ACROSS, FLAT = 9, 1e-3
 # Rows that are asked where laws may act that no row has shown, before equations that may not be all end it.
 N_PROBES = 4
 
@@ -90,8 +102,7 @@ class AdaptiveSearch:
         self._first = 0
         self._leg: list[float] = []
         self._idle = self._dull = 0
-        self._n_elsewhere = 0
-        self._n_excluded = 0
+        self._confirmation = Confirmation(p, settings.n_elsewhere)
         self._is_far = False
         self.n_rounds = 0
         self.expected_gain = np.inf
@@ -105,8 +116,8 @@ class AdaptiveSearch:
                 # What others have asked all over the box may tell of a better valley than its best row's.
                 self._radius = 1.0
 
-    def run(self) -> str:
-        """Ask rows until target or tolerance; return why it ended.
+    def run(self) -> Ending:
+        """Ask rows until target, tolerance or restarts in vain; return why it ended.
 
         Raises:
             BudgetExceeded: The budget is spent.
@@ -118,7 +129,7 @@ class AdaptiveSearch:
             self._ask_first(design)
         while True:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
-                return "the target is reached"
+                return Ending("the target is reached", converged=True)
             if len(self._unasked) and not self._is_guided:
                 self._ask_rest()
                 continue
@@ -126,18 +137,63 @@ class AdaptiveSearch:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
             self._look_as_far_as_understood()
+            if self._fits_exactly:
+                return Ending(
+                    f"the best simulation leaves {EXACT:g} of the measured variance or less", converged=True
+                )
             if self._leg_is_over():
-                is_clear = self._unexplained <= CLEAR or self._n_elsewhere >= settings.n_elsewhere
+                is_clear = self._unexplained <= CLEAR or self._confirmation.n_restarts >= settings.n_elsewhere
                 if not self._horizon.is_whole and self._is_home and is_clear:
                     self._look_further()
                     continue
-                if self._is_home and self._may_end and self._idle:
+                if self._is_home and self._is_guided and self._idle:
                     if not self._asks_unseen():
-                        return self._reason
+                        return self._ending
                     self._idle = 0
                     continue
+                if self._has_settled and not self._is_guided:
+                    if not self._confirmation.is_tested:
+                        self._test()
+                        continue
+                    if self._may_end:
+                        return self._ending
                 self._turn()
             self._step()
+
+    @property
+    def _fits_exactly(self) -> bool:
+        """Whether there is nothing left to gain: every gain would be large beside an error of nearly zero."""
+        if self._settings.target_mse is not None or not self._horizon.is_whole or self._prior is not None:
+            return False
+        # Of a measurement that never varies all is explained.
+        return self._recorder.best_mse == 0.0 or 0.0 < self._unexplained <= EXACT
+
+    @property
+    def _has_settled(self) -> bool:
+        """Whether around the best row of all nothing more is expected, and not for failures alone."""
+        return (
+            self._is_home and self._horizon.is_whole and self._dull >= DULL_ROUNDS and self._has_whole_region
+        )
+
+    @property
+    def _has_whole_region(self) -> bool:
+        """Whether no failures have shrunk the trust region below where bad steps end to."""
+        return self._radius >= self._settings.least_radius
+
+    def _test(self) -> None:
+        """Ask where a lower error is least unlikely, all over the box; go on from what is better."""
+        best = int(np.argmin(self._objective))
+        here, before = self._u[best], float(self._objective[best])
+        expand, rows = partial(self._expand, self._fit()), (self._u, np.isfinite(self._objective))
+        n_before, n_parallel, known = self._objective.size, self._settings.n_parallel, self._confirmation
+        places, known.promised = least_unlikely(expand, (here, before), rows, n_parallel, self._rng)
+        if known.is_tested:
+            return
+        self._ask(places)
+        # What fails confirms nothing.
+        known.n_tested += int(np.isfinite(self._objective[n_before:]).any())
+        if self._objective.min() < (1.0 - self._settings.ftol) * before:
+            self._first, self._leg, self._idle, self._dull = 0, [], 0, 0
 
     def _ask_first(self, design: FloatArray) -> None:
         """Ask a first design, round by round where state equations may take less of it."""
@@ -188,9 +244,14 @@ class AdaptiveSearch:
         return self._guide is not None and self._guide.is_sure and self._guide.n_asked > 0
 
     @property
+    def _ftol(self) -> float:
+        """Relative gain that is too small: who names an error wants it, and every gain on the way."""
+        return self._settings.ftol if self._settings.target_mse is None else 0.0
+
+    @property
     def _least_gain(self) -> float:
         """Relative gain that is worth a round: who wants every gain knows when there is none left."""
-        return max(self._settings.ftol, DULL) if self._is_sure else self._settings.ftol
+        return max(self._ftol, DULL) if self._is_sure else self._ftol
 
     def _look_as_far_as_understood(self) -> None:
         """Shorten the horizon, once, of a search that is lost; lengthen it where what it sees is clear."""
@@ -223,7 +284,8 @@ class AdaptiveSearch:
     def _begin_again(self) -> None:
         """Judge all rows by the present horizon and begin a leg at the best."""
         self._judge()
-        self._first, self._n_elsewhere, self._n_excluded = 0, 0, 0
+        self._first = 0
+        self._confirmation.begin_again()
         self._leg, self._idle, self._dull = [], 0, 0
         self._radius = self._settings.radius
 
@@ -255,6 +317,12 @@ class AdaptiveSearch:
             self._idle += 1
             self._forget_proposal()
             return
+        is_settled = self._confirmation.n_tested and self._has_whole_region and not self._is_guided
+        if is_settled and self._is_home and promise <= self._ftol * centre_objective:
+            # Nothing that was asked since the first test has changed what is expected here.
+            self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
+            self._idle, self._dull = self._idle + 1, self._dull + 1
+            return
         predicted = self._guide.predicted if self._guide is not None else None
         if self._is_far and not self._is_home:
             home = int(np.argmin(self._objective))
@@ -270,13 +338,13 @@ class AdaptiveSearch:
         gain = max(centre_objective - self._leg_best, 0.0)
         self._resize(points[0] - centre, found, gain, promise)
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
-        dull = max(self._settings.ftol, DULL if self._horizon.is_whole else DULL_IN_A_BEGINNING)
+        dull = max(self._ftol, DULL if self._horizon.is_whole else DULL_IN_A_BEGINNING)
         hope = max(gain, promise)
         if predicted is None:
             predicted = self._expand(process, points[0], self._settings.caution).value
         if is_surprised(float(found[0]), predicted, expected.value, centre_objective):
             hope = np.inf
-        self._idle = self._idle + 1 if hope <= self._settings.ftol * centre_objective else 0
+        self._idle = self._idle + 1 if hope <= self._ftol * centre_objective else 0
         self._dull = self._dull + 1 if hope <= dull * centre_objective else 0
         self._leg.append(self._leg_best)
 
@@ -298,36 +366,86 @@ class AdaptiveSearch:
 
     @property
     def _is_doubtful(self) -> bool:
-        """Whether the best error is too large, and there may be a deeper valley."""
-        # Who names a target wants it, however little is expected.
-        is_excluded = self._n_excluded >= EXCLUDED_LEGS and self._settings.target_mse is None
-        return self._is_too_large and not is_excluded and not self._is_guided
+        """Whether the best error is too large, and there may be a deeper valley that is worth looking for."""
+        is_over = self._confirmation.is_excluded or self._is_tried or self._is_guided
+        return self._is_too_large and not is_over
+
+    @property
+    def _is_tried(self) -> bool:
+        """Whether enough was tried to explain an error that is too large."""
+        return self._confirmation.n_restarts >= N_RESTARTS_DOUBTED
 
     @property
     def _may_end(self) -> bool:
         """Whether the search has looked elsewhere and believes what it has found."""
-        has_looked = self._is_guided or self._n_elsewhere >= self._settings.n_elsewhere
-        return has_looked and not self._is_doubtful
+        has_looked = self._is_guided or self._confirmation.n_restarts >= self._confirmation.restarts_owed
+        # Who names a target wants it, however little is expected.
+        is_wanted = self._settings.target_mse is not None and not self._is_guided
+        return has_looked and not self._is_doubtful and not is_wanted
 
     @property
-    def _reason(self) -> str:
-        """Why a search ends that has converged."""
-        who = "the state equations expect" if self._is_guided else "the surrogate expects"
-        reason = f"{who} a gain of less than {self._least_gain:g} of the error"
-        return f"{reason}, and nowhere {WANTED:g} times the error" if self._is_too_large else reason
+    def _ending(self) -> Ending:
+        """Why a search ends that expects nothing more."""
+        target = self._settings.target_mse
+        if self._is_guided:
+            little = f"a gain of less than {self._least_gain:g} of the error"
+            missed = "" if target is None else f"; the target of {target:g} is missed"
+            nowhere = f", and nowhere {WANTED:g} times the error" if self._is_too_large else ""
+            is_known = target is None or self._is_sure
+            return Ending(f"the state equations expect {little}{nowhere}{missed}", converged=is_known)
+        if self._is_too_large and not self._confirmation.is_excluded:
+            return too_large(self._confirmation)
+        little = f"less than {CONFIRMED:g} of the error to be gained anywhere in the box"
+        nowhere = f", nowhere {WANTED:g} times the error" if self._is_too_large else ""
+        tests = f"{self._confirmation.in_words} gained no more"
+        return Ending(f"the surrogate expects {little}{nowhere}, and {tests}", converged=True)
+
+    @property
+    def left(self) -> str:
+        """What may be left to gain where a search stopped, and what the next round would try."""
+        if not np.isfinite(self._recorder.best_mse):
+            return ""
+        if len(self._unasked) or self._objective.size < self._n_known + self._n_design:
+            return "the first design is not finished, and the next round would go on with it"
+        if self._is_too_large and self._is_tried:
+            return "a deeper valley may be left, or the model lacks something; another seed begins anew"
+        if not self._horizon.is_whole:
+            return (
+                "so far only the beginning of the trajectories is fitted; the next round would go on with it"
+            )
+        if self._is_home and not self._has_whole_region:
+            return "simulations around the best point fail; the next round would begin away from it"
+        if self._confirmation.n_tested or self._has_settled:
+            return self._confirmation.still_owed(self._settings.ftol)
+        n = min(self._settings.stall_rounds * self._settings.n_parallel, self._objective.size - 1)
+        before = float(self._objective[: self._objective.size - n].min())
+        gained = 1.0 - float(self._objective.min()) / before if np.isfinite(before) and before > 0.0 else 1.0
+        return still_falling(n, gained, self.expected_gain)
+
+    @property
+    def is_flat(self) -> BoolArray:
+        """On which parameters the error hardly depends around the best row, over all of their ranges."""
+        none = np.zeros(self._p, dtype=np.bool_)
+        if self._guide is not None and self._guide.is_sure:
+            return self._guide.left_out
+        if not self._horizon.is_whole or self._objective.size <= self._n_known + self._n_design:
+            return none
+        best = int(np.argmin(self._objective))
+        if not 0.0 < self._objective[best] < np.inf or self._is_sane.sum() < 2:
+            return none
+        process = self._fit()
+        across = np.tile(self._u[best], (self._p, N_ACROSS, 1))
+        across[np.arange(self._p), :, np.arange(self._p)] = np.linspace(0.0, 1.0, N_ACROSS)
+        errors = process.errors(across.reshape(-1, self._p)).reshape(self._p, N_ACROSS)
+        return np.asarray(np.ptp(errors, axis=1) <= FLAT * self._objective[best])
 
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
         settings = self._settings
         if self._is_guided:
             return self._idle >= min(settings.patience, DULL_ROUNDS)
-        is_new = not self._is_home or self._n_elsewhere == 0
-        n_dull, patience = self._dull, settings.patience
-        if self._may_end and self._horizon.is_whole:
-            n_dull = self._idle
-        elif not (self._horizon.is_whole and is_new):
-            patience = DULL_ROUNDS
-        if n_dull >= patience:
+        is_away = self._horizon.is_whole and not self._is_home
+        if self._dull >= (settings.patience if is_away else DULL_ROUNDS):
             return True
         rounds, owed = settings.stall_rounds, settings.stall_gain
         if not self._is_home:
@@ -344,8 +462,9 @@ class AdaptiveSearch:
     def _turn(self) -> None:
         """End a leg: from the best row go elsewhere, from elsewhere back to it."""
         self._forget_proposal()
-        leaves = self._is_home and (self._settings.n_elsewhere > 0 or self._is_doubtful)
-        self._n_elsewhere += leaves
+        is_wanted = self._settings.target_mse is not None
+        leaves = self._is_home and (self._settings.n_elsewhere > 0 or self._is_doubtful or is_wanted)
+        self._confirmation.n_restarts += leaves
         # A valley that still falls is followed to another place; from its bottom the search goes far.
         self._is_far = leaves and self._dull >= DULL_ROUNDS
         self._first = self._objective.size if leaves else 0
@@ -359,6 +478,8 @@ class AdaptiveSearch:
         answer = self._recorder.evaluate(u[: max(left, 1)])
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._keep(answer)
+        if self._horizon.is_whole:
+            self._confirmation.note_best(float(self._objective.min()))
 
     def _keep(self, answer: Evaluation) -> None:
         """Take rows among those that the search learns from."""
@@ -406,7 +527,8 @@ class AdaptiveSearch:
         if self._is_far:
             best, margin = float(self._objective.min()), self._settings.margin
             points, excess = least_excluded(expand, best, shape, margin, self._rng)
-            self._n_excluded = self._n_excluded + 1 if excess > EXCLUDED else 0
+            known = self._confirmation
+            known.n_excluded = known.n_excluded + 1 if excess > EXCLUDED else 0
             return points
         return farther_along(expand, self._settings.caution, shape, self._settings.margin, self._rng)
 

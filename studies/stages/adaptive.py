@@ -15,7 +15,6 @@ from simulation.errors import InputError
 from simulation.states import watching_states, why_unwatched
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
-from studies.calibration.doubt import doubtful_mse
 from studies.calibration.known_rows import best_and_far
 from studies.calibration.ledger import Ledger
 from studies.calibration.prior import Prior
@@ -96,13 +95,10 @@ def adaptive_settings(
     Raises:
         InputError: the budget does not hold the first design.
     """
-    settings = Adaptive(
+    settings = Adaptive.for_sensor(
+        float(case.measurement.uncertainty[0]),
         max_calls=MAX_CALLS if max_calls is None else max_calls,
         n_parallel=n_parallel or 1,
-        # Who names an error wants it: small gains are no reason to stop before.
-        ftol=Adaptive.ftol if target_mse is None else 0.0,
-        # Where every output is off by its own sensor's uncertainty, the MSE is the first one's squared.
-        doubtful_mse=doubtful_mse(float(case.measurement.uncertainty[0])),
         target_mse=target_mse,
     )
     n_parameters = n_free or case.parameter_space.n_parameters
@@ -179,7 +175,7 @@ def adaptive_stage(
     known_rows = None
     if from_stored:
         # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
-        any_end = replace(settings, max_calls=1, target_mse=None, ftol=Adaptive.ftol)
+        any_end = replace(settings, max_calls=1, target_mse=None)
         question = inputs | {"settings": asdict(any_end)}
         is_finished = (study.results / f"{stage}.json").is_file()
         known_rows = KnownRows(files.rows, digest_of(question), best_and_far, anew=again and is_finished)
@@ -298,6 +294,10 @@ def calibrate_adaptively(
         **failed_numbers(physical),
         "stop_reason": result.stop_reason + told_kept(result.converged, settings.max_calls, n_kept),
         "converged": result.converged,
+        "left": result.left,
+        "without_effect": [
+            name for name, flat in zip(model.parameter_space.names, result.is_flat, strict=True) if flat
+        ],
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,
         **validated,
         **prior_numbers(case, theta),

@@ -39,6 +39,8 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
         f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {cost} "
         f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
     )
+    if found.get("left"):
+        console.result(f"Stopped, not converged: {found['left']}")
     warn_failed(study, found)
     if "state_equations" in found:
         console.result(equations_in_words(found["state_equations"]))
@@ -71,10 +73,10 @@ def _doubt(found: Summary) -> str:
         is_guided = found.get("state_equations", {}).get("are_believed", False)
         who = "state equations know of" if is_guided else "surrogate expects"
         return f"the {who} no deeper valley in the box: the model lacks something, or a bound is in the way"
-    return (
-        "there may be a deeper valley, or the model lacks something; try more --max-calls, another --seed, "
-        "or studies run"
-    )
+    is_spent = found["ledger"]["total_paper"] >= found["settings"]["max_calls"]
+    more = "more --max-calls, " if is_spent else ""
+    try_ = f"try {more}another --seed, or studies run"
+    return f"there may be a deeper valley, or the model lacks something; {try_}"
 
 
 def stored_before(study: Study, n_free: int | None) -> Summary | None:

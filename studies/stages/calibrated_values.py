@@ -115,7 +115,13 @@ def show_parameters(study: Study, numbers: Mapping[str, Any], how: str) -> None:
     rows = []
     for parameter, value, u in zip(space.parameters, theta, space.to_unit(theta), strict=True):
         bound = bound_at(float(u))
-        note = "fixed" if parameter.name in fixed else f"at the {bound} bound: widen it?" if bound else ""
+        if parameter.name in fixed:
+            note = "fixed"
+        elif parameter.name in numbers.get("without_effect", ()):
+            # A bound that it happens to lie at says nothing.
+            note = "the error hardly depends on it"
+        else:
+            note = f"at the {bound} bound: widen it?" if bound else ""
         rows.append(
             [
                 parameter.name,

@@ -120,6 +120,8 @@ class Run:
         max_calls: The budget.
         ended: "target", "budget", "method" or what went wrong.
         seconds: Processor time with all simulations. [s]
+        said: Why it ended, in the method's own words; of peers empty.
+        converged: Whether it said that it converged; of peers None.
     """
 
     calls: list[int]
@@ -129,6 +131,8 @@ class Run:
     max_calls: int
     ended: str
     seconds: float
+    said: str = ""
+    converged: bool | None = None
 
     def first(self, target: float) -> int | None:
         """Return where in the history the error first was at most the target, None if nowhere."""
@@ -144,9 +148,18 @@ class Run:
         index = self.first(target)
         return float("inf") if index is None else float(self.rounds[index])
 
-    def is_complete(self, target: float, max_calls: int) -> bool:
-        """Tell whether a run with this target and budget would not have gone on beyond it."""
-        if self.first(target) is not None or self.ended not in ("target", "budget"):
+    def is_complete(self, target: float | None, max_calls: int) -> bool:
+        """Tell whether a run with this target and budget would not have gone on beyond it.
+
+        Args:
+            target: Error at which the benchmark ends a run, None where the method ends by itself.
+            max_calls: The budget.
+        """
+        if self.ended not in ("target", "budget", "method"):
+            return True
+        if target is None:
+            return bool(self.said) and (self.ended == "method" or self.max_calls >= max_calls)
+        if self.first(target) is not None or self.ended == "method":
             return True
         return self.ended == "budget" and self.max_calls >= max_calls
 
@@ -175,7 +188,7 @@ def run_once(
     *,
     max_calls: int,
     best: float,
-    factor: float,
+    factor: float | None,
     at_once: int = 1,
 ) -> Run:
     """Run a method until the target, its budget or its own end.
@@ -186,21 +199,22 @@ def run_once(
         seed: Seed of the run.
         max_calls: Most rows.
         best: Best error known. [first output's unit squared]
-        factor: The target as a multiple of it.
+        factor: The target as a multiple of it, None for none: the method ends by itself.
         at_once: Rows that make a round.
     """
-    watched = WatchedModel(problem, max_calls=max_calls, target=factor * best, at_once=at_once)
-    began, ended = process_time(), "method"
+    target = -math.inf if factor is None else factor * best
+    watched = WatchedModel(problem, max_calls=max_calls, target=target, at_once=at_once)
+    began, ended, found = process_time(), "method", None
     try:
         with one_thread():
-            method(problem.on(watched), seed, max_calls)
+            found = method(problem.on(watched), seed, max_calls)
     except TargetReachedError:
         ended = "target"
     except BudgetExceeded:
         ended = "budget"
     except Exception as error:  # A peer that breaks is a result; the benchmark goes on.
         ended = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-    if ended == "method" and watched.n_calls >= max_calls:
+    if ended == "method" and watched.n_calls >= max_calls and not getattr(found, "converged", False):
         ended = "budget"
     history = kept_history(watched.entries, best)
     return Run(
@@ -211,4 +225,6 @@ def run_once(
         max_calls=max_calls,
         ended=ended,
         seconds=round(process_time() - began, 2),
+        said=getattr(found, "stop_reason", ""),
+        converged=getattr(found, "converged", None),
     )

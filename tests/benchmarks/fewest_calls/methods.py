@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from fewest_calls import peers_bayesian, peers_least_squares, peers_modestpy, peers_scalar
-from studies.calibration.adaptive import Adaptive
+from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_guide import StateGuide
 
-Search = Callable[[CalibrationProblem, int, int], None]
-"""Problem, seed and most calls; asks the problem's model and returns nothing."""
+Search = Callable[[CalibrationProblem, int, int], AdaptiveResult | None]
+"""Problem, seed and most calls; asks the problem's model. Ours return how they ended, peers nothing."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Method:
         seeds: Runs per problem unless the command line says otherwise: fewer where a run costs minutes.
         needs: Packages, as Python imports them.
         variable: Environment variable without which it cannot run.
-        is_ours: Whether it is this project's.
+        is_ours: Whether it is this project's: it ends by itself, as the command does, not at the target.
         at_once: Rows that it asks in a round; where more than one, rounds count beside calls.
     """
 
@@ -48,45 +48,32 @@ class Method:
         return missing
 
 
-def adaptive(**settings: int | float) -> Search:
-    """Return the adaptive method; it goes on until the benchmark ends it."""
+def adaptive(n_parallel: int = 1, *, state_equations: bool = False) -> Search:
+    """Return the adaptive method with the command's own settings; it ends by itself."""
 
-    def search(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
-        chosen = Adaptive(**{"ftol": 0.0, "doubtful_mse": 0.0, "max_calls": max_calls, **settings})  # type: ignore[arg-type]
-        chosen.minimize(problem, seed=seed)
-
-    return search
-
-
-def adaptive_as_shipped(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
-    """The adaptive method with the end that it finds by itself."""
-    Adaptive(max_calls=max_calls).minimize(problem, seed=seed)
-
-
-def adaptive_with_equations(n_parallel: int) -> Search:
-    """Return the adaptive method that learns state equations; it goes on until the benchmark ends it."""
-
-    def search(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
-        chosen = Adaptive(ftol=0.0, doubtful_mse=0.0, max_calls=max_calls, n_parallel=n_parallel)
+    def search(problem: CalibrationProblem, seed: int, max_calls: int) -> AdaptiveResult:
+        sensor = float(problem.measurement.uncertainty[0])
+        chosen = Adaptive.for_sensor(sensor, max_calls=max_calls, n_parallel=n_parallel)
+        if not state_equations:
+            return chosen.minimize(problem, seed=seed)
         watched = problem.model.watched  # type: ignore[attr-defined]
         guide = StateGuide(watched.signals, watched.seen, problem)
-        chosen.minimize(problem, seed=seed, guide=guide)
+        return chosen.minimize(problem, seed=seed, guide=guide)
 
     return search
 
 
 METHODS: dict[str, Method] = {
     "adaptive": Method(adaptive(), max_calls=300, is_ours=True),
-    "adaptive, state equations": Method(adaptive_with_equations(1), max_calls=300, is_ours=True),
+    "adaptive, state equations": Method(adaptive(state_equations=True), max_calls=300, is_ours=True),
     **{
         f"adaptive, state equations, {q} parallel": Method(
-            adaptive_with_equations(q), max_calls=300, is_ours=True, at_once=q
+            adaptive(q, state_equations=True), max_calls=300, is_ours=True, at_once=q
         )
         for q in (2, 4, 8)
     },
-    "adaptive, own end": Method(adaptive_as_shipped, max_calls=300, is_ours=True),
     **{
-        f"adaptive, {q} parallel": Method(adaptive(n_parallel=q), max_calls=300, is_ours=True, at_once=q)
+        f"adaptive, {q} parallel": Method(adaptive(q), max_calls=300, is_ours=True, at_once=q)
         for q in (2, 4, 8)
     },
     "broyden": Method(peers_least_squares.broyden),

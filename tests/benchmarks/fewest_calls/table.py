@@ -2,6 +2,7 @@
 
 import statistics
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from fewest_calls.counted import Run
 from fewest_calls.kept import Kept
@@ -9,6 +10,7 @@ from fewest_calls.methods import METHODS
 from fewest_calls.problems import FAMILIES
 
 FACTORS = (1.17, 1.05, 1.02)
+RIGHT = FACTORS[-1]
 OURS = "adaptive, state equations"
 NEVER = float("inf")
 
@@ -54,7 +56,66 @@ def lines(kept: Kept) -> Iterator[str]:
     yield from _by_family(kept, in_rounds=True)
     yield from _losses(kept)
     yield ""
+    yield from ends(kept)
     yield from _runs_fewer(kept)
+
+
+def ends(kept: Kept) -> Iterator[str]:
+    """Yield how ours ended by themselves, and how often "converged" was true."""
+    for method in order(kept):
+        found = {
+            problem.name: [run for run in kept.runs(problem.name, method) if run.said]
+            for problem in kept.problems.values()
+        }
+        if not any(found.values()):
+            continue
+        yield f"How `{method}` ended by itself: medians (worst); right is at most {RIGHT:g} times the best"
+        yield ""
+        yield (
+            "| problem | calls | final / best error | "
+            + " | ".join(f"calls to {factor:g} times" for factor in (FACTORS[0], FACTORS[-1]))
+            + " | right | right, and said converged | wrong, and said converged |"
+        )
+        yield "|---" * 8 + "|"
+        for name, runs in found.items():
+            if runs:
+                yield f"| {name} | " + " | ".join(_ending(runs, kept.problems[name].best)) + " |"
+        together = [_Endings.of(runs, kept.problems[name].best) for name, runs in found.items() if runs]
+        n, n_right = sum(one.n for one in together), sum(one.n_right for one in together)
+        n_said, n_false = sum(one.n_said for one in together), sum(one.n_false for one in together)
+        yield ""
+        yield (
+            f"Of {n} runs {n_false} ({n_false / n:.1%}) said that they converged and were wrong; of "
+            f"{n_right} right ones {n_said} ({n_said / max(n_right, 1):.0%}) said that they converged."
+        )
+        yield ""
+
+
+@dataclass(frozen=True)
+class _Endings:
+    """How many of some runs ended right, said so, and said so falsely."""
+
+    n: int
+    n_right: int
+    n_said: int
+    n_false: int
+
+    @classmethod
+    def of(cls, runs: list[Run], best: float) -> "_Endings":
+        right = [run for run in runs if run.first(RIGHT * best) is not None]
+        n_said = sum(run.converged is True for run in right)
+        n_converged = sum(run.converged is True for run in runs)
+        return cls(len(runs), len(right), n_said, n_converged - n_said)
+
+
+def _ending(runs: list[Run], best: float) -> Iterator[str]:
+    yield cell([float(run.n_calls) for run in runs])
+    ratios = [run.mse[-1] / best if run.mse else NEVER for run in runs]
+    yield f"{statistics.median(ratios):.3f} ({max(ratios):.3f})"
+    for factor in (FACTORS[0], FACTORS[-1]):
+        yield cell([run.calls_to(factor * best) for run in runs])
+    found = _Endings.of(runs, best)
+    yield from (f"{found.n_right} of {found.n}", str(found.n_said), str(found.n_false))
 
 
 def details(kept: Kept) -> Iterator[str]:
