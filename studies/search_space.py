@@ -140,16 +140,25 @@ def check_space(surrogate: str, space: SearchSpace, enqueued: Sequence[Mapping[s
                 raise ValueError(f"search.{name}.when names {other}; declare {other} before {name}")
         seen.add(name)
         for value in parameter.choices or (parameter.low, parameter.high):
-            try:
-                base.replace(**{name: value})
-            except ValueError as error:
-                raise ValueError(f"search.{name}: {error}") from None
+            # One of the forms takes it: what goes together with what is known in each trial alone.
+            faults = [_fault(form, name, value) for form in VARIANTS.values()]
+            if all(faults):
+                raise ValueError(f"search.{name}: {_fault(base, name, value)}")
     for place, settings in enumerate(enqueued):
         for name, value in settings.items():
             if name not in space:
                 raise ValueError(f"enqueue[{place}].{name} is not searched; add it to [tuning.search]")
             if space[name].nearest(value) != value:
                 raise ValueError(f"enqueue[{place}].{name} = {value} is no value of search.{name}")
+
+
+def _fault(form: SurrogateConfig, name: str, value: Any) -> str:
+    """Say why a form of the surrogate cannot take a setting, nothing where it can."""
+    try:
+        form.replace(**{name: value})
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def suggested(trial: "Trial", space: SearchSpace, base: SurrogateConfig) -> dict[str, Any]:

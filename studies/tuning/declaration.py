@@ -125,7 +125,8 @@ class Declaration:
 
     def config(self, params: Mapping[str, Any]) -> SurrogateConfig:
         """Return all settings of a trial's surrogate."""
-        return self.base_config.replace(**params)
+        plain = {"weight_decay": 0.0} if params.get("optimizer") == "adam" else {}  # adam has none
+        return self.base_config.replace(**(plain | dict(params)))
 
     def trial_seed(self, place: int, use: int) -> int:
         """Return the seed of a trial.

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 from mlflow_store_for_tests import give_store
-from toy_study_for_tests import SPECS, add_sets
+from toy_study_for_tests import N_TUNED, SPECS, add_sets
 
 from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.tuning.storage import open_storage
 from studies.tuning.tune import tune
-
-N_TUNED = 12
 
 
 @pytest.fixture(scope="session")

@@ -13,10 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import psutil
-from conftest import N_TUNED
 from optuna.trial import TrialState
 from toy_study_for_tests import (
     LABEL,
+    N_TUNED,
     ROOT,
     assert_mlflow_agrees,
     essence,

@@ -4,9 +4,9 @@ from datetime import datetime, timedelta
 
 import optuna
 import pytest
-from conftest import N_TUNED
 from optuna.trial import TrialState, create_trial
 from toy_study_for_tests import (
+    N_TUNED,
     SPECS,
     assert_mlflow_agrees,
     plain_study,

@@ -9,10 +9,10 @@ import mlflow
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import N_TUNED
 from mlflow.exceptions import MlflowException
 from toy_study_for_tests import (
     LABEL,
+    N_TUNED,
     ROOT,
     SPECS,
     plain_study,

@@ -1,7 +1,6 @@
 """What `studies status` and `studies best` say of a tuned project."""
 
-from conftest import N_TUNED
-from toy_study_for_tests import LABEL, plain_study, toy_study, tuned_study
+from toy_study_for_tests import LABEL, N_TUNED, plain_study, toy_study, tuned_study
 
 from studies.best import best_blocks, best_document
 from studies.console import Block, Said, Table

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from conftest import N_TUNED
 from toy_study_for_tests import (
     BRIEF,
     DIVERGING,
     FILES,
+    N_TUNED,
     SEARCH,
     SPECS,
     assert_mlflow_agrees,

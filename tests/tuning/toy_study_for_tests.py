@@ -24,6 +24,9 @@ from studies.tracking.quiet_mlflow import Run, connect
 from studies.tuning.declaration import SETS, Declaration
 from studies.tuning.storage import places
 
+N_TUNED = 12
+"""Trials of the studies that are tuned once for all tests."""
+
 ROOT = Path(__file__).resolve().parents[2]
 LABEL = "toy-small"
 SIZES = {"train": 32, "validation": 24, "test": 24}
