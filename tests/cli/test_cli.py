@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from project_for_tests import REPOSITORY, Run
+from project_for_tests import REPOSITORY, Run, copy_of
 
 from studies.cli import COMMANDS, EPILOG, build_parser, command_module, main
 from studies.console import Column, Console, format_seconds
@@ -185,6 +185,31 @@ def test_ui_says_which_database_is_locked(project: Path) -> None:
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "MLflow cannot open mlruns/mlflow.db" in done.stderr
     assert "database is locked" in done.stderr
+
+
+def test_a_plan_says_what_is_to_do_and_writes_nothing(new_project: Path, studies: Run) -> None:
+    before = sorted(new_project.rglob("*"))
+    document = studies("run", "--profile", "smoke", "--dry-run", "--json").document
+    assert document["n_simulations"] == 96
+    assert document["sizes"] == [
+        {"n_train": n_train, "n_left": 2, "training_s": None} for n_train in (16, 32)
+    ]
+    shown = studies("tune", "--profile", "smoke", "--dry-run").out
+    assert "96 of 96" in shown
+    assert "unknown before the first trial" in shown
+    assert sorted(new_project.rglob("*")) == before
+
+
+def test_a_plan_counts_what_is_there_and_takes_times_from_it(
+    finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy_of(finished, tmp_path / "project", monkeypatch)
+    plan = ("tune", "--profile", "tiny.toml", "--dry-run", "--json")
+    done = studies(*plan).document
+    assert (done["n_simulations"], done["sizes"]) == (0, [{"n_train": 16, "n_left": 0, "training_s": 0.0}])
+    (size,) = studies(*plan, "--trials", "5").document["sizes"]
+    assert size["n_left"] == 2
+    assert size["training_s"] > 0.0
 
 
 def test_ctrl_c_says_how_to_go_on(

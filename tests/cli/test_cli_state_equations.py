@@ -148,7 +148,6 @@ def test_how_sure_it_is_takes_no_more_than_the_sample(
     again = studies(*judge, "--again")
     assert again.code == 0, again.err
     assert json.loads(file.read_text(encoding="utf-8")) == found
-    assert studies("reproduce", "wall-quick/uncertainty-adaptive").code == 0
     # Without them it is another calibration, judged as ever.
     assert studies(*WALL, "--no-state-equations", "--max-calls", "20").code == 0
     assert studies(*judge).code == 0

@@ -67,19 +67,11 @@ def test_the_office_is_sound(project: Path, studies: Run) -> None:
     assert document["planned_simulations"]["training"] == 32
 
 
-def test_findings_are_a_table_for_people_and_a_plan_knows_them(project: Path, studies: Run) -> None:
-    plan = ("run", "--profile", "smoke", "--dry-run", "--json")
-    before = {step["what"]: step for step in studies(*plan).document["steps"]}
-    assert before["check"]["to_do"] == 1
-    assert before["simulate: training"]["basis"] == "unknown: type studies check office --profile smoke"
+def test_findings_are_a_table_for_people(project: Path, studies: Run) -> None:
     for _ in range(2):
         answer = studies("check", "--profile", "smoke")
         assert "what to do" in answer.out
         assert "0 failed" in answer.out.splitlines()[-1]
-    after = {step["what"]: step for step in studies(*plan).document["steps"]}
-    assert after["check"]["to_do"] == 0
-    assert after["simulate: training"]["basis"] == "examination of office-smoke"
-    assert after["simulate: training"]["seconds"] > 0.0
 
 
 def test_a_parameter_without_effect_fails_and_is_named(project: Path, studies: Run) -> None:
