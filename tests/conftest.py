@@ -32,7 +32,8 @@ LONGEST = (
     "test_cli_resume",
     "test_quick_profile",
     "test_reproduce",
-    "test_tuning_processes",
+    "test_killed",
+    "test_server",
     "test_doctor",
     "test_house",
 )

@@ -25,6 +25,9 @@ from studies.tracking.runs import RunStore  # noqa: E402
 from studies.tuning.storage import open_storage, place_of, places  # noqa: E402
 
 
+STARTED_S = 4.0
+
+
 def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str | None) -> bool:
     """Tune under fire, then look at what is left."""
     import optuna
@@ -43,7 +46,7 @@ def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str |
             stdout=subprocess.DEVNULL,
         )
         while command.poll() is None:
-            time.sleep(draw.uniform(0.5, 6.0))
+            time.sleep(draw.uniform(0.1, 2.0))
             workers = [
                 one for one in psutil.Process().children(recursive=True) if "worker" in " ".join(said(one))
             ]
