@@ -24,7 +24,6 @@ from studies.paths import ProjectPaths  # noqa: E402
 from studies.tracking.runs import RunStore  # noqa: E402
 from studies.tuning.storage import open_storage, place_of, places  # noqa: E402
 
-
 STARTED_S = 4.0
 
 
