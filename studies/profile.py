@@ -222,7 +222,6 @@ _OPTIONS = {
     "--n-train": ("data", "n_train"),
     "--trials": ("tuning", "n_trials"),
     "--parallel": ("tuning", "n_parallel"),
-    "--surrogate": ("tuning", "surrogate"),
     "--max-calls": ("polish", "max_calls"),
 }
 """By option of the command line: the value of a profile that it changes."""

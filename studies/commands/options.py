@@ -37,6 +37,12 @@ def add_case(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
     )
+    command.add_argument(
+        "--surrogate",
+        choices=("refined", "paper", "pca-gp"),
+        help="refined: a PELS-VAE of networks (default); paper: the same with the settings of the paper; "
+        "pca-gp: PCA and Gaussian processes",
+    )
 
 
 def add_simulation(command: argparse.ArgumentParser) -> None:
@@ -83,12 +89,6 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
-    )
-    command.add_argument(
-        "--surrogate",
-        choices=("refined", "paper", "pca-gp"),
-        help="refined: a PELS-VAE of networks (default); paper: the same with the settings of the paper; "
-        "pca-gp: PCA and Gaussian processes",
     )
 
 

@@ -143,6 +143,8 @@ def _command(chosen: argparse.Namespace, window: "Window | None") -> str:
     words = [chosen.case]
     if chosen.profile != "quick":
         words += ["--profile", chosen.profile]
+    if surrogate := vars(chosen).get("surrogate"):
+        words += ["--surrogate", surrogate]
     if window is not None:
         words += ["--window", str(window)]
     if chosen.seed is not None:

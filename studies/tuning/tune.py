@@ -20,7 +20,7 @@ from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, leaderboard_note, open_study_run
 from studies.tuning.declaration import Declaration
-from studies.tuning.results import TunedStudy, read_study
+from studies.tuning.results import TunedStudy, latest_studies, read_studies, read_study
 from studies.tuning.storage import (
     is_unfinished,
     make_study,
@@ -148,7 +148,10 @@ def tune(
             time.sleep(POLL_S)
     results = {name: one for size in largest_first for name, one in size.results.items()}
     found = [results[spec.name] for spec in specs]
-    runs.describe(specs[0].label, leaderboard_note(found, specs[0].note))
+    # The page shows all sizes of the label, those of other commands too.
+    label, case = specs[0].label, specs[0].digests["case"]
+    latest = latest_studies(read_studies(paths, label=label), case).values()
+    runs.describe(label, leaderboard_note(sorted(latest, key=lambda one: one.spec.n_train), specs[0].note))
     return found
 
 
