@@ -86,7 +86,8 @@ def test_the_trap_catches_who_does_not_take_care(hostile: Path) -> None:
 
 
 def test_what_an_fmu_starts_is_as_it_would_be_without_us(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    monkeypatch.setenv("PYTHONSAFEPATH", "")  # so that what is set below is taken back
+    monkeypatch.delenv("PYTHONSAFEPATH")
     start_safely()
     assert "PYTHONSAFEPATH" in os.environ
     assert "PYTHONSAFEPATH" not in as_for_fmus(os.environ)
