@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import optuna
+from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
@@ -155,16 +156,19 @@ def read_study(study: optuna.Study) -> TunedStudy:
     )
 
 
-def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[TunedStudy]:
+def read_studies(
+    paths: ProjectPaths, *, label: str | None = None, storage: RDBStorage | None = None
+) -> list[TunedStudy]:
     """Read the studies of a project, by label and size; those of other programs are left out.
 
     Args:
         paths: the project.
         label: only those of a label.
+        storage: the project's storage where it is open already.
     """
     if paths.storage is None and not paths.optuna_database.is_file():
         return []
-    storage = open_storage(paths)
+    storage = storage or open_storage(paths)
     found = []
     for summary in optuna.get_all_study_summaries(storage, include_best_trial=False):
         declared = summary.user_attrs.get(DECLARATION)

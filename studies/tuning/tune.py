@@ -150,7 +150,7 @@ def tune(
     found = [results[spec.name] for spec in specs]
     # The page shows all sizes of the label, those of other commands too.
     label, case = specs[0].label, specs[0].digests["case"]
-    latest = latest_studies(read_studies(paths, label=label), case).values()
+    latest = latest_studies(read_studies(paths, label=label, storage=storage), case).values()
     runs.describe(label, leaderboard_note(sorted(latest, key=lambda one: one.spec.n_train), specs[0].note))
     return found
 

@@ -38,10 +38,10 @@ def test_options_that_changed_a_profile_are_told() -> None:
     assert changed_words(quick, quick.to_dict()) == ""
     changed = json.loads(json.dumps(quick.to_dict()))
     changed["data"]["n_train"] = [64, 128]
-    changed["tuning"] |= {"n_trials": 8, "n_parallel": 4, "surrogate": "pca-gp"}
+    changed["tuning"] |= {"n_trials": 8, "n_parallel": 4}
     changed["polish"] = {"max_calls": 100}
     del changed["screening"]  # as in a recipe of another version
-    tuned = " --n-train 64 128 --trials 8 --parallel 4 --surrogate pca-gp"
+    tuned = " --n-train 64 128 --trials 8 --parallel 4"
     assert changed_words(quick, changed) == f"{tuned} --max-calls 100"
     assert changed_words(quick, changed, ("data", "tuning")) == tuned
 
