@@ -44,12 +44,12 @@ def require_tuning(study: Study) -> None:
 
 def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     """Bring the study of each training-set size to its trials; Optuna knows what is finished."""
-    from studies.tuning.tune import TuningError, is_closed, tune
+    from studies.tuning.tune import TuningError, closed_studies, tune
 
     budget, sizes = study.profile.tuning, study.profile.data.n_train
     started_s = time.perf_counter()
     specs = declarations(study, simulated.summary)
-    found = is_closed(specs, study.paths, budget.n_trials)
+    found = closed_studies(specs, study.paths, budget.n_trials)
     if found is not None:
         n = sum(one.n_ended for one in found)
         study.console.say(f"tune: finished before, {count(n, 'trial')} reused")

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import optuna
-from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
@@ -17,8 +16,8 @@ from studies.tuning.storage import (
     RUN_ID,
     declaration_of,
     errors_of,
-    open_storage,
     places,
+    storage_of,
 )
 
 State = Literal["complete", "pruned", "failed", "running", "waiting"]
@@ -156,24 +155,21 @@ def read_study(study: optuna.Study) -> TunedStudy:
     )
 
 
-def read_studies(
-    paths: ProjectPaths, *, label: str | None = None, storage: RDBStorage | None = None
-) -> list[TunedStudy]:
+def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[TunedStudy]:
     """Read the studies of a project, by label and size; those of other programs are left out.
 
     Args:
         paths: the project.
         label: only those of a label.
-        storage: the project's storage where it is open already.
     """
     if paths.storage is None and not paths.optuna_database.is_file():
         return []
-    storage = storage or open_storage(paths)
     found = []
-    for summary in optuna.get_all_study_summaries(storage, include_best_trial=False):
-        declared = summary.user_attrs.get(DECLARATION)
-        if isinstance(declared, dict) and label in (None, declared.get("label")):
-            found.append(read_study(optuna.load_study(study_name=summary.study_name, storage=storage)))
+    with storage_of(paths) as storage:
+        for summary in optuna.get_all_study_summaries(storage, include_best_trial=False):
+            declared = summary.user_attrs.get(DECLARATION)
+            if isinstance(declared, dict) and label in (None, declared.get("label")):
+                found.append(read_study(optuna.load_study(study_name=summary.study_name, storage=storage)))
     return sorted(
         found, key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s)
     )

@@ -74,6 +74,21 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
     return storage
 
 
+@contextmanager
+def storage_of(paths: ProjectPaths) -> Iterator[RDBStorage]:
+    """Open the project's Optuna storage, and close its connections at the end.
+
+    Yields:
+        the storage.
+    """
+    storage = open_storage(paths)
+    try:
+        yield storage
+    finally:
+        storage.remove_session()
+        storage.engine.dispose()
+
+
 def _prepare_sqlite(paths: ProjectPaths) -> None:
     if not paths.optuna_database.is_file():
         with closing(sqlite3.connect(paths.optuna_database)) as made:

@@ -24,8 +24,8 @@ from studies.tuning.results import TunedStudy, latest_studies, read_studies, rea
 from studies.tuning.storage import (
     is_unfinished,
     make_study,
-    open_storage,
     retry_lost,
+    storage_of,
     study_locked,
 )
 from studies.tuning.worker import RECIPE, STUDY_RUN
@@ -111,48 +111,49 @@ def tune(
         TuningError: a worker failed for a reason that is not a trial's.
         KeyboardInterrupt: after the workers were stopped and their trials given back.
     """
-    storage, runs = open_storage(paths), RunStore(paths)
-    sizes: dict[int, _Size] = {}
-    for spec, recipe in zip(specs, recipes or [{}] * len(specs), strict=True):
-        planned = 1 if spec.is_baseline else n_trials
-        with study_locked(storage, paths, spec.name):
-            study = make_study(storage, spec, n_trials=planned)
-            retry_lost(study)
-        if recipe and study.user_attrs.get(RECIPE) != recipe:
-            study.set_user_attr(RECIPE, recipe)
-        run_id = open_study_run(runs, spec, planned, study.user_attrs.get(STUDY_RUN), paths)
-        if study.user_attrs.get(STUDY_RUN) != run_id:
-            study.set_user_attr(STUDY_RUN, run_id)
-        end_left_runs(runs, study, spec)
-        part = _Part(spec, study, run_id, planned)
-        sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
-    largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
-    with _stopped_at_the_end(largest_first, storage, paths, runs):
-        while True:
-            for size in largest_first:
-                _look_after(size, storage, paths, runs)
-            is_late = until_s is not None and time.time() >= until_s
-            waiting = [] if is_late else [size for size in largest_first if size.is_unfinished]
-            for size in waiting:
-                n_free = n_jobs - sum(len(one.workers) for one in largest_first)
-                for _ in range(min(n_free, n_parallel - len(size.workers))):
-                    _start_worker(size, paths, until_s)
-            busy = [size for size in largest_first if size.workers]
-            for part in (part for size in busy for part in size.parts):
-                on_trials(part.spec, part.trials)
-            for size in largest_first:
-                if not size.workers and size not in waiting and not size.results:
-                    size.results = {part.spec.name: _close(part, runs, paths) for part in size.parts}
-            if not busy and not waiting:
-                break
-            time.sleep(POLL_S)
-    results = {name: one for size in largest_first for name, one in size.results.items()}
-    found = [results[spec.name] for spec in specs]
-    # The page shows all sizes of the label, those of other commands too.
-    label, case = specs[0].label, specs[0].digests["case"]
-    latest = latest_studies(read_studies(paths, label=label, storage=storage), case).values()
-    runs.describe(label, leaderboard_note(sorted(latest, key=lambda one: one.spec.n_train), specs[0].note))
-    return found
+    with storage_of(paths) as storage:
+        runs = RunStore(paths)
+        sizes: dict[int, _Size] = {}
+        for spec, recipe in zip(specs, recipes or [{}] * len(specs), strict=True):
+            planned = 1 if spec.is_baseline else n_trials
+            with study_locked(storage, paths, spec.name):
+                study = make_study(storage, spec, n_trials=planned)
+                retry_lost(study)
+            if recipe and study.user_attrs.get(RECIPE) != recipe:
+                study.set_user_attr(RECIPE, recipe)
+            run_id = open_study_run(runs, spec, planned, study.user_attrs.get(STUDY_RUN), paths)
+            if study.user_attrs.get(STUDY_RUN) != run_id:
+                study.set_user_attr(STUDY_RUN, run_id)
+            end_left_runs(runs, study, spec)
+            part = _Part(spec, study, run_id, planned)
+            sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
+        largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
+        with _stopped_at_the_end(largest_first, storage, paths, runs):
+            while True:
+                for size in largest_first:
+                    _look_after(size, storage, paths, runs)
+                is_late = until_s is not None and time.time() >= until_s
+                waiting = [] if is_late else [size for size in largest_first if size.is_unfinished]
+                for size in waiting:
+                    n_free = n_jobs - sum(len(one.workers) for one in largest_first)
+                    for _ in range(min(n_free, n_parallel - len(size.workers))):
+                        _start_worker(size, paths, until_s)
+                busy = [size for size in largest_first if size.workers]
+                for part in (part for size in busy for part in size.parts):
+                    on_trials(part.spec, part.trials)
+                for size in largest_first:
+                    if not size.workers and size not in waiting and not size.results:
+                        size.results = {part.spec.name: _close(part, runs, paths) for part in size.parts}
+                if not busy and not waiting:
+                    break
+                time.sleep(POLL_S)
+        results = {name: one for size in largest_first for name, one in size.results.items()}
+        found = [results[spec.name] for spec in specs]
+        # The page shows all sizes of the label, those of other commands too.
+        label, case = specs[0].label, specs[0].digests["case"]
+        latest = latest_studies(read_studies(paths, label=label), case)
+        runs.describe(label, leaderboard_note([latest[key] for key in sorted(latest)], specs[0].note))
+        return found
 
 
 def _start_worker(size: _Size, paths: ProjectPaths, until_s: float | None) -> None:
@@ -231,21 +232,25 @@ CLOSED = "closed"
 """Attribute of a study: how many trials it had when its best surrogate was registered."""
 
 
-def is_closed(specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int) -> list[TunedStudy] | None:
+def closed_studies(
+    specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int
+) -> list[TunedStudy] | None:
     """Return the studies where all of them are finished and registered, None where work is left."""
     if paths.storage is None and not paths.optuna_database.is_file():
         return None
-    storage, found = open_storage(paths), []
-    for spec in specs:
-        try:
-            study = optuna.load_study(study_name=spec.name, storage=storage)
-        except KeyError:
-            return None
-        trials = study.get_trials(deepcopy=False)
-        planned = 1 if spec.is_baseline else n_trials
-        if is_unfinished(trials, planned) or n_running(trials) or study.user_attrs.get(CLOSED) != len(trials):
-            return None
-        found.append(read_study(study))
+    found = []
+    with storage_of(paths) as storage:
+        for spec in specs:
+            try:
+                study = optuna.load_study(study_name=spec.name, storage=storage)
+            except KeyError:
+                return None
+            trials = study.get_trials(deepcopy=False)
+            planned = 1 if spec.is_baseline else n_trials
+            is_closed = study.user_attrs.get(CLOSED) == len(trials)
+            if is_unfinished(trials, planned) or n_running(trials) or not is_closed:
+                return None
+            found.append(read_study(study))
     return found
 
 

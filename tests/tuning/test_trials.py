@@ -24,7 +24,7 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.tuning.declaration import Declaration
 from studies.tuning.results import TunedStudy, read_studies, read_study
-from studies.tuning.tune import is_closed, tune
+from studies.tuning.tune import closed_studies, tune
 from studies.tuning.worker import Worker
 
 FINISHED = {"COMPLETE", "PRUNED", "FAIL"}
@@ -90,10 +90,10 @@ def test_a_finished_study_is_left_as_it_is(copied: ProjectPaths) -> None:
     assert asked == []
     assert [study.spec.name for study in found] == [spec.name for spec in SPECS]
     assert {spec.name: plain_study(copied, spec.name).get_trials() for spec in SPECS} == before
-    again = is_closed(SPECS, copied, N_TUNED)
+    again = closed_studies(SPECS, copied, N_TUNED)
     assert again is not None
     assert [study.trials for study in again] == [study.trials for study in found]
-    assert is_closed(SPECS, copied, N_TUNED + 1) is None
+    assert closed_studies(SPECS, copied, N_TUNED + 1) is None
 
 
 def test_two_workers_of_a_study_run_no_trial_too_many(project: ProjectPaths) -> None:
