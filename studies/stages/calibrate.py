@@ -47,7 +47,16 @@ def tuned_sizes(study: Study, asked: Sequence[int] | None) -> tuple[int, ...]:
     Raises:
         InputError: an asked size has no surrogate, or there is none at all.
     """
-    there = sorted(_best_by_size(study))
+    return tuple(_tuned(study, asked))
+
+
+def _tuned(study: Study, asked: Sequence[int] | None) -> "dict[int, TunedStudy]":
+    """Read the tuned studies of the asked sizes, by size; each has a best trial."""
+    from studies.tuning.results import latest_studies, read_studies
+
+    latest = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
+    found = {n: one for (n, is_baseline), one in latest.items() if one.best is not None and not is_baseline}
+    there = sorted(found)
     if not there:
         sizes = "".join(f" {n_train}" for n_train in asked or ())
         raise InputError(
@@ -60,14 +69,7 @@ def tuned_sizes(study: Study, asked: Sequence[int] | None) -> tuple[int, ...]:
             f"no surrogate of {study.label} for n_train = {missing[0]}, there are "
             f"{', '.join(map(str, there))}; type: studies tune {study.command} --n-train {missing[0]}"
         )
-    return tuple(sorted(set(asked or there)))
-
-
-def _best_by_size(study: Study) -> "dict[int, TunedStudy]":
-    from studies.tuning.results import latest_studies, read_studies
-
-    latest = latest_studies(read_studies(study.paths, label=study.label), study.case.digest)
-    return {n: one for (n, is_baseline), one in latest.items() if one.best is not None and not is_baseline}
+    return {n: found[n] for n in sorted(set(asked or there))}
 
 
 def best_surrogate(study: Study, n_train: int) -> "tuple[Surrogate, TunedStudy]":
@@ -76,13 +78,16 @@ def best_surrogate(study: Study, n_train: int) -> "tuple[Surrogate, TunedStudy]"
     Raises:
         InputError: there is none of this case, or its weights cannot be read here.
     """
+    tuned = _tuned(study, [n_train])[n_train]
+    return _surrogate_of(study, tuned), tuned
+
+
+def _surrogate_of(study: Study, tuned: "TunedStudy") -> "Surrogate":
     from studies.tracking.registry import load_surrogate
     from studies.tracking.stage_run import run_store
 
-    (size,) = tuned_sizes(study, [n_train])
-    tuned = _best_by_size(study)[size]
     assert tuned.best is not None, "sizes without a best trial are left out"
-    return load_surrogate(run_store(study.paths), tuned.best.run_id), tuned
+    return load_surrogate(run_store(study.paths), tuned.best.run_id)
 
 
 def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, again: bool = False) -> Outcome:
@@ -94,8 +99,7 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
         n_free: how many of the parameters are calibrated, the most relevant; None for all.
         again: calibrate though it is finished.
     """
-    tuned_sizes(study, [n_train])
-    tuned, profile = _best_by_size(study)[n_train], study.profile
+    tuned, profile = _tuned(study, [n_train])[n_train], study.profile
     assert tuned.best is not None, "sizes without a best trial are left out"
     inputs = {
         "case": study.case.digest,
@@ -117,7 +121,7 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
     @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        surrogate, _ = best_surrogate(study, n_train)
+        surrogate = _surrogate_of(study, tuned)
         restriction = None if n_free is None else find_restriction(study, n_free)
         numbers, arrays, wall = calibrate(study, surrogate, n_train, restriction)
         numbers = _head(study, tuned) | numbers
