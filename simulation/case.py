@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -224,7 +225,7 @@ def load_case(
     if communication_step_s is not None:
         step = {"communication_step_s": communication_step_s}
         file = file.model_copy(update={"time": file.time.model_copy(update=step)})
-    fmu = with_units(read_description((path.parent / file.fmu).resolve()), said_units(file), path)
+    fmu = with_units(read_description(Path(os.path.realpath(path.parent / file.fmu))), said_units(file), path)
     fmu.interface(file.interface, str(path))
     data = read_data(path, file)
     window = file.time.window if window_d is None else window_d

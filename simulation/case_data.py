@@ -1,5 +1,6 @@
 """The recordings of a case on one time axis: what is measured when, and what drives the model when."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -159,7 +160,7 @@ def read_data(path: Path, file: CaseFile) -> CaseData:
     folder = path.parent / file.data
     recordings = {
         name: read_recording(
-            Path((folder / name).resolve()),
+            Path(os.path.realpath(folder / name)),
             list(dict.fromkeys(wanted)),
             time_column=file.time_column,
             timezone=file.timezone,

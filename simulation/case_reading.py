@@ -1,9 +1,6 @@
 """Reading a case file, and what to say of one that is wrong: one line with key, value and remedy."""
 
 import difflib
-import re
-import tomllib
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,7 @@ from simulation.case_file import (
 from simulation.case_parameter import ParameterTable, PriorTable
 from simulation.case_table import Table
 from simulation.errors import InputError
+from simulation.foreign_file import CASE, parse_toml, read_text
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
 
 
@@ -37,43 +35,12 @@ def read_case_file(path: Path) -> CaseFile:
     Raises:
         InputError: If the file is missing, is no TOML, or has an unknown, missing or wrong key.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; a case is a folder with a case.toml") from None
-    except UnicodeDecodeError as error:
-        if zipfile.is_zipfile(path):
-            raise InputError(
-                f"{path}: is no case file but, it seems, an FMU; studies new makes a case of one"
-            ) from None
-        raise InputError(f"{path}: is not UTF-8 ({error.reason}); save it as UTF-8 text") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a text file") from None
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"{path}: not valid TOML: {shortened(str(error))}; {_line_remedy(text, str(error))}"
-        ) from None
-    except RecursionError:
-        raise InputError(f"{path}: its tables or lists stand in each other too deeply; correct it") from None
-    except ValueError:
-        # tomllib leaves this one to Python.
-        raise InputError(f"{path}: a number has thousands of digits; correct it") from None
+    text = read_text(path, CASE, if_missing="a case is a folder with a case.toml")
+    content = parse_toml(text, str(path))
     try:
         return CaseFile.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path}: {_in_one_line(error, content)}") from None
-
-
-def _line_remedy(text: str, told: str) -> str:
-    """Say what to do about the line that is no TOML: often a key that only quotes make one."""
-    place = re.search(r"at line (\d+)", told)
-    line = text.splitlines()[int(place[1]) - 1] if place else ""
-    key = re.match(r"\s*([^\s=\"'#\[{][^=\"'#]*?)\s*=", line)
-    if key and not re.fullmatch(r"[\w.-]+", key[1], re.ASCII):
-        return f'a name with more than letters and digits needs quotes; write "{shortened(key[1])}" = ...'
-    return "correct that line"
 
 
 def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:

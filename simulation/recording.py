@@ -14,6 +14,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.foreign_file import RECORDING, read_limited
 from simulation.foreign_text import quoted, shortened
 from simulation.time_unit import UNITS
 from simulation.timestamps import Clock, Timestamps
@@ -97,11 +98,10 @@ def read_recording(
     Raises:
         InputError: If the file or a column is missing, a cell is no number, or the times do not rise.
     """
-    if not path.exists():
-        remedy = if_missing or "put the recording there or correct `data` and `file`"
-        needed = ", ".join([time_column or TIME_COLUMN, *column_names])
-        raise InputError(f"{path}: no such file (columns {needed}); {remedy}")
-    rows, delimiter = _rows(path)
+    remedy = if_missing or "put the recording there or correct `data` and `file`"
+    needed = ", ".join([time_column or TIME_COLUMN, *column_names])
+    content = read_limited(path, RECORDING, if_missing=f"it needs the columns {shortened(needed)}; {remedy}")
+    rows, delimiter = _rows(path, content)
     if not rows or not any(cell.strip() for cell in rows[0]):
         raise InputError(f"{path}: the file is empty; the first line names the columns")
     # An umlaut may be one character or two.
@@ -147,10 +147,9 @@ def read_recording(
     return Recording(path, time, columns, clock, time_name)
 
 
-def _rows(path: Path) -> tuple[list[list[str]], str]:
+def _rows(path: Path, content: bytes) -> tuple[list[list[str]], str]:
     """Return the cells of all lines, and what separates them."""
     try:
-        content = path.read_bytes()
         if content.startswith(b"PK\x03\x04"):
             raise InputError(f"{path}: is a workbook, no CSV file; save its sheet as CSV")
         text = _decoded(content)
@@ -162,7 +161,7 @@ def _rows(path: Path) -> tuple[list[list[str]], str]:
                 f"{path}: line 1, {quoted(first.strip())}, is for a spreadsheet alone; remove it"
             )
         return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)), delimiter
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             f"{path}: not a readable CSV file ({error}); give a comma-separated text file"
         ) from None

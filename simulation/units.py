@@ -13,7 +13,8 @@ from simulation.errors import InputError
 BASE_UNITS: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 _SPELLINGS: Final = {"°C": "degC", "℃": "degC", "°": "deg", "·": ".", "*": ".", "²": "2", "³": "3", "^": ""}
-_TOKEN = re.compile(r"(?P<sign>[./()])|(?P<name>[^\W\d_]+|%)(?P<power>-?\d+)?|1")
+_TOKEN = re.compile(r"(?P<sign>[./()])|(?P<name>[^\W\d_]+|%)(?P<power>-?\d{1,2})?|1")
+_MOST_POWER: Final = 100  # of a number with thousands of digits no unit is made
 _RADIAN: Final = Fraction(math.pi) / 180
 
 # Units by name: exponents in SI base units, and the names of that kind with their size.
@@ -159,7 +160,12 @@ def conversion(
                 f'give the values in "{model}" or in a unit of the same kind'
             )
         factor, offset = mine.factor / theirs.factor, (mine.offset - theirs.offset) / theirs.factor
-    return Conversion(float(factor), 0.0 if is_difference else float(offset))
+    try:
+        return Conversion(float(factor), 0.0 if is_difference else float(offset))
+    except OverflowError:
+        raise InputError(
+            f'{where}: no number holds what 1 "{declared}" is in "{model}"; correct the unit'
+        ) from None
 
 
 def _check_definition(name: str, defined: UnitDefinition, where: str) -> None:
@@ -269,4 +275,5 @@ def _normal(unit: str) -> Exponents | str:
             case None:
                 if token["name"]:
                     exponents[token["name"]] += signs[-1] * turn * int(token["power"] or 1)
-    return _sorted(exponents) if len(signs) == 1 else text
+    is_unit = len(signs) == 1 and all(abs(power) < _MOST_POWER for power in exponents.values())
+    return _sorted(exponents) if is_unit else text

@@ -103,7 +103,7 @@ class Calibration:
         found = []
         for place, digest, is_text in made_from:
             file = self.paths.located(place)
-            if not file.is_file():  # gone, or something that reading would wait for
+            if file is None:
                 continue
             with suppress(OSError):
                 text = file.read_text(encoding="utf-8-sig", errors="replace") if is_text else ""

@@ -1,10 +1,11 @@
 """The file `studies.toml`, which makes a folder a project."""
 
 import os
-import tomllib
 from pathlib import Path
 
 from simulation.errors import InputError, MachineError
+from simulation.foreign_file import PROJECT, parse_toml, read_text
+from simulation.foreign_text import quoted
 from simulation.whole_file import whole_file
 from studies.console import Console
 
@@ -57,11 +58,8 @@ def mark_project(root: Path, console: Console) -> None:
 
 
 def _check(file: Path) -> None:
-    try:
-        schema = tomllib.loads(file.read_text(encoding="utf-8-sig")).get("schema")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read ({error}); write: schema = {SCHEMA}") from None
+    schema = parse_toml(read_text(file, PROJECT), str(file)).get("schema")
     if schema != SCHEMA:
         raise InputError(
-            f"{file}: schema is {schema!r}, this version reads {SCHEMA}; use the version that made it"
+            f"{file}: schema is {quoted(schema)}, this version reads {SCHEMA}; use the version that made it"
         )

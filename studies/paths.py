@@ -98,14 +98,24 @@ class ProjectPaths:
         project. Any other file is named absolutely.
         """
         for place in (path, path.resolve()):
-            if place.is_relative_to(self.root):
+            if place.is_relative_to(self.root) and ".." not in place.parts:
                 return place.relative_to(self.root).as_posix()
         return embedded_place(path.resolve()) or str(path.resolve())
 
-    def located(self, recorded: str) -> Path:
-        """Return the file that a recorded name means: the project's own, else that of an embedded case."""
+    def located(self, recorded: object) -> Path | None:
+        """Return the file or folder that a recorded name means: the project's own, else an embedded case's.
+
+        A record may be a stranger's. None is what is not there, is a pipe or a device, or lies
+        outside of both.
+        """
+        if not isinstance(recorded, str) or has_control(recorded) or ".." in Path(recorded).parts:
+            return None
         file = self.root / recorded
-        return file if file.exists() else embedded_file(recorded) or file
+        with suppress(OSError):  # a name that is too long
+            if file.is_relative_to(self.root) and (file.is_file() or file.is_dir()):
+                return file
+            return embedded_file(recorded)
+        return None
 
     def show(self, path: Path) -> str:
         """Return a path that holds in the working folder, for people; results remember `recorded` names.
@@ -168,13 +178,13 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
         return named[case]
     given = Path(case).expanduser()
     with suppress(OSError):  # a name that is too long
-        if (given / "case.toml").is_file():
+        if (given / "case.toml").exists():
             return given / "case.toml"
         if given.is_dir():
             raise InputError(
                 f"the folder {case!r} has no case.toml; give a case's name, its file or its folder"
             )
-        if given.is_file():
+        if given.exists():
             return given
     known = f"cases in {paths.fmus}: {', '.join(own) or 'none'}"
     if paths.root != EMBEDDED:

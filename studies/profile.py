@@ -1,6 +1,5 @@
 """Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -12,6 +11,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from simulation.errors import InputError
+from simulation.foreign_file import PROFILE, parse_toml, read_text
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
 from studies.search_space import STRICT, Count, Positive, SearchParameter, SearchSpace, check_space, space_of
 
@@ -174,19 +174,11 @@ def load_profile(profile: str) -> Profile:
         InputError: no such profile, no TOML, an unknown key or a value out of its range.
     """
     file = _find_profile(profile)
+    content = parse_toml(read_text(file, PROFILE), str(file))
     try:
-        return _READER.validate_python(tomllib.loads(file.read_text(encoding="utf-8-sig")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} is no TOML: {shortened(str(error))}") from None
-    except RecursionError:
-        raise InputError(f"{file}: its tables or lists stand in each other too deeply; correct it") from None
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); give a text file") from None
+        return _READER.validate_python(content)
     except ValidationError as error:
         raise InputError(f"{file}: {_in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
-    except ValueError:
-        # tomllib leaves this one to Python.
-        raise InputError(f"{file}: a number has thousands of digits; correct it") from None
 
 
 def profile_from(content: Mapping[str, Any], where: str) -> Profile:
@@ -264,7 +256,7 @@ def _find_profile(profile: str) -> Path:
         return shipped
     given = Path(profile).expanduser()
     with suppress(OSError):  # a name that is too long
-        if given.is_file():
+        if given.exists() and not given.is_dir():
             return given
     raise InputError(
         f"there is no profile {quoted(profile)}; give {', '.join(profile_names())} or the path of a "

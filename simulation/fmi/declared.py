@@ -11,8 +11,10 @@ import fmpy
 
 from simulation.errors import InputError
 from simulation.fmi.variable import FmiVersion, FmuInterface, FmuVariable
+from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
+LAST_REFERENCE: Final = 2**32 - 1
 # Folder of this platform's binaries, by FMI version.
 PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
 
@@ -38,7 +40,9 @@ def declared_unit(unit: Any) -> UnitDefinition:
         if base is None or not base.factor
         else Unit.of({name: int(getattr(base, name)) for name in BASE_UNITS}, base.factor, base.offset),
         displayed={
-            str(shown.name): (shown.factor, shown.offset) for shown in unit.displayUnits if shown.factor
+            str(shown.name): (shown.factor, shown.offset)
+            for shown in unit.displayUnits
+            if shown.factor and math.isfinite(shown.factor) and math.isfinite(shown.offset)
         },
     )
 
@@ -54,7 +58,9 @@ def read_model(path: Path, content: bytes) -> tuple[Any, str]:
             return model, complaint
         except Exception as error:  # fmpy raises plain exceptions of many kinds
             complaint = complaint or " ".join(str(error).split())
-    raise InputError(f"{path}: its modelDescription.xml is not valid ({complaint}); export it again")
+    raise InputError(
+        f"{path}: its modelDescription.xml is not valid ({shortened(complaint)}); export it again"
+    )
 
 
 def _complete(model: Any, content: bytes) -> None:
@@ -102,10 +108,13 @@ def declared_interface(declared: Any) -> FmuInterface:
 def declared_variable(variable: Any) -> FmuVariable:
     """Say what a variable of fmpy says, its declared type included."""
     declared = variable.declaredType
+    reference = int(variable.valueReference)
+    if not 0 <= reference <= LAST_REFERENCE:
+        raise ValueError(f"{variable.name} has the value reference {reference}")
     causality = str(variable.causality or "local")
     return FmuVariable(
         name=str(variable.name),
-        reference=int(variable.valueReference),
+        reference=reference,
         causality=causality,
         kind=str(variable.type),
         unit=str(variable.unit or (declared.unit if declared is not None else None) or ""),

@@ -4,10 +4,11 @@ import difflib
 import hashlib
 import io
 import zipfile
-from collections.abc import Container, Mapping
+from collections.abc import Collection, Container, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from simulation.errors import InputError
 from simulation.fmi.declared import (
@@ -22,6 +23,8 @@ from simulation.fmi.declared import (
 )
 from simulation.fmi.kinds import SETTERS
 from simulation.fmi.variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
+from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, read_limited
+from simulation.foreign_text import shortened
 from simulation.units import UnitDefinition
 
 # The loops read outputs into an array of doubles; inputs are set by the function of their kind.
@@ -199,19 +202,37 @@ def read_description(path: Path) -> FmuDescription:
         InputError: If the file is missing, no FMU, of another FMI version, without co-simulation and model
             exchange, or has no binary for this platform.
     """
+    content = read_limited(path, FMU, if_missing="correct `fmu` in the case file or put the FMU there")
     try:
-        content = path.read_bytes()
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = archive.namelist()
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; correct `fmu` in the case file or put the FMU there"
-        ) from None
-    except (OSError, zipfile.BadZipFile) as error:
+            members = archive.infolist()
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: not an FMU ({error}); export it again, an FMU is a zip archive") from None
-    if "modelDescription.xml" not in members:
+    check_members(members, str(path))
+    sizes = {member.filename: member.file_size for member in members}
+    if "modelDescription.xml" not in sizes:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
+    DESCRIPTION.check(sizes["modelDescription.xml"] / 1e6, str(path))
     model, complaint = read_model(path, content)
+    try:
+        return _described(path, content, model, complaint, names=sizes)
+    except InputError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: its modelDescription.xml is not valid ({shortened(str(error))}); export it again"
+        ) from None
+
+
+def _described(
+    path: Path, content: bytes, model: Any, complaint: str, *, names: Collection[str]
+) -> FmuDescription:
+    """Take what fmpy read into this package's types, whose values need no further look.
+
+    Raises:
+        InputError: If nothing here can run it, or a number in it is absurd.
+        Exception: If something in it is not what its name promises.
+    """
     version = declared_version(path, str(model.fmiVersion))
     declared = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
     interfaces = {name: declared_interface(one) for name, one in declared.items() if one is not None}
@@ -220,16 +241,20 @@ def read_description(path: Path) -> FmuDescription:
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
         )
     binaries = {name: binary_member(version, one.model_identifier) for name, one in interfaces.items()}
-    runnable = {name: one for name, one in interfaces.items() if binaries[name] in members}
+    runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
     if not runnable:
         platforms = {
-            name.split("/")[1] for name in members if name.startswith("binaries/") and name.count("/") > 1
+            name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1
         }
         held = f"it has one for {', '.join(sorted(platforms))}" if platforms else "it has none at all"
         raise InputError(
             f"{path}: no binary for this platform ({next(iter(binaries.values()))} is missing, {held}); "
             f"export or compile it for {PLATFORM_FOLDERS[version]}"
         )
+    n_event_indicators = int(model.numberOfEventIndicators)
+    if n_event_indicators < 0:
+        raise ValueError(f"{n_event_indicators} event indicators")
+    EVENT_INDICATORS.check(n_event_indicators, str(path))
     derivatives = [unknown.variable for unknown in model.derivatives]
     experiment = model.defaultExperiment
     return FmuDescription(
@@ -256,7 +281,7 @@ def read_description(path: Path) -> FmuDescription:
             for unknown in model.derivatives
             if unknown.dependencies is not None
         },
-        n_event_indicators=int(model.numberOfEventIndicators),
+        n_event_indicators=n_event_indicators,
         description=str(model.description or ""),
         complaint=complaint,
         units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},

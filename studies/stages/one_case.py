@@ -1,9 +1,9 @@
 """A label holds the results of one case file: another one of the same name must not replace them."""
 
-import tomllib
 from pathlib import Path
 
 from simulation.errors import InputError
+from simulation.foreign_file import CASE, parse_toml, read_text
 from studies.stages.pipeline import Study, read_json
 
 
@@ -19,8 +19,8 @@ def refuse_other_case(study: Study) -> None:
     case, paths = study.case, study.paths
     for manifest in sorted(study.results.glob("*.json")):
         recorded = (read_json(manifest) or {}).get("case_file")
-        other = paths.located(str(recorded))
-        if recorded is None or other.resolve() == case.path.resolve() or _name_in(other) != case.name:
+        other = paths.located(recorded)
+        if other is None or other.resolve() == case.path.resolve() or _name_in(other) != case.name:
             continue
         raise InputError(
             f'{paths.show(case.path)}: name = "{case.name}" is also that of {paths.show(other)}, whose '
@@ -32,7 +32,7 @@ def refuse_other_case(study: Study) -> None:
 def _name_in(file: Path) -> str | None:
     """Return the name that a case file declares, None where there is none."""
     try:
-        name = tomllib.loads(file.read_text(encoding="utf-8-sig")).get("name")
-    except (OSError, ValueError):
+        name = parse_toml(read_text(file, CASE), str(file)).get("name")
+    except InputError:
         return None
     return name if isinstance(name, str) else None

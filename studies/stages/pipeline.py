@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulation.foreign_file import RECORD, read_limited
 from simulation.whole_file import whole_file
 from studies.console import Console
 from studies.paths import ProjectPaths
@@ -113,9 +114,8 @@ def _with_shown_places(value: Any, paths: ProjectPaths, *, is_place: bool = Fals
         }
     if isinstance(value, list):
         return [_with_shown_places(one, paths, is_place=is_place) for one in value]
-    if is_place and isinstance(value, str) and (file := paths.located(value)).exists():
-        return paths.show(file)
-    return value
+    file = paths.located(value) if is_place else None
+    return value if file is None else paths.show(file)
 
 
 def digest_of(inputs: Mapping[str, Any]) -> str:
@@ -209,8 +209,8 @@ def read_manifest(paths: ProjectPaths, file: Path, digest: str) -> dict[str, Any
 def read_json(file: Path) -> dict[str, Any] | None:
     """Return a JSON object, or None where there is no readable one."""
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = json.loads(read_limited(file, RECORD))
+    except (ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
 

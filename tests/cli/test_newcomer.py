@@ -17,7 +17,7 @@ def test_from_a_foreign_fmu_to_calibrated_values(
     assert made.document["next"] == ["studies check heatedtank", "studies calibrate heatedtank"]
     missing = studies("check", "heatedtank", "--profile", "smoke")
     assert missing.code == 2
-    assert "data/heatedtank/measured.csv: no such file (columns time_s, T)" in missing.err
+    assert "data/heatedtank/measured.csv: no such file; it needs the columns time_s, T" in missing.err
 
     write_recordings(project / "data" / "heatedtank")
     case = project / "fmus" / "heatedtank" / "case.toml"
