@@ -286,7 +286,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,
         settings=settings,
-        policy=ExecutionPolicy(**file.simulation.model_dump()),
+        policy=ExecutionPolicy(**file.simulation.model_dump(), opening_s=file.simulation.timeout_s),
         said_units=said_units(file),
         references=tuple(
             KnownError(table.label, table.mse, table.target)

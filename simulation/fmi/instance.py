@@ -16,6 +16,7 @@ from simulation.fmi.description import FmuDescription
 from simulation.fmi.log import CALLBACKS_2, LOGGER_3, forget_messages, last_message
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.fmi.variable import Interface
+from simulation.foreign_code import foreign_code
 
 OK: Final = 0
 WARNING: Final = 1
@@ -229,7 +230,7 @@ class FmuInstance:
         path = self._folder / binary_member(self._description.fmi_version, identifier.model_identifier)
         # Some libraries look for others beside them in the working directory.
         try:
-            with _LOADING, contextlib.chdir(path.parent):
+            with _LOADING, contextlib.chdir(path.parent), foreign_code():
                 return ctypes.CDLL(str(path))
         except OSError as error:
             said = " ".join(str(error).split())
@@ -264,7 +265,7 @@ class FmuInstance:
             if co_simulation:
                 arguments += (None,)
         # Files that it writes while it starts go with the unpacked FMU.
-        with _LOADING, contextlib.chdir(self._folder):
+        with _LOADING, contextlib.chdir(self._folder), foreign_code():
             self.component = int(make(*arguments) or 0)
 
     def _maker(self, name: str) -> Any:

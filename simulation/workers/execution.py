@@ -15,8 +15,9 @@ class ExecutionPolicy:
     """What happens to simulations that hang, crash or fail; nothing here changes what a good one answers.
 
     Attributes:
-        timeout_s: Time after which a simulation is killed; None for never: there is no hidden one. Opening
-            the model in a new process is given at least a minute. [s]
+        timeout_s: Time after which a simulation is killed; None for never: there is no hidden one. [s]
+        opening_s: Time after which an FMU that is loaded or instantiated is killed; None for never. With a
+            time-out, what opens a model beside that, as compiling its loop, has a minute. [s]
         retries: How often a row whose process died is tried again.
         timeout_retries: How often a row that was killed at its time-out is tried again.
         max_failed_share: Share of failed rows above which a campaign stops and says why, once 20 rows have
@@ -28,6 +29,7 @@ class ExecutionPolicy:
     """
 
     timeout_s: float | None = None
+    opening_s: float | None = None
     retries: int = 1
     timeout_retries: int = 0
     max_failed_share: float = 0.5

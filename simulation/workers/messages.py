@@ -22,10 +22,11 @@ class Fire:
 
 @dataclass(frozen=True)
 class Limits:
-    """When a worker asks to be replaced; see ExecutionPolicy."""
+    """When a worker asks to be replaced, and when it ends itself; see ExecutionPolicy."""
 
     max_growth_mb: float
     max_rows: int | None
+    opening_s: float | None
 
 
 @dataclass(frozen=True)

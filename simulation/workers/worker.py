@@ -22,7 +22,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from simulation.errors import InputError, MachineError
+from simulation.foreign_code import opening_limited
 from simulation.scratch import ScratchFolder
+from simulation.workers.family import adopt_orphans, kill_descendants
 from simulation.workers.memory_watch import OutOfMemoryWatch
 from simulation.workers.messages import (
     Ended,
@@ -53,6 +55,7 @@ def main(descriptor: int) -> None:
         descriptor: The connection's file descriptor.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    adopt_orphans()
     control = Connection(descriptor)
     os.set_inheritable(descriptor, False)
     with contextlib.suppress(EOFError, OSError):  # nobody is there any more
@@ -141,6 +144,7 @@ class _Nursery:
                 _kill(pid)
             for pid in self._workers.values():
                 os.waitpid(pid, 0)
+            kill_descendants(os.getpid())
             self._scratch.remove()
             signal.set_wakeup_fd(-1)
             for end in self._pipe:
@@ -189,6 +193,7 @@ class _Nursery:
             _kill(pid)
             exit_code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
             del self._workers[worker]
+            kill_descendants(os.getpid(), but=frozenset(self._workers.values()))
             folder = self._folder(worker)
             last_line = _last_line(folder / "log")
             shutil.rmtree(folder, ignore_errors=True)
@@ -202,10 +207,12 @@ class _Nursery:
 
 def _work(connection: Connection, make_model: Recipe, folder: Path, limits: Limits) -> int:
     """Be a worker: open the model, then run what comes; return the exit code."""
+    adopt_orphans()
     _end_with(connection)
     _settle(folder)
     try:
-        model = make_model()
+        with opening_limited(limits.opening_s):
+            model = make_model()
         facts = Facts(model.parameter_space, model.output_names, model.time)
     except Exception as error:
         connection.send(_refusal(error))
@@ -239,6 +246,7 @@ def _end_with(connection: Connection) -> None:
         # A fork of the process that we work for may hold the far end open: its child notices.
         while not far_end.poll(1000) and os.getppid() == parent:
             pass
+        kill_descendants(os.getpid())
         os.killpg(0, signal.SIGKILL)
 
     threading.Thread(target=watch, name="end-with-connection", daemon=True).start()

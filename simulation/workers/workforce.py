@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from simulation.errors import InputError
+from simulation.foreign_code import ENDED_BY
 from simulation.workers.execution import ExecutionPolicy
 from simulation.workers.messages import Ended, Limits, Opened, Ran, Refused
 from simulation.workers.nursery import Event, Nursery, NurseryEnded, Worker, error_of
@@ -110,7 +111,7 @@ class Workforce:
 
     def _new_nursery(self) -> Nursery:
         """Start the process that workers are forked from; whatever killed the last may not do so again."""
-        limits = Limits(self._policy.max_growth_mb, self._policy.max_rows_per_process)
+        limits = Limits(self._policy.max_growth_mb, self._policy.max_rows_per_process, self._policy.opening_s)
         while True:
             self._n_starts += 1
             try:
@@ -168,7 +169,10 @@ class Workforce:
             worker.is_leaving = True
             self._refused(event)
         elif isinstance(event, Ended) and event.exit_code is not None and not worker.is_leaving:
-            self._refused_for_users(f"opening it {how_it_ended(event)}; try it in another FMI tool")
+            if event.exit_code == -ENDED_BY and self._policy.opening_s is not None:
+                self._has_hung(self._policy.opening_s)
+            else:
+                self._refused_for_users(f"opening it {how_it_ended(event)}; try it in another FMI tool")
 
     def _refused(self, why: Refused) -> None:
         """Try again later; give up where nobody works and nobody is likely to."""
@@ -196,15 +200,20 @@ class Workforce:
                 continue
             if timeout_s is not None:
                 self.fire(worker)
-                self._refused_for_users(
-                    f"did not open within {patience:g} s and was stopped; raise simulation.timeout_s"
-                )
+                self._has_hung(patience)
             elif not self._has_warned_of_opening:
                 self._has_warned_of_opening = True
                 self._on_warning(
                     f"{subject(self._make_model)} has been opening for {patience:g} s; does it wait for a "
                     "licence? simulation.timeout_s stops it"
                 )
+
+    def _has_hung(self, patience_s: float) -> None:
+        # Whoever hung will hang again, and nobody waits for that twice.
+        self._n_refused = max(self._n_refused, _FIRST_ATTEMPTS - 1)
+        self._refused_for_users(
+            f"did not open within {patience_s:g} s and was stopped; raise simulation.timeout_s"
+        )
 
     def _refused_for_users(self, what: str) -> None:
         self._refused(Refused(f"{subject(self._make_model)}: {what}", InputError))

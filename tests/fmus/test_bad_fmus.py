@@ -4,6 +4,7 @@ import os
 import re
 import sys
 import tempfile
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from bad_fmus import (
     ALWAYS,
     BAD_ABOVE,
     COUNT_VARIABLE,
+    NEVER,
     PARAMETERS,
     SOMETIMES,
     build_bad_fmu,
@@ -209,9 +211,41 @@ def test_an_fmu_that_says_kelvin_and_gives_degrees_answers_what_it_answers(bad_f
     np.testing.assert_allclose(y, closed_form(theta, TIME) - 273.15, rtol=0, atol=EXACT_K)
 
 
+@pytest.mark.parametrize("behaviour", ["LOADS", "STUCK"])
+def test_an_fmu_that_hangs_when_it_is_opened_takes_its_time_out(behaviour, bad_fmu, trace):
+    began = time.monotonic()
+    with pytest.raises(InputError, match=r"did not open within 0\.5 s and was stopped; raise simulation"):
+        campaign(bad_fmu(behaviour), make_theta(3, []), timeout_s=TIMEOUT_S, opening_s=TIMEOUT_S)
+    assert time.monotonic() - began < 15.0, "0.5 s, and the start of a process on a busy machine"
+
+
+def daemons():
+    """Processes that an FMU started and that left everything but our family."""
+    return [one.pid for one in psutil.process_iter(["cmdline"]) if one.info["cmdline"] == ["a-daemon", "987"]]
+
+
+@pytest.mark.parametrize("end", ["close", "killed worker", "killed nursery"])
+def test_a_daemon_that_an_fmu_starts_ends_with_its_process(end, bad_fmu, trace):
+    fmu, before = bad_fmu("DAEMON"), daemons()
+    with ParallelModel(settings_of(fmu).open, 2) as model:
+        assert not model.simulate(make_theta(20, [])).failed.any()
+        (worker,) = [one for one in psutil.Process().children(recursive=True) if has_loaded(one)]
+        assert len(daemons()) > len(before), "each instance starts one"
+        if end != "close":
+            (worker if end == "killed worker" else worker.parent()).kill()
+            deadline = time.monotonic() + 10.0
+            while set(daemons()) - set(before) and time.monotonic() < deadline:
+                time.sleep(0.05)
+            assert daemons() == before
+            # And the rows go on in a new one.
+            assert not model.simulate(make_theta(20, [])).failed.any()
+    assert daemons() == before
+
+
 def test_every_behaviour_has_a_test():
     tested = {*REASONS, "LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES", "LICENCE", "UNITS", "FROZEN"}
     # Only the doctor sees those: no process can tell.
     tested |= {"ICED", "RANDOM"}
-    assert tested == {*SOMETIMES, *ALWAYS}
+    tested |= {"LOADS", "STUCK", "DAEMON"}
+    assert tested == {*SOMETIMES, *ALWAYS, *NEVER}
     assert os.environ.get(COUNT_VARIABLE) is None

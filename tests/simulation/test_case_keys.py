@@ -128,7 +128,9 @@ def test_patience_is_declared_and_changes_no_digest(decay_case: Path):
         ),
     )
     after = load_case(decay_case)
-    assert after.policy == ExecutionPolicy(timeout_s=30, retries=2, max_failed_share=0.9, max_workers=1)
+    assert after.policy == ExecutionPolicy(
+        timeout_s=30, opening_s=30, retries=2, max_failed_share=0.9, max_workers=1
+    )
     assert (after.digest, after.model_digest) == (before.digest, before.model_digest)
 
 

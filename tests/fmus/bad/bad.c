@@ -33,6 +33,9 @@
 #define FROZEN 27   /* the parameters of the process's first simulation hold for all of its others */
 #define ICED 28     /* as FROZEN, but k only */
 #define RANDOM 29   /* no two simulations are alike */
+#define LOADS 30    /* hangs while it is loaded */
+#define STUCK 31    /* hangs while it is instantiated */
+#define DAEMON 32   /* starts a process that leaves its session, its group and its parent, and sleeps */
 
 #define BAD_ABOVE 0.995
 #define LEAK_BYTES (1 << 20)
@@ -82,6 +85,32 @@ static void count(const Instance *m)
     }
 }
 
+static void for_ever(void)
+{
+    for (;;) {
+        pause();
+    }
+}
+
+static void start_daemon(void)
+{
+    if (fork() == 0) {
+        setsid();
+        if (fork() == 0) {
+            setsid();
+            execlp("sleep", "a-daemon", "987", (char *)NULL);
+        }
+        _exit(0);
+    }
+}
+
+__attribute__((constructor)) static void loaded(void)
+{
+    if (BEHAVIOUR == LOADS) {
+        for_ever();
+    }
+}
+
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
 {
@@ -93,6 +122,11 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     Instance *m = calloc(1, sizeof(Instance));
     if (m == NULL) {
         return NULL;
+    }
+    if (BEHAVIOUR == STUCK) {
+        for_ever();
+    } else if (BEHAVIOUR == DAEMON) {
+        start_daemon();
     }
     m->callbacks = callbacks;
     m->x = 300.0;

@@ -13,7 +13,21 @@ import pytest
 SOURCE = Path(__file__).with_name("bad.c")
 # Those that go wrong where `trouble` exceeds BAD_ABOVE, and those that always do; named as in bad.c.
 SOMETIMES = ("CRASH", "HANG", "EXIT", "NANS", "ERROR", "DISCARD", "FATAL", "ONCE")
-ALWAYS = ("LEAK", "STICKY", "NO_RESET", "UNITS", "LICENCE", "PRINTS", "WRITES", "FROZEN", "ICED", "RANDOM")
+ALWAYS = (
+    "LEAK",
+    "STICKY",
+    "NO_RESET",
+    "UNITS",
+    "LICENCE",
+    "PRINTS",
+    "WRITES",
+    "FROZEN",
+    "ICED",
+    "RANDOM",
+    "DAEMON",
+)
+# Those that no rows get out of.
+NEVER = ("LOADS", "STUCK")
 BAD_ABOVE = 0.995
 BASE_K = 290.0
 PARAMETERS = ("k", "x0", "trouble")
