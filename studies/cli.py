@@ -23,6 +23,7 @@ from simulation.foreign_text import escaped
 from simulation.workers.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
+from studies.environment import check_surroundings, explain
 from studies.interrupts import interrupt_heeded, interrupts_kept, is_interrupt
 from studies.storage_url import hide_passwords
 
@@ -118,12 +119,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as done:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
-    if argv is None:
-        from studies.command_folder import give_temporary_folder
-
-        give_temporary_folder()
     with interrupts_kept():
         try:
+            check_surroundings(arguments)
+            if argv is None:
+                from studies.command_folder import give_temporary_folder
+
+                give_temporary_folder()
             answer: int = command_module(chosen.command).run(chosen, console)
             return answer
         except (Exception, KeyboardInterrupt) as error:
@@ -257,7 +259,6 @@ def _interrupted(console: Console, arguments: Sequence[str]) -> int:
 
 def _failed(console: Console, error: BaseException) -> int:
     """Report a failed stage in one line; an unforeseen error also prints its traceback."""
-    from studies.environment import explain
     from studies.stages.pipeline import StageError
 
     explained = explain(error)

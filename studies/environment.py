@@ -1,6 +1,14 @@
 """What a user is told when the machine is in the way: a full disk, a missing permission, no memory."""
 
 import errno
+import os
+import re
+import resource
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from simulation.errors import MachineError
 
 _REMEDIES = {
     errno.EACCES: "allow reading and writing there",
@@ -17,12 +25,48 @@ _REMEDIES = {
 }
 
 
+_NO_MEMORY = re.compile(r"allocate memory|failed to map segment|start new thread|shared object")
+
+
+def check_surroundings(words: Sequence[str]) -> None:
+    """Refuse to begin where every command would fail somewhere deep inside.
+
+    Args:
+        words: the command line.
+
+    Raises:
+        MachineError: the working folder was deleted or cannot be named here, or /proc is missing.
+    """
+    try:
+        here = str(Path.cwd())
+    except OSError:
+        raise MachineError("the working folder was deleted; go to another folder (cd)") from None
+    for place in (here, *words):
+        if any("\udc80" <= sign <= "\udcff" for sign in place):
+            raise MachineError(
+                f"{place} is no text in the encoding {sys.getfilesystemencoding()}; set LC_ALL=C.UTF-8, or "
+                "rename it where its name is not UTF-8"
+            )
+    if not Path("/proc/self/status").exists():
+        raise MachineError("/proc is missing, which tells of processes and memory; mount it")
+
+
 def explain(error: BaseException) -> str | None:
     """Say in one line what is in the way and the remedy; None where the error is something else."""
     if isinstance(error, MemoryError):
         said = " ".join(str(error).split()) or "the memory is exhausted"
         return f"too little memory: {said}; take fewer samples, longer steps or fewer --jobs"
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most != resource.RLIM_INFINITY and any(_NO_MEMORY.search(str(one)) for one in _chain(error)):
+        return f"too little memory: a process may have {most / 1e6:.0f} MB here; allow more (ulimit -v)"
     if isinstance(error, OSError) and error.errno in _REMEDIES:
         where = f": {error.filename}" if error.filename else ""
         return f"{error.strerror}{where}; {_REMEDIES[error.errno]}, then type the command again"
     return None
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """Return an error and what it came from."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
