@@ -44,3 +44,8 @@ def shortened(text: str, most: int = MOST_QUOTED) -> str:
     """
     text = escaped(text[: most + 1])
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def without_pictures(markdown: str) -> str:
+    """Return a note in Markdown without pictures and HTML, which a browser would fetch from others."""
+    return markdown.replace("![", "!\\[").replace("<", "&lt;")

@@ -1,7 +1,6 @@
 """What a user is told when the machine is in the way: a full disk, a missing permission, no memory."""
 
 import errno
-import os
 import re
 import resource
 import sys
@@ -27,6 +26,9 @@ _REMEDIES = {
 
 _NO_MEMORY = re.compile(r"allocate memory|failed to map segment|start new thread|shared object")
 
+LEAST_MB = 1200
+"""Address space in which a case is calibrated; with half of it, SciPy's OpenBLAS hangs when it is loaded."""
+
 
 def check_surroundings(words: Sequence[str]) -> None:
     """Refuse to begin where every command would fail somewhere deep inside.
@@ -35,8 +37,14 @@ def check_surroundings(words: Sequence[str]) -> None:
         words: the command line.
 
     Raises:
-        MachineError: the working folder was deleted or cannot be named here, or /proc is missing.
+        MachineError: a process may have too little memory, the working folder was deleted or cannot be
+            named here, or /proc is missing.
     """
+    most_mb = resource.getrlimit(resource.RLIMIT_AS)[0] / 1e6
+    if resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY and most_mb < LEAST_MB:
+        raise MachineError(
+            f"a process may have {most_mb:.0f} MB here, and {LEAST_MB} are needed; allow more (ulimit -v)"
+        )
     try:
         here = str(Path.cwd())
     except OSError:

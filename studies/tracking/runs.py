@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
+from simulation.foreign_text import without_pictures
 from studies.paths import ProjectPaths, folder_name
 from studies.storage_url import hide_passwords
 from studies.tracking.origin import origin_tags
@@ -78,7 +79,7 @@ class RunStore:
 
     def describe(self, label: str, note: str) -> None:
         """Set the text at the head of a label's page."""
-        self.client.set_experiment_tag(self.experiment(label), NOTE, note)
+        self.client.set_experiment_tag(self.experiment(label), NOTE, without_pictures(note))
 
     def find(self, label: str, tags: Mapping[str, str], *, status: RunStatus | None = None) -> list[Run]:
         """Return the runs of an experiment that have all of some tags, the earliest first."""
@@ -103,6 +104,7 @@ class RunStore:
         """Make a run, and return its id."""
         start = None if start_s is None else round(1000.0 * start_s)
         said = {**self._origin, "label": label, **{key: str(value) for key, value in tags.items()}}
+        said |= {NOTE: without_pictures(said[NOTE])} if NOTE in said else {}
         run = self.client.create_run(self.experiment(label), start_time=start, run_name=name, tags=said)
         return str(run.info.run_id)
 

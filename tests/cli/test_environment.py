@@ -2,11 +2,14 @@
 
 import errno
 import os
+import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from project_for_tests import Run
+from project_for_tests import REPOSITORY, Run
 
 from studies.environment import explain
 
@@ -52,3 +55,74 @@ def test_what_is_in_the_way_is_named_with_its_remedy(error: Exception, fragments
 @pytest.mark.parametrize("error", [ValueError("ours"), OSError("without a number")])
 def test_what_is_not_the_machines_fault_is_left_alone(error: Exception) -> None:
     assert explain(error) is None
+
+
+def below(limit: str, *words: str, folder: Path, **variables: str) -> tuple[int, list[str]]:
+    """Run a command in a shell that limits it first; return exit code and lines of standard error."""
+    command = f'{limit}; exec "$0" -P -m studies "$@"'
+    done = subprocess.run(
+        ["sh", "-c", command, sys.executable, *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY), **variables},
+        capture_output=True,
+        check=False,
+        timeout=60.0,
+    )
+    assert not done.stdout
+    return done.returncode, done.stderr.decode(errors="replace").splitlines()
+
+
+def test_a_deleted_working_folder_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    code, lines = below("rmdir ../gone", "check", "wall", folder=tmp_path / "gone")
+    assert (code, len(lines)) == (1, 1)
+    assert "the working folder was deleted" in lines[0]
+
+
+@pytest.mark.parametrize("words", [("check",), ("check", "pä日/case.toml")])
+def test_a_path_that_the_locale_cannot_name_is_one_line(tmp_path: Path, words: tuple[str, ...]) -> None:
+    folder = tmp_path / "pä日"
+    folder.mkdir()
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    code, lines = below("true", *words, folder=folder if len(words) == 1 else tmp_path, **locale)
+    assert (code, len(lines)) == (1, 1)
+    assert "set LC_ALL=C.UTF-8" in lines[0]
+
+
+@pytest.mark.parametrize("kilobytes", [200_000, 600_000, 1_000_000])
+def test_too_little_memory_is_one_line(project: Path, kilobytes: int) -> None:
+    code, lines = below(f"ulimit -v {kilobytes}", "check", folder=project)
+    assert (code, len(lines)) == (1, 1)
+    assert "ulimit -v" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "said"), [("/proc", "/proc is missing"), ("mlruns", "o space left on device|is full")]
+)
+def test_no_proc_and_no_room_are_one_line(project: Path, hidden: str, said: str) -> None:
+    mount = ["unshare", "-m", "sh", "-c", "mount -t tmpfs none /mnt"]
+    if shutil.which("unshare") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("this machine allows no mounts")
+    (project / "mlruns").mkdir(exist_ok=True)
+    empty = f"mount -t tmpfs -o size=16k none {hidden} && head -c 100k /dev/zero 2> /dev/null > {hidden}/rest"
+    command = f'{empty}; exec "$0" -P -m studies simulate --profile smoke -q'
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", command, sys.executable],
+        cwd=project,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120.0,
+    )
+    assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
+    assert re.search(said, done.stderr)
+
+
+def test_memory_that_a_limit_denies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    error = ImportError("libtorch.so: failed to map segment from shared object")
+    assert explain(error) is None
+    monkeypatch.setattr("resource.getrlimit", lambda _: (1_500_000_000, -1))
+    line = explain(error)
+    assert line is not None
+    assert "1500 MB here; allow more (ulimit -v)" in line

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from project_for_tests import Run
+from project_for_tests import REPOSITORY, Run
 
 from simulation.foreign_text import MOST_QUOTED, escaped, quoted
 from studies.console import Column, Console, Facts, Said, Table
@@ -81,3 +81,36 @@ def test_a_path_with_control_signs_does_not_reach_the_terminal(project: Path, st
     assert answer.code == 2
     assert len(answer.err.splitlines()) == 1
     assert is_harmless(answer.err)
+
+
+PICTURES = (
+    "![x](http://e.org/a.png)",
+    "![x][y]",
+    '<img src="http://e.org/a.png">',
+    "[![a](b)](c)",
+    "<svg/onload=a>",
+)
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_a_note_shows_no_picture(tmp_path: Path, picture: str) -> None:
+    from mlflow_store_for_tests import give_store
+
+    from studies.paths import ProjectPaths
+    from studies.tracking.runs import NOTE, RunStore
+
+    give_store(tmp_path)
+    runs = RunStore(ProjectPaths(tmp_path))
+    runs.describe("a-label", f"3 rows {picture}")
+    run = runs.client.get_run(runs.begin("a-label", "a run", {NOTE: f"3 rows {picture}"}))
+    experiment = runs.client.get_experiment_by_name("a-label")
+    assert experiment is not None
+    for note in (run.data.tags[NOTE], experiment.tags[NOTE]):
+        assert note.startswith("3 rows ")
+        assert "![" not in note
+        assert "<" not in note
+
+
+def test_the_report_fetches_nothing() -> None:
+    template = (REPOSITORY / "studies" / "report" / "page.html").read_text(encoding="utf-8")
+    assert "default-src 'none'; img-src data:" in template
