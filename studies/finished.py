@@ -1,7 +1,6 @@
 """The finished calibrations of a project, as `status` and `best` show them, and what changed since."""
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 from simulation.errors import InputError
+from simulation.foreign_file import parse_toml
 from studies.paths import ProjectPaths
 from studies.recipe import file_digest, text_digest
 from studies.report.wording import difference_unit, squared
@@ -47,8 +47,8 @@ class Calibration:
     def declared(self) -> Mapping[str, Any]:
         """What its case file declared."""
         try:
-            return tomllib.loads(self.numbers["recipe"]["case"]["text"])
-        except (KeyError, TypeError, tomllib.TOMLDecodeError):
+            return parse_toml(self.numbers["recipe"]["case"]["text"], self.name)
+        except (KeyError, TypeError, InputError):
             return {}
 
     @property
@@ -151,6 +151,25 @@ class Project:
         )
 
 
+def _check(one: Calibration, where: str) -> None:
+    """Refuse a calibration whose values are not what their names promise; a record may be a stranger's.
+
+    Raises:
+        InputError: one is not.
+    """
+    try:
+        numbers = [one.mse, one.n_known, *map(float, one.numbers["theta"].values())]
+        calls = [one.ledger[name] for name in ("total_paper", "total_honest")]
+        texts = [one.unit, *one.units, *one.units.values(), *one.changed]
+        fixed = one.numbers.get("restriction", {}).get("fixed", {})
+        is_good = all(isinstance(text, str) for text in texts) and all(type(n) is int for n in calls)
+        is_good &= isinstance(fixed, dict) and len(numbers) > 2
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+        is_good = False
+    if not is_good:
+        raise InputError(f"{where}: holds no calibration that this version can read; move it away")
+
+
 def read_project(paths: ProjectPaths) -> Project:
     """Read what a project holds."""
     found = []
@@ -158,5 +177,7 @@ def read_project(paths: ProjectPaths) -> Project:
         manifest = read_json(file)
         numbers = read_json(file.with_name(f"calibration-{file.stem.removeprefix('calibrate-')}.json"))
         if manifest is not None and numbers is not None:
-            found.append(Calibration(file.parent.name, file.stem, manifest, numbers, paths))
+            one = Calibration(file.parent.name, file.stem, manifest, numbers, paths)
+            _check(one, paths.show(file))
+            found.append(one)
     return Project(paths, read_studies(paths), found)

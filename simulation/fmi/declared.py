@@ -91,7 +91,7 @@ def declared_version(path: Path, said: str) -> FmiVersion:
     # 3.0.1 and 3.0.2 are corrections of the text.
     if said.split(".")[:2] == ["3", "0"]:
         return "3.0"
-    raise InputError(f"{path}: speaks FMI {said}; export it as FMI 2.0 or 3.0")
+    raise InputError(f"{path}: speaks FMI {shortened(said)}; export it as FMI 2.0 or 3.0")
 
 
 def declared_interface(declared: Any) -> FmuInterface:

@@ -246,9 +246,11 @@ def _described(
         platforms = {
             name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1
         }
-        held = f"it has one for {', '.join(sorted(platforms))}" if platforms else "it has none at all"
+        held = (
+            f"it has one for {shortened(', '.join(sorted(platforms)))}" if platforms else "it has none at all"
+        )
         raise InputError(
-            f"{path}: no binary for this platform ({next(iter(binaries.values()))} is missing, {held}); "
+            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, {held}); "
             f"export or compile it for {PLATFORM_FOLDERS[version]}"
         )
     n_event_indicators = int(model.numberOfEventIndicators)
