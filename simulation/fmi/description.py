@@ -250,8 +250,8 @@ def _described(
             f"it has one for {shortened(', '.join(sorted(platforms)))}" if platforms else "it has none at all"
         )
         raise InputError(
-            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, {held}); "
-            f"export or compile it for {PLATFORM_FOLDERS[version]}"
+            f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, "
+            f"{held}); export or compile it for {PLATFORM_FOLDERS[version]}"
         )
     n_event_indicators = int(model.numberOfEventIndicators)
     if n_event_indicators < 0:

@@ -125,6 +125,45 @@ def test_a_recorded_name_is_the_projects_own_file_first(folder: Path) -> None:
     assert paths.located("mlruns/x.json") is None
 
 
+@pytest.mark.parametrize(
+    "place",
+    [
+        *(
+            "../x",
+            "fmus/../../x",
+            "fmus/..",
+            "/etc/passwd",
+            "/proc/kcore",
+            "//etc/passwd",
+            "~/x",
+            "a\0b",
+            "a\nb",
+        ),
+        *(
+            "\x1b[2J",
+            "\u202ea",
+            "",
+            "x" * 5000,
+            "pipe",
+            "link",
+            3,
+            None,
+            ["studies.toml"],
+            {"a": 1},
+            "\ud800",
+        ),
+    ],
+)
+def test_a_record_leads_nowhere_else(folder: Path, place: object) -> None:
+    project = folder / "project"
+    project.mkdir()
+    (folder / "x").touch()
+    os.mkfifo(project / "pipe")
+    (project / "link").symlink_to(project / "link")
+    found = ProjectPaths(project).located(place)
+    assert found is None or (place == "" and found == project)
+
+
 def test_results_of_a_checkout_are_not_taken_for_the_projects(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
