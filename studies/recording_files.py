@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.errors import InputError
-from simulation.foreign_text import quoted
+from simulation.foreign_file import FMU, RECORDING, UNPACKED, check_members, read_limited, read_text
+from simulation.foreign_text import quoted, shortened
 
 Array = NDArray[np.float64]
 
@@ -80,7 +82,7 @@ def read_series(sources: list[Path]) -> tuple[dict[str, tuple[Array, Array]], st
     if len(sources) > 1:
         raise InputError(f"two files are read only where both are CSV; give {first} alone")
     if suffix == ".mat":
-        return _read_matlab(first.read_bytes(), str(first)), str(first)
+        return _read_matlab(read_limited(first, RECORDING), str(first)), str(first)
     if suffix == ".fmu":
         return _read_fmu(first)
     raise InputError(f"{first} is no .mat, .fmu, .csv and no folder with {' and '.join(FILES.values())}")
@@ -88,7 +90,8 @@ def read_series(sources: list[Path]) -> tuple[dict[str, tuple[Array, Array]], st
 
 def _read_fmu(file: Path) -> tuple[dict[str, tuple[Array, Array]], str]:
     try:
-        with zipfile.ZipFile(file) as archive:
+        with zipfile.ZipFile(io.BytesIO(read_limited(file, FMU))) as archive:
+            check_members(archive.infolist(), str(file))
             inside = [name for name in archive.namelist() if Path(name).name == MATLAB_FILE]
             if not inside:
                 raise InputError(
@@ -102,14 +105,19 @@ def _read_fmu(file: Path) -> tuple[dict[str, tuple[Array, Array]], str]:
 
 
 def _read_matlab(content: bytes, source: str) -> dict[str, tuple[Array, Array]]:
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
+        # Its arrays are compressed, and may be a thousand times as large as the file.
+        shapes = [shape for _, shape, _ in whosmat(cast("str", io.BytesIO(content)))]
+        UNPACKED.check(sum(8e-6 * math.prod(shape) for shape in shapes), source)
         loaded: Mapping[str, Any] = loadmat(cast("str", io.BytesIO(content)))
+    except InputError:
+        raise
     except Exception as error:
         # scipy raises many kinds of exception for bytes that are not what they claim to be
         raise InputError(
-            f"{source} is not a readable MATLAB file ({type(error).__name__}: {error})"
+            f"{source} is not a readable MATLAB file ({type(error).__name__}: {shortened(str(error))})"
         ) from None
     found = sorted(name for name in loaded if not name.startswith("__"))
     series = {}
@@ -156,9 +164,8 @@ def _read_csv_files(files: list[Path]) -> dict[str, tuple[Array, Array]]:
 
 def _read_csv(file: Path) -> dict[str, Array]:
     try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if row]
-    except (UnicodeDecodeError, csv.Error, OSError) as error:
+        rows = [row for row in csv.reader(io.StringIO(read_text(file, RECORDING), newline="")) if row]
+    except csv.Error as error:
         raise InputError(f"{file} is not a readable CSV file: {error}") from None
     if len(rows) < 2:
         raise InputError(f"{file} has no rows below its heading")

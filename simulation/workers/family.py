@@ -1,4 +1,4 @@
-"""Processes that an FMU starts: kept in the family of the process that runs it, so that they end with it."""
+"""Processes that end with others: what an FMU starts with its process, a server with its command."""
 
 import contextlib
 import ctypes
@@ -7,7 +7,7 @@ import signal
 
 import psutil
 
-_SET_CHILD_SUBREAPER = 36  # of prctl(2)
+_SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36  # of prctl(2)
 
 
 def adopt_orphans() -> None:
@@ -16,6 +16,11 @@ def adopt_orphans() -> None:
     A daemon leaves its session, its group and its parent; it cannot leave this.
     """
     ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_with_parent() -> None:
+    """Have the system ask this process to end (SIGTERM) when the one that started it is killed."""
+    ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 def kill_descendants(pid: int, *, but: frozenset[int] = frozenset()) -> None:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from urllib.parse import quote
 
 from simulation.errors import InputError, MachineError
+from simulation.workers.family import end_with_parent
 from studies.console import Console
 from studies.interrupts import interrupt_heeded
 from studies.paths import ProjectPaths
@@ -62,6 +63,7 @@ def open_ui(
             stdout=messages,
             stderr=messages,
             start_new_session=True,
+            preexec_fn=end_with_parent,
         )
         try:
             if _is_up(server, f"{address}health"):

@@ -1,8 +1,8 @@
 """Kill commands at random moments and look at what is left: `python tests/benchmarks/command_kills.py`.
 
 Every command is begun in a copy of a project and killed by SIGKILL, itself or one of its processes, twice. It
-is then typed again until it succeeds. Its numbers, rows and trials must be those of a project in which nothing
-was killed. No process, temporary file or half a file may be left. Exits 1 otherwise.
+is then typed again until it succeeds. Its numbers, rows and trials must be those of a project in which
+nothing was killed. No process, temporary file or half a file may be left. Exits 1 otherwise.
 """
 
 import argparse

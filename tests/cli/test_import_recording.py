@@ -211,3 +211,16 @@ def test_the_papers_recording_survives_the_way_through_matlab(
         columns |= {variable: (table[:, 0], table[:, i + 1]) for i, variable in enumerate(variables)}
     assert studies("import-recording", str(write_matlab(tmp_path / "data.mat", columns))).code == 0
     assert imported(project)[0] == (SHARED / "recording_1800s.csv").read_text()
+
+
+def test_a_matlab_file_is_measured_before_it_is_read(
+    tmp_path: Path, studies: Run, project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "bomb.mat"
+    savemat(file, {"TRoom": np.zeros((400_000, 2))}, do_compression=True)
+    assert file.stat().st_size < 50_000
+    monkeypatch.setenv("STUDIES_LIMITS", "0.001")
+    answer = studies("import-recording", str(file))
+    assert answer.code == 2
+    assert "unpacked of an archive may have 2 MB and this one has 6.4 MB" in answer.err
+    assert len(answer.err.splitlines()) == 1

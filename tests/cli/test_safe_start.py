@@ -2,11 +2,11 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 from project_for_tests import REPOSITORY
 
@@ -73,11 +73,14 @@ def test_no_worker_of_tuning_and_no_server_imports_from_the_working_folder(hosti
         for line in server.stdout:
             said.append(line)
             if "http" in line or len(said) > 20:
-                server.send_signal(signal.SIGINT)
                 break
-        said += server.stdout.readlines()
+        started = psutil.Process(server.pid).children(recursive=True)
+        server.kill()
     assert any("http" in line for line in said), said
     assert not (hostile.parent / "caught").exists()
+    assert started
+    _, left = psutil.wait_procs(started, timeout=30.0)
+    assert not left, "the server ends with the command, also where that is killed"
 
 
 def test_the_trap_catches_who_does_not_take_care(hostile: Path) -> None:
