@@ -80,7 +80,7 @@ def close_study(
             numbers["best/gain_over_default"] = found.gain
         mark_best(runs, spec, best)
         if not spec.is_baseline:
-            register_best(runs, spec, best, paths)
+            register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED", end_s=time.time())
 

@@ -166,10 +166,10 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
         return []
     found = []
     with storage_of(paths) as storage:
-        for summary in optuna.get_all_study_summaries(storage, include_best_trial=False):
-            declared = summary.user_attrs.get(DECLARATION)
+        for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
+            declared = study.user_attrs.get(DECLARATION)
             if isinstance(declared, dict) and label in (None, declared.get("label")):
-                found.append(read_study(optuna.load_study(study_name=summary.study_name, storage=storage)))
+                found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
     return sorted(
         found, key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s)
     )
