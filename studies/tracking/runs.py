@@ -16,7 +16,7 @@ from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths, folder_name
 from studies.storage_url import hide_passwords
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database
+from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database, mlflow
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
 NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
@@ -59,7 +59,7 @@ class RunStore:
             raise kind(
                 f"MLflow cannot open {where} ({lines[0]}); check that it can be reached and written"
             ) from None
-        self._origin = origin_tags(paths.root)
+        self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
 
     def experiment(self, label: str) -> str:
@@ -84,20 +84,13 @@ class RunStore:
         """Return the runs of an experiment that have all of some tags, the earliest first."""
         wanted = [f"tags.`{name}` = '{value}'" for name, value in tags.items()]
         wanted += [f"attributes.status = '{status}'"] if status else []
-        found: list[Run] = []
-        token = None
-        while True:
-            page = self.client.search_runs(
-                [self.experiment(label)],
-                " and ".join(wanted),
-                order_by=["attributes.start_time ASC"],
-                max_results=1000,
-                page_token=token,
-            )
-            found += page
-            token = page.token
-            if not token:
-                return found
+        found: list[Run] = mlflow.search_runs(
+            [self.experiment(label)],
+            " and ".join(wanted),
+            order_by=["attributes.start_time ASC"],
+            output_format="list",
+        )
+        return found
 
     def begin(self, label: str, name: str, tags: Mapping[str, Any], *, start_s: float | None = None) -> str:
         """Make a run, and return its id."""

@@ -35,7 +35,7 @@ class StageRun:
         started_s: start of the stage. [s since 1970, UTC]
         wall_s: its duration. [s]
         note: Markdown, shown on the run's page.
-        record: what makes it again, kept as `recipe.json`; empty where nothing does.
+        record: what makes it again, kept as `provenance.json`; empty where nothing does.
     """
 
     label: str
@@ -89,7 +89,7 @@ def log_stage(paths: ProjectPaths, stage: StageRun) -> None:
     runs.log_files(run_id, stage.figures, "figures")
     runs.log_files(run_id, stage.artifacts)
     if stage.record:
-        runs.log_json(run_id, stage.record, "recipe.json")
+        runs.log_json(run_id, stage.record, "provenance.json")
     runs.end(run_id, "FINISHED", end_s=started_s + stage.wall_s)
 
 

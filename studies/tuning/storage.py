@@ -25,9 +25,10 @@ HEARTBEAT_S, GRACE_S = 10, 30
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 DECLARATION, PLANNED, OWNER, RUN_ID = "declaration", "n_trials", "owner", "mlflow_run_id"
-SEED = "seed"
+CLOSED = "closed"
+"""Attribute of a study: how many trials it had when its best surrogate was registered."""
+PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
-FINISHED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
@@ -160,33 +161,34 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     for place, params in enumerate(spec.first_points):
         if not study.get_trials(deepcopy=False) or place:
             origin = "default" if place == 0 else "profile"
-            study.enqueue_trial(params, user_attrs={"proposed_by": origin}, skip_if_exists=bool(params))
+            study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
     return study
 
 
-def claim_next(storage: RDBStorage, study: optuna.Study) -> None:
+def claim_next(storage: RDBStorage, study: optuna.Study) -> int:
     """Note on the next trial who works on it while it still waits; call it while the study is locked.
 
-    A worker that is killed while its trial begins so leaves no running trial without an owner.
+    A worker that is killed while its trial begins so leaves no running trial without an owner. Optuna's own
+    heartbeat begins with the objective, so the first one is recorded here.
+
+    Returns:
+        The trial's place in the study.
     """
     trials = study.get_trials(deepcopy=False)
-    waiting = next((trial for trial in trials if trial.state == TrialState.WAITING), None)
-    if waiting is None:
-        owner = {"trial": len(trials), **this_process()}
-        study.add_trial(optuna.create_trial(state=TrialState.WAITING, user_attrs={OWNER: owner}))
-    else:
-        set_owner(storage, study, waiting.number)
+    if not any(trial.state == TrialState.WAITING for trial in trials):
+        study.add_trial(optuna.create_trial(state=TrialState.WAITING))
+        trials = study.get_trials(deepcopy=False)
+    waiting = next(trial for trial in trials if trial.state == TrialState.WAITING)
+    set_owner(storage, study, waiting.number)
+    return place_of(waiting, trials)
 
 
 def set_owner(storage: RDBStorage, study: optuna.Study, number: int) -> None:
-    """Note that this process works on a trial."""
-    storage.set_trial_user_attr(trial_id(storage, study, number), OWNER, {"trial": number, **this_process()})
-
-
-def trial_id(storage: RDBStorage, study: optuna.Study, number: int) -> int:
-    """Return the storage's id of a trial."""
+    """Note that this process works on a trial, and that it lives."""
     study_id = storage.get_study_id_from_name(study.study_name)
-    return storage.get_trial_id_from_study_id_trial_number(study_id, number)
+    trial_id = storage.get_trial_id_from_study_id_trial_number(study_id, number)
+    storage.set_trial_user_attr(trial_id, OWNER, {"trial": number, **this_process()})
+    storage.record_heartbeat(trial_id)
 
 
 def is_owned(trial: FrozenTrial) -> bool:
