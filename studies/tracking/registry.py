@@ -2,7 +2,9 @@
 
 import tempfile
 import warnings
+from contextlib import redirect_stderr
 from importlib.metadata import version
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -55,7 +57,11 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
     import numpy as np
     import pandas as pd
 
-    with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
+    with (
+        warnings.catch_warnings(),
+        redirect_stderr(StringIO()),  # MLflow prints what it has registered
+        tempfile.TemporaryDirectory(prefix="studies-model-") as scratch,
+    ):
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         import mlflow.pyfunc
         from mlflow.models import Model, ModelSignature

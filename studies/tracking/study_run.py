@@ -53,8 +53,9 @@ def open_study_run(
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
     """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
-    trials = study.get_trials(deepcopy=False)
-    for run in runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING"):
+    left = runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING")
+    trials = study.get_trials(deepcopy=False)  # later than the runs, so that each run has its trial
+    for run in left:
         number = int(run.data.tags.get("trial", -1))
         trial = trials[number] if 0 <= number < len(trials) else None
         if trial is None or trial.user_attrs.get("mlflow_run_id") not in (None, run.info.run_id):
