@@ -11,10 +11,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from simulation.errors import InputError, MachineError
+from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from studies.paths import ProjectPaths, folder_name
-from studies.storage_url import hide_passwords
+from studies.paths import ProjectPaths, cannot_open, folder_name
 from studies.tracking.origin import origin_tags
 from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database, mlflow
 
@@ -49,16 +48,7 @@ class RunStore:
         except (OSError, InputError):
             raise
         except Exception as error:
-            lines = hide_passwords(str(error)).splitlines() or [type(error).__name__]
-            where = (
-                paths.show(paths.tracking_database)
-                if paths.storage is None
-                else hide_passwords(paths.storage)
-            )
-            kind = MachineError if "Operational" in type(error).__name__ + lines[0] else InputError
-            raise kind(
-                f"MLflow cannot open {where} ({lines[0]}); check that it can be reached and written"
-            ) from None
+            raise cannot_open(paths, "MLflow", paths.tracking_database, error) from None
         self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
 

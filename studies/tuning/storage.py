@@ -16,7 +16,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
-from studies.paths import ProjectPaths
+from studies.paths import ProjectPaths, cannot_open
 from studies.storage_url import hide_passwords
 from studies.tuning.declaration import Declaration
 from studies.tuning.owner import is_dead, this_process
@@ -61,12 +61,7 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
     except (InputError, OSError):
         raise
     except Exception as error:
-        lines = hide_passwords(str(error.__cause__ or error)).splitlines() or [type(error).__name__]
-        where = paths.show(paths.optuna_database) if paths.storage is None else hide_passwords(paths.storage)
-        kind = MachineError if "Operational" in type(error.__cause__ or error).__name__ else InputError
-        raise kind(
-            f"Optuna cannot open {where} ({lines[0]}); check that it can be reached and written"
-        ) from None
+        raise cannot_open(paths, "Optuna", paths.optuna_database, error) from None
     if paths.storage is None:
         from sqlalchemy import event
 
@@ -243,6 +238,7 @@ def n_begun(trials: Sequence[FrozenTrial]) -> int:
 def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
     """Let a trial be run again by whoever comes next, `MAX_RETRIES` times at most."""
     trial = copy.deepcopy(trial)  # Optuna adds to its history
+    trial.user_attrs.pop(RUN_ID, None)  # the retry gets a run of its own
     if SEED not in trial.user_attrs:
         # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
         trial.distributions, trial.params = {}, {}
