@@ -1,9 +1,8 @@
 """Two sets of numbers side by side, equal to the last digit or not."""
 
 import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,10 +27,6 @@ class Compared:
     now: str
     is_equal: bool
     relative: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
 
 
 def compare(recorded: Mapping[str, Any], now: Mapping[str, Any]) -> list[Compared]:
@@ -74,15 +69,3 @@ def _text(value: Any) -> str:
     if isinstance(value, np.ndarray | list | tuple):
         return count(np.size(value), "value")
     return "–" if value is None else repr(value) if isinstance(value, int | float) else str(value)
-
-
-def shortened(text: str, length: int = 40) -> str:
-    """Return a digest's first digits, and the begin of a long text."""
-    if re.fullmatch(r"[0-9a-f]{64}", text):
-        return text[:12]
-    return text if len(text) <= length else f"{text[: length - 1]}…"
-
-
-def n_equal(rows: Sequence[Compared]) -> int:
-    """Return how many rows are equal."""
-    return sum(row.is_equal for row in rows)

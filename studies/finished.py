@@ -5,7 +5,6 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -96,19 +95,18 @@ def _calibration(paths: ProjectPaths, manifest_file: Path) -> Calibration | None
 
 def _changed(paths: ProjectPaths, recipe: Mapping[str, Any]) -> list[str]:
     """Return the names of the files of a recipe that hold something else now."""
-    changed: dict[str, None] = {}
+    changed = []
     for one in (recipe["case"], *recipe["files"]) if recipe else ():
         file = paths.located(one["place"])
         with suppress(OSError):
             if not file.is_file():  # gone, or something that reading would wait for
                 continue
-            is_text = "text_sha256" in one
-            text = file.read_text(encoding="utf-8-sig", errors="replace") if is_text else ""
-            now, was = (
-                (text_digest(text), one["text_sha256"]) if is_text else (file_digest(file), one["sha256"])
-            )
-            changed |= {} if now == was else {file.name: None}
-    return list(changed)
+            if "text_sha256" in one:  # the case file
+                is_same = text_digest(file.read_text("utf-8-sig", "replace")) == one["text_sha256"]
+            else:
+                is_same = file_digest(file) == one["sha256"]
+            changed += [] if is_same else [file.name]
+    return list(dict.fromkeys(changed))
 
 
 @dataclass(frozen=True)
@@ -130,33 +128,26 @@ class Project:
         """What each study came to."""
         return [one.summary(self.studies) for one in self.studies]
 
-    def chosen(self, which: str | None) -> "Project":
-        """Return what a case, a label or a pattern of labels means; all where nothing is named.
 
-        Raises:
-            InputError: nothing is called so.
-        """
-        if which is None:
-            return self
-        cases = {one.spec.label: one.spec.case_name for one in self.studies}
-        cases |= {one.label: one.case for one in self.calibrations}
-        labels = {label for label, case in cases.items() if fnmatchcase(label, which) or case == which}
-        if not labels:
-            known = sorted({*cases, *cases.values()})
-            close = get_close_matches(which, known, n=1, cutoff=0.5)
-            hint = f"did you mean {close[0]}? " if close else ""
-            raise InputError(
-                f"nothing is called {which!r}; {hint}labels: {', '.join(sorted(cases)) or 'none'}"
-            )
-        return Project(
-            self.paths,
-            [one for one in self.studies if one.spec.label in labels],
-            [one for one in self.calibrations if one.label in labels],
-        )
+def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
+    """Read what a project holds.
 
+    Args:
+        paths: the project.
+        which: a case, a label or a pattern of labels; None for everything.
 
-def read_project(paths: ProjectPaths) -> Project:
-    """Read what a project holds."""
+    Raises:
+        InputError: nothing is called so.
+    """
     files = sorted((paths.mlruns / "results").glob("*/calibrate-*.json"))
-    found = [one for file in files if (one := _calibration(paths, file)) is not None]
-    return Project(paths, read_studies(paths), found)
+    calibrations = [one for file in files if (one := _calibration(paths, file)) is not None]
+    studies = read_studies(paths)
+    if which is None:
+        return Project(paths, studies, calibrations)
+    cases = {one.spec.label: one.spec.case_name for one in studies}
+    cases |= {one.label: one.case for one in calibrations}
+    labels = {label for label, case in cases.items() if fnmatchcase(label, which) or case == which}
+    if not labels:
+        raise InputError(f"nothing is called {which!r}; labels: {', '.join(sorted(cases)) or 'none'}")
+    studies = [one for one in studies if one.spec.label in labels]
+    return Project(paths, studies, [one for one in calibrations if one.label in labels])

@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from studies.comparison import Compared, compare, n_equal, shortened
+from simulation.foreign_text import shortened
+from studies.comparison import Compared, compare
 from studies.console import Column, Console
 from studies.embedded import EMBEDDED
 from studies.paths import ProjectPaths
@@ -86,19 +87,20 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
 def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> None:
     """Print the numbers side by side and the verdict."""
     columns = [Column("number"), Column("recorded", True), Column("now", True), Column("relative", True)]
-    cells = []
-    for row in rows:
-        relative = "" if row.is_equal or row.relative is None else f"{row.relative:.1e}"
-        said = "equal" if row.is_equal else "DIFFERS"
-        cells.append([row.name, shortened(row.recorded), shortened(row.now), relative, said])
+    cells = [
+        [
+            row.name,
+            shortened(row.recorded, 40),
+            shortened(row.now, 40),
+            "" if row.is_equal or row.relative is None else f"{row.relative:.1e}",
+            "equal" if row.is_equal else "DIFFERS",
+        ]
+        for row in rows
+    ]
     console.table(f"MLflow's run {run_id}: recorded and made again", [*columns, Column("")], cells)
-    n_other = len(rows) - n_equal(rows)
-    verdict = (
-        f"differs: {n_other} of {len(rows)} rows"
-        if n_other
-        else f"equal: all {len(rows)} rows to the last digit"
-    )
-    console.result(verdict)
+    n_other = sum(not row.is_equal for row in rows)
+    equal = f"equal: all {len(rows)} rows to the last digit"
+    console.result(f"differs: {n_other} of {len(rows)} rows" if n_other else equal)
 
 
 def _find(runs: RunStore, name: str) -> "Run":
@@ -166,9 +168,8 @@ def _say_differences(console: Console, was: Mapping[str, str]) -> None:
     now = environment()
     for key in sorted(set(was) | set(now)):
         if was.get(key) != now.get(key) and key != "device":
-            console.say(
-                f"  {key}: {shortened(str(was.get(key, '–')))} -> {shortened(str(now.get(key, '–')))}"
-            )
+            before, after = (shortened(str(one.get(key, "–")), 40) for one in (was, now))
+            console.say(f"  {key}: {before} -> {after}")
 
 
 def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) -> tuple[Result, Result]:

@@ -12,8 +12,6 @@ from studies.report.records_tuning import TunedSize
 from studies.report.wording import MISSING, count, quantity, setting, significant
 from studies.tuning.results import TrialView, TunedStudy
 
-N_BAR = 12
-"""Blocks of a trial's bar."""
 _STATES = ("pruned", "failed", "running", "waiting")
 
 
@@ -29,7 +27,7 @@ def status_blocks(project: Project) -> list[Block]:
     if running:
         blocks.append(_running(running))
     if project.calibrations:
-        blocks.append(calibrations_table(project.calibrations))
+        blocks.append(_calibrations(project.calibrations))
     return blocks or [Said(f"Nothing in {project.paths.root} yet; {FIRST_WORDS}")]
 
 
@@ -80,44 +78,38 @@ def _total(tuned: Sequence[TunedSize]) -> str:
 
 
 def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
-    columns = [Column("running"), Column("epoch", True), Column("", spare=3), Column("MAE val", True)]
-    columns += [Column("since", True)]
-    rows = []
-    for study, trial in running:
-        most = study.spec.base_config.max_epochs
-        full = round(N_BAR * min(trial.n_epochs / most, 1.0))
-        rows.append(
-            [
-                f"{study.spec.name} trial {trial.number}",
-                f"{trial.n_epochs}/{most}",
-                Said("━" * full + "─" * (N_BAR - full), "good"),
-                MISSING if trial.value is None else significant(trial.value),
-                format_seconds(max(time.time() - trial.began_s, 0.0)),
-            ]
-        )
+    columns = [Column("running"), *(Column(name, True) for name in ("epoch", "MAE val", "since"))]
+    rows = [
+        [
+            f"{study.spec.name} trial {trial.number}",
+            f"{trial.n_epochs}/{study.spec.base_config.max_epochs}",
+            MISSING if trial.value is None else significant(trial.value),
+            format_seconds(max(time.time() - trial.began_s, 0.0)),
+        ]
+        for study, trial in running
+    ]
     return Table("", columns, rows, is_dense=True)
 
 
-def calibrations_table(calibrations: Sequence[Calibration]) -> Table:
+def _calibrations(calibrations: Sequence[Calibration]) -> Table:
     """Return a line per calibration, the best of each label standing out."""
     columns = [Column("calibration"), Column("final MSE", True), Column("calls (paper)", True)]
     columns += [Column("calls (all)", True, 2), Column("ended because", spare=3), Column("finished", True, 1)]
     is_any_changed = any(one.changed_since for one in calibrations)
     columns += [Column("changed since")] if is_any_changed else []
     least = {one.label: min(o.error for o in calibrations if o.label == one.label) for one in calibrations}
-    rows = []
-    for one in calibrations:
-        mse = "failed" if one.mse is None else quantity(one.mse, one.unit, 4)
-        n_calls = one.n_calls_paper
-        rows.append(
-            [
-                one.name,
-                Said(mse, "strong" if one.mse == least[one.label] else ""),
-                f"{n_calls} + {one.n_known} stored" if one.n_known else n_calls,
-                one.n_calls_all,
-                one.reason,
-                one.finished[:16].replace("T", " "),
-                *([Said(", ".join(one.changed_since), "warn")] if is_any_changed else []),
-            ]
-        )
+    rows = [
+        [
+            one.name,
+            "failed"
+            if one.mse is None
+            else Said(quantity(one.mse, one.unit, 4), "strong" if one.mse == least[one.label] else ""),
+            f"{one.n_calls_paper} + {one.n_known} stored" if one.n_known else one.n_calls_paper,
+            one.n_calls_all,
+            one.reason,
+            one.finished[:16].replace("T", " "),
+            *([Said(", ".join(one.changed_since), "warn")] if is_any_changed else []),
+        ]
+        for one in calibrations
+    ]
     return Table("", columns, rows, is_dense=True)

@@ -38,7 +38,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     paths = find_project(chosen.storage)
     refuse_old_project(paths)
-    project = read_project(paths).chosen(chosen.which)
+    project = read_project(paths, chosen.which)
     known = sorted({one.spec.n_train for one in project.studies})
     for n_train in chosen.n_train or ():
         if n_train not in known:

@@ -141,7 +141,7 @@ def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run)
         answer = studies(command, "ofice-paper")
         assert answer.code == 2
         assert answer.err.count("\n") == 1
-        assert "did you mean office-paper?" in answer.err
+        assert "labels: office-paper, office-quick" in answer.err
 
 
 def test_a_study_of_another_version_is_one_line(project: Path, studies: Run) -> None:
