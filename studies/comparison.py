@@ -1,13 +1,11 @@
 """Two sets of numbers side by side, equal to the last digit or not."""
 
 import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from studies.report.wording import count
 
@@ -30,10 +28,6 @@ class Compared:
     is_equal: bool
     relative: float | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
-
 
 def compare(recorded: Mapping[str, Any], now: Mapping[str, Any]) -> list[Compared]:
     """Compare every number that was recorded.
@@ -55,49 +49,23 @@ def _leaves(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
 
 
 def _compared(name: str, recorded: Any, now: Any) -> Compared:
-    if isinstance(recorded, np.ndarray | list | tuple):
-        return _compared_rows(name, np.asarray(recorded), None if now is None else np.asarray(now))
-    if _is_number(recorded) and _is_number(now):
-        is_equal = recorded == now or (math.isnan(recorded) and math.isnan(now))
-        difference = 0.0 if is_equal else abs(now - recorded) / max(abs(recorded), 1e-300)
-        return Compared(name, repr(recorded), repr(now), is_equal, float(difference))
-    return Compared(name, _text(recorded), _text(now), recorded == now)
-
-
-def _compared_rows(name: str, recorded: NDArray[Any], now: NDArray[Any] | None) -> Compared:
-    said = count(recorded.size, "value")
-    if now is None or recorded.shape != now.shape:
-        shape = "–" if now is None else count(now.size, "value")
-        return Compared(name, said, shape, False)
-    if not all(np.issubdtype(one.dtype, np.number) for one in (recorded, now)):
-        is_equal = bool(np.array_equal(recorded, now))
-        return Compared(name, said, "the same" if is_equal else "others", is_equal)
-    same = (recorded == now) | (np.isnan(recorded) & np.isnan(now))
+    was, is_now = np.asarray(recorded), np.asarray(now)
+    if not all(np.issubdtype(one.dtype, np.number) for one in (was, is_now)):
+        is_equal = bool(np.array_equal(was, is_now))
+        return Compared(name, _text(recorded), "the same" if is_equal and was.ndim else _text(now), is_equal)
+    if was.shape != is_now.shape:
+        return Compared(name, _text(recorded), _text(now), False)
+    same = (was == is_now) | (np.isnan(was) & np.isnan(is_now))
     if same.all():
-        return Compared(name, said, "the same", True, 0.0)
+        return Compared(name, _text(recorded), "the same" if was.ndim else _text(now), True, 0.0)
     with np.errstate(all="ignore"):
-        scale = np.nanmax(np.abs(recorded)) if recorded.size else 1.0
-        relative = float(np.nanmax(np.abs(now - recorded)) / max(scale, 1e-300))
+        relative = float(np.nanmax(np.abs(is_now - was)) / max(np.nanmax(np.abs(was)), 1e-300))
     first = int(np.flatnonzero(~same.ravel())[0])
-    differ = f"{int((~same).sum())} differ, the first is [{first}]"
-    return Compared(name, said, differ, False, relative if math.isfinite(relative) else None)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    differ = f"{int((~same).sum())} differ, the first is [{first}]" if was.ndim else _text(now)
+    return Compared(name, _text(recorded), differ, False, relative if math.isfinite(relative) else None)
 
 
 def _text(value: Any) -> str:
-    return "–" if value is None else str(value)
-
-
-def shortened(text: str, length: int = 40) -> str:
-    """Return a digest's first digits, and the begin of a long text."""
-    if re.fullmatch(r"[0-9a-f]{64}", text):
-        return text[:12]
-    return text if len(text) <= length else f"{text[: length - 1]}…"
-
-
-def n_equal(rows: Sequence[Compared]) -> int:
-    """Return how many rows are equal."""
-    return sum(row.is_equal for row in rows)
+    if isinstance(value, np.ndarray | list | tuple):
+        return count(np.size(value), "value")
+    return "–" if value is None else repr(value) if isinstance(value, int | float) else str(value)

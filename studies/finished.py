@@ -4,15 +4,15 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
-from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
 from simulation.foreign_file import parse_toml
 from studies.paths import ProjectPaths
 from studies.recipe import file_digest, text_digest
+from studies.report.records_tuning import TunedSize
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import read_json
 from studies.tuning.results import TunedStudy, read_studies
@@ -22,94 +22,103 @@ FIRST_WORDS = "type: studies run (the office, some minutes), or studies new for 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration.
+    """A finished calibration; as JSON values it is what programs read.
 
     Args:
+        case: name of its case.
         label: label of the study.
-        stage: its name, such as `calibrate-n0064`.
-        manifest: what the stage left: inputs, summary, files, versions, wall time.
-        numbers: all its numbers.
-        paths: the project.
+        name: what it is called on a command line.
+        mse: its final error; None where it failed. [unit]
+        unit: first output's unit squared.
+        n_calls_paper: model calls in the paper's count.
+        n_calls_all: all model calls.
+        n_known: stored simulations that it began with, which are none of its calls.
+        theta: the calibrated parameters. [units]
+        units: their units.
+        fixed: names of the parameters that were not calibrated.
+        reason: why it ended.
+        finished: when, UTC.
+        changed_since: files that it was made from and that hold something else now.
+        made_of: SHA-256 of its case and measurement.
     """
 
+    case: str
     label: str
-    stage: str
-    manifest: Mapping[str, Any]
-    numbers: Mapping[str, Any]
-    paths: ProjectPaths
+    name: str
+    mse: float | None
+    unit: str
+    n_calls_paper: int
+    n_calls_all: int
+    n_known: int
+    theta: Mapping[str, float]
+    units: Mapping[str, str]
+    fixed: Sequence[str]
+    reason: str
+    finished: str
+    changed_since: Sequence[str]
+    made_of: Sequence[str | None]
 
     @property
-    def name(self) -> str:
-        """What it is called on a command line."""
-        return f"{self.label}/{self.stage.removeprefix('calibrate-')}"
+    def error(self) -> float:
+        """Its final error, infinite where it failed."""
+        return math.inf if self.mse is None else self.mse
 
-    @cached_property
-    def declared(self) -> Mapping[str, Any]:
-        """What its case file declared."""
-        try:
-            return parse_toml(self.numbers["recipe"]["case"]["text"], self.name)
-        except (KeyError, TypeError, InputError):
-            return {}
 
-    @property
-    def case(self) -> str:
-        """Name of its case."""
-        return str(self.declared.get("name", self.label))
+def _calibration(paths: ProjectPaths, manifest_file: Path) -> Calibration | None:
+    name, label = manifest_file.stem.removeprefix("calibrate-"), manifest_file.parent.name
+    manifest = read_json(manifest_file)
+    numbers = read_json(manifest_file.with_name(f"calibration-{name}.json"))
+    if manifest is None or numbers is None:
+        return None
+    try:
+        return _read(paths, f"{label}/{name}", manifest, numbers)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+        where = paths.show(manifest_file)
+        raise InputError(f"{where}: holds no calibration that this version can read; move it away") from None
 
-    @property
-    def units(self) -> dict[str, str]:
-        """Units of its parameters."""
-        return {one["name"]: one.get("unit", "1") for one in self.declared.get("parameters", ())}
 
-    @property
-    def unit(self) -> str:
-        """Unit of its error."""
-        outputs = self.declared.get("outputs", ())
-        return squared(difference_unit(outputs[0]["unit"])) if outputs else ""
+def _read(
+    paths: ProjectPaths, name: str, manifest: Mapping[str, Any], numbers: Mapping[str, Any]
+) -> Calibration:
+    """Take what a record, maybe a stranger's, says into values of their types; any error if it cannot."""
+    recipe, declared = numbers.get("recipe", {}), dict[str, Any]()
+    with suppress(KeyError, TypeError, InputError):
+        declared = parse_toml(recipe["case"]["text"], name)
+    outputs = declared.get("outputs", ())
+    label, mse = name.partition("/")[0], numbers.get("mse_polished", numbers.get("mse"))
+    return Calibration(
+        case=str(declared.get("name", label)),
+        label=label,
+        name=name,
+        mse=None if mse is None or not math.isfinite(mse) else float(mse),
+        unit=squared(difference_unit(outputs[0]["unit"])) if outputs else "",
+        n_calls_paper=int(numbers["ledger"]["total_paper"]),
+        n_calls_all=int(numbers["ledger"]["total_honest"]),
+        n_known=int(numbers.get("n_known", 0)),
+        theta={name: float(value) for name, value in numbers["theta"].items()},
+        units={str(one["name"]): str(one.get("unit", "1")) for one in declared.get("parameters", ())},
+        fixed=[str(one) for one in numbers.get("restriction", {}).get("fixed", {})],
+        reason=str(numbers.get("polish_stop_reason", numbers.get("stop_reason", ""))),
+        finished=str(manifest.get("finished", "")),
+        changed_since=_changed(paths, recipe),
+        made_of=(numbers.get("case_sha256"), numbers.get("measurement_sha256")),
+    )
 
-    @property
-    def mse(self) -> float:
-        """Its final error, infinite where it failed. [first output's unit squared]."""
-        value = self.numbers.get("mse_polished", self.numbers.get("mse"))
-        return math.inf if value is None else float(value)
 
-    @property
-    def ledger(self) -> Mapping[str, Any]:
-        """Its model calls by purpose."""
-        found: Mapping[str, Any] = self.numbers["ledger"]
-        return found
-
-    @property
-    def n_known(self) -> int:
-        """Stored simulations that it began with, which are none of its calls."""
-        return int(self.numbers.get("n_known", 0))
-
-    @property
-    def reason(self) -> str:
-        """Why it ended."""
-        return str(self.numbers.get("polish_stop_reason", self.numbers.get("stop_reason", "")))
-
-    @property
-    def finished(self) -> str:
-        """When it was finished, UTC."""
-        return str(self.manifest.get("finished", ""))
-
-    @cached_property
-    def changed(self) -> tuple[str, ...]:
-        """Names of the files that it was made from and that hold something else now."""
-        recipe = self.numbers.get("recipe", {})
-        made_from = [(recipe["case"]["place"], recipe["case"]["text_sha256"], True)] if recipe else []
-        made_from += [(one["place"], one["sha256"], False) for one in recipe.get("files", ())]
-        found = []
-        for place, digest, is_text in made_from:
-            file = self.paths.located(place)
-            if file is None:
-                continue
-            with suppress(OSError):
-                text = file.read_text(encoding="utf-8-sig", errors="replace") if is_text else ""
-                now = text_digest(text) if is_text else file_digest(file)
-                found += [] if now == digest else [file.name]
-        return tuple(dict.fromkeys(found))
+def _changed(paths: ProjectPaths, recipe: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files of a recipe that hold something else now."""
+    changed = []
+    for one in (recipe["case"], *recipe["files"]) if recipe else ():
+        file = paths.located(one["place"])
+        if file is None:
+            continue
+        with suppress(OSError):
+            if "text_sha256" in one:  # the case file
+                is_same = text_digest(file.read_text("utf-8-sig", "replace")) == one["text_sha256"]
+            else:
+                is_same = file_digest(file) == one["sha256"]
+            changed += [] if is_same else [file.name]
+    return list(dict.fromkeys(changed))
 
 
 @dataclass(frozen=True)
@@ -126,58 +135,31 @@ class Project:
     studies: Sequence[TunedStudy]
     calibrations: Sequence[Calibration]
 
-    def chosen(self, which: str | None) -> "Project":
-        """Return what a case, a label or a pattern of labels means; all where nothing is named.
-
-        Raises:
-            InputError: nothing is called so.
-        """
-        if which is None:
-            return self
-        cases = {one.spec.label: one.spec.case_name for one in self.studies}
-        cases |= {one.label: one.case for one in self.calibrations}
-        labels = {label for label, case in cases.items() if fnmatchcase(label, which) or case == which}
-        if not labels:
-            known = sorted({*cases, *cases.values()})
-            close = get_close_matches(which, known, n=1, cutoff=0.5)
-            hint = f"did you mean {close[0]}? " if close else ""
-            raise InputError(
-                f"nothing is called {which!r}; {hint}labels: {', '.join(sorted(cases)) or 'none'}"
-            )
-        return Project(
-            self.paths,
-            [one for one in self.studies if one.spec.label in labels],
-            [one for one in self.calibrations if one.label in labels],
-        )
+    @property
+    def sizes(self) -> list[TunedSize]:
+        """What each study came to."""
+        return [one.summary(self.studies) for one in self.studies]
 
 
-def _check(one: Calibration, where: str) -> None:
-    """Refuse a calibration whose values are not what their names promise; a record may be a stranger's.
+def read_project(paths: ProjectPaths, which: str | None = None) -> Project:
+    """Read what a project holds.
+
+    Args:
+        paths: the project.
+        which: a case, a label or a pattern of labels; None for everything.
 
     Raises:
-        InputError: one is not.
+        InputError: nothing is called so.
     """
-    try:
-        numbers = [one.mse, one.n_known, *map(float, one.numbers["theta"].values())]
-        calls = [one.ledger[name] for name in ("total_paper", "total_honest")]
-        texts = [one.unit, *one.units, *one.units.values(), *one.changed]
-        fixed = one.numbers.get("restriction", {}).get("fixed", {})
-        is_good = all(isinstance(text, str) for text in texts) and all(type(n) is int for n in calls)
-        is_good &= isinstance(fixed, dict) and len(numbers) > 2
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
-        is_good = False
-    if not is_good:
-        raise InputError(f"{where}: holds no calibration that this version can read; move it away")
-
-
-def read_project(paths: ProjectPaths) -> Project:
-    """Read what a project holds."""
-    found = []
-    for file in sorted((paths.mlruns / "results").glob("*/calibrate-*.json")):
-        manifest = read_json(file)
-        numbers = read_json(file.with_name(f"calibration-{file.stem.removeprefix('calibrate-')}.json"))
-        if manifest is not None and numbers is not None:
-            one = Calibration(file.parent.name, file.stem, manifest, numbers, paths)
-            _check(one, paths.show(file))
-            found.append(one)
-    return Project(paths, read_studies(paths), found)
+    files = sorted((paths.mlruns / "results").glob("*/calibrate-*.json"))
+    calibrations = [one for file in files if (one := _calibration(paths, file)) is not None]
+    studies = read_studies(paths)
+    if which is None:
+        return Project(paths, studies, calibrations)
+    cases = {one.spec.label: one.spec.case_name for one in studies}
+    cases |= {one.label: one.case for one in calibrations}
+    labels = {label for label, case in cases.items() if fnmatchcase(label, which) or case == which}
+    if not labels:
+        raise InputError(f"nothing is called {which!r}; labels: {', '.join(sorted(cases)) or 'none'}")
+    studies = [one for one in studies if one.spec.label in labels]
+    return Project(paths, studies, [one for one in calibrations if one.label in labels])

@@ -33,14 +33,10 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
         sizes.append({"n_train": n_train, "n_left": n_left, "training_s": left_s})
     if whole:
         n_base = study.profile.sensitivity.n_base * (study.case.parameter_space.n_parameters + 2)
+        n_polish = study.profile.polish.max_calls * len(sizes)
         rows.append(["simulations for Sobol indices, at most", n_base, MISSING])
-        rows.append(
-            ["simulations for polishing, at most", study.profile.polish.max_calls * len(sizes), MISSING]
-        )
+        rows.append(["simulations for polishing, at most", n_polish, MISSING])
     columns = [Column("what"), Column("to do", True), Column("training time on one core", True)]
     title = f"{study.label}: what would be done (times from the mean of earlier trials; nothing is written)"
-    return Table(title, columns, rows), {
-        "n_simulations": n_missing,
-        "sizes": sizes,
-        "store": study.paths.show(store_folder(study.paths, study.case)),
-    }
+    store = study.paths.show(store_folder(study.paths, study.case))
+    return Table(title, columns, rows), {"n_simulations": n_missing, "sizes": sizes, "store": store}

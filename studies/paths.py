@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
-from simulation.errors import InputError
+from simulation.errors import InputError, MachineError
 from simulation.foreign_text import has_control, quoted, shortened
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.marker import find_root
-from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
+from studies.storage_url import STORAGE_VARIABLE, hide_passwords, in_schema, read_storage
 
 
 @dataclass(frozen=True)
@@ -194,3 +194,19 @@ def find_case(paths: ProjectPaths, case: str) -> Path:
     close = get_close_matches(case, named, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
     raise InputError(f"there is no case {quoted(case)}; {hint}{known}")
+
+
+def cannot_open(paths: ProjectPaths, program: str, file: Path, error: Exception) -> Exception:
+    """Return the error that says in a line why a program cannot open its database.
+
+    Args:
+        paths: the project.
+        program: Optuna or MLflow.
+        file: its database where no server holds it.
+        error: what the program raised.
+    """
+    cause = error.__cause__ or error
+    said = next(iter(hide_passwords(str(cause)).splitlines()), type(cause).__name__)
+    where = paths.show(file) if paths.storage is None else hide_passwords(paths.storage)
+    kind = MachineError if "Operational" in f"{type(cause).__name__} {said}" else InputError
+    return kind(f"{program} cannot open {where} ({said}); check that it can be reached and written")

@@ -6,8 +6,8 @@ is compared with the project, never written into it: the case and its files must
 
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from studies.comparison import Compared, compare, n_equal, shortened
+from simulation.foreign_text import shortened
+from studies.comparison import Compared, compare
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
 from studies.profile import profile_from
@@ -32,8 +33,7 @@ from studies.tracking.stage_run import run_store
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
-Made = tuple[dict[str, Any], Mapping[str, NDArray[Any]]]
-Recorded = tuple[dict[str, Any], Mapping[str, NDArray[Any]]]
+Result = tuple[Mapping[str, Any], Mapping[str, NDArray[Any]]]
 LOOSE = ("wall", "recipe", "environment", "n_reused")
 """Numbers and records of a stage that are others each time."""
 
@@ -58,44 +58,48 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     run = _find(runs, name)
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
-        record = read_json(runs.fetch(run_id, "recipe.json", Path(scratch))) or {}
+        record = read_json(runs.fetch(run_id, "provenance.json", Path(scratch))) or {}
         recipe = checked(record.get("recipe") or {}, f"MLflow's run {run_id}")
         study = _study(paths, recipe, console, n_jobs)
         _say_differences(console, record.get("environment", {}))
-        makers: dict[str, Callable[[], tuple[Recorded, Made]]] = {
-            "training": lambda: _trial(run, runs, study, record),
-            "calibration": lambda: _calibration(run, runs, study, recipe, Path(scratch)),
-            "adaptive": lambda: _adaptive(run, runs, study, recipe, Path(scratch)),
-        }
-        kind = str(recipe.get("kind"))
-        if kind not in makers:
+        kind = recipe.get("kind")
+        if kind not in ("training", "calibration", "adaptive"):
             raise InputError(f"MLflow's run {run_id} is a {kind!r}, which this version cannot make again")
         threads = str(record.get("environment", {}).get("n_threads", "1"))
         with (
             console.stage("reproduce", f"{run.info.run_name} of {study.label} once more"),
             threadpool_limits(int(threads) if threads.isdecimal() else None),
         ):
-            (numbers, arrays), (numbers_now, arrays_now) = makers[kind]()
-    kept = {key: value for key, value in numbers.items() if not key.startswith(LOOSE)}
+            if kind == "training":
+                (numbers, arrays), (numbers_now, arrays_now) = _trial(run, runs, study, record)
+            else:
+                numbers, arrays = _recorded(run, runs, Path(scratch))
+                # In a folder of its own, so that stored rows are simulated again as well.
+                apart = replace(study, paths=ProjectPaths(Path(scratch) / "project"))
+                again = _adaptive if kind == "adaptive" else _calibration
+                numbers_now, arrays_now = again(apart, recipe, (numbers, arrays), runs)
+    # A stage notes more of its circumstances than what it calculates.
+    kept = {k: v for k, v in numbers.items() if k in numbers_now and not k.startswith(LOOSE)}
     return run_id, compare(kept, numbers_now) + compare(arrays, arrays_now)
 
 
 def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> None:
     """Print the numbers side by side and the verdict."""
     columns = [Column("number"), Column("recorded", True), Column("now", True), Column("relative", True)]
-    cells = []
-    for row in rows:
-        relative = "" if row.is_equal or row.relative is None else f"{row.relative:.1e}"
-        said = "equal" if row.is_equal else "DIFFERS"
-        cells.append([row.name, shortened(row.recorded), shortened(row.now), relative, said])
+    cells = [
+        [
+            row.name,
+            shortened(row.recorded, 40),
+            shortened(row.now, 40),
+            "" if row.is_equal or row.relative is None else f"{row.relative:.1e}",
+            "equal" if row.is_equal else "DIFFERS",
+        ]
+        for row in rows
+    ]
     console.table(f"MLflow's run {run_id}: recorded and made again", [*columns, Column("")], cells)
-    n_other = len(rows) - n_equal(rows)
-    verdict = (
-        f"differs: {n_other} of {len(rows)} rows"
-        if n_other
-        else f"equal: all {len(rows)} rows to the last digit"
-    )
-    console.result(verdict)
+    n_other = sum(not row.is_equal for row in rows)
+    equal = f"equal: all {len(rows)} rows to the last digit"
+    console.result(f"differs: {n_other} of {len(rows)} rows" if n_other else equal)
 
 
 def _find(runs: RunStore, name: str) -> "Run":
@@ -162,12 +166,11 @@ def _say_differences(console: Console, was: Mapping[str, str]) -> None:
     now = environment()
     for key in sorted(set(was) | set(now)):
         if was.get(key) != now.get(key) and key != "device":
-            console.say(
-                f"  {key}: {shortened(str(was.get(key, '–')))} -> {shortened(str(now.get(key, '–')))}"
-            )
+            before, after = (shortened(str(one.get(key, "–")), 40) for one in (was, now))
+            console.say(f"  {key}: {before} -> {after}")
 
 
-def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) -> tuple[Recorded, Made]:
+def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) -> tuple[Result, Result]:
     """Train a trial's surrogate again, as far as it was trained."""
     from studies.stages.simulate import simulate_stage
     from studies.tuning.declaration import Declaration
@@ -196,12 +199,9 @@ def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) 
             raise _LastEpochError
 
     config = spec.config(record["params"])
-    numbers: dict[str, Any] = {}
-    try:
-        _, result = train(spec, config, record["seed"], data, on_epoch=hear, on_report=lambda *_: None)
-        numbers = dict(result.metrics)
-    except _LastEpochError:
-        pass
+    numbers: dict[str, float] = {}
+    with suppress(_LastEpochError):
+        _, numbers = train(spec, config, record["seed"], data, on_epoch=hear, on_report=lambda *_: None)
     was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
     return (was, _as_arrays(history)), (numbers, _as_arrays({name: seen[name] for name in history}))
 
@@ -210,70 +210,38 @@ def _as_arrays(curves: Mapping[str, Mapping[int, float]]) -> dict[str, NDArray[A
     return {name: np.array([curve[step] for step in sorted(curve)]) for name, curve in curves.items()}
 
 
-def _recorded(run: "Run", runs: RunStore, folder: Path, stem: str) -> Recorded:
-    """Fetch the numbers and arrays of a stage from its run."""
-    listed = [one.path for one in runs.client.list_artifacts(run.info.run_id)]
-    names = [name for name in listed if name.startswith(stem) and "/" not in name]
-    numbers = next((name for name in names if name.endswith(".json")), None)
-    arrays = next((name for name in names if name.endswith(".npz")), None)
-    if numbers is None or arrays is None:
-        raise InputError(f"MLflow's run {run.info.run_id} holds no numbers of its {stem}")
-    found = read_json(runs.fetch(run.info.run_id, numbers, folder)) or {}
-    return found, read_arrays(runs.fetch(run.info.run_id, arrays, folder))
+def _recorded(run: "Run", runs: RunStore, folder: Path) -> Result:
+    """Fetch the numbers and arrays of a calibration from its run."""
+    stem = f"calibration-{run.info.run_name.removesuffix(' calibration')}"
+    numbers = read_json(runs.fetch(run.info.run_id, f"{stem}.json", folder)) or {}
+    return numbers, read_arrays(runs.fetch(run.info.run_id, f"{stem}.npz", folder))
 
 
-@contextmanager
-def _apart(study: Study) -> Iterator[Study]:
-    """Let a study simulate in a folder of its own, so that stored rows are made again as well."""
-    with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
-        yield replace(study, paths=ProjectPaths(Path(scratch)))
-
-
-def _calibration(
-    run: "Run", runs: RunStore, study: Study, recipe: Mapping[str, Any], folder: Path
-) -> tuple[Recorded, Made]:
+def _calibration(study: Study, recipe: Mapping[str, Any], _: Result, runs: RunStore) -> Result:
     from studies.stages.calibrate import calibrate
     from studies.stages.restriction import restriction_of
     from studies.tracking.registry import load_surrogate
 
-    recorded = _recorded(run, runs, folder, "calibration")
     surrogate = load_surrogate(runs, str(recipe["surrogate"]["run_id"]))
-    with _apart(study) as apart:
-        numbers, arrays, _ = calibrate(apart, surrogate, int(recipe["n_train"]), restriction_of(recipe))
-    return _without(recorded, numbers), (numbers, arrays)
+    numbers, arrays, _wall = calibrate(study, surrogate, int(recipe["n_train"]), restriction_of(recipe))
+    return numbers, arrays
 
 
-def _adaptive(
-    run: "Run", runs: RunStore, study: Study, recipe: Mapping[str, Any], folder: Path
-) -> tuple[Recorded, Made]:
+def _adaptive(study: Study, recipe: Mapping[str, Any], recorded: Result, _: RunStore) -> Result:
     from studies.calibration.adaptive import Adaptive
     from studies.stages.adaptive import calibrate_adaptively
+    from studies.stages.known_rows import Known
     from studies.stages.restriction import restriction_of
 
-    recorded = _recorded(run, runs, folder, "calibration")
-    known = _known(recorded) if "n_known" in recorded[0] else None
-    with _apart(study) as apart:
-        numbers, arrays, _ = calibrate_adaptively(
-            apart,
-            Adaptive(**recipe["settings"]),
-            restriction_of(recipe),
-            None if known is None else lambda *_: known,
-            state_equations="state_equations" in recorded[0],
-        )
-    return _without(recorded, numbers), (numbers, arrays)
-
-
-def _known(recorded: Recorded) -> Any:
-    """Return the rows that were known when a result was begun."""
-    from studies.stages.known_rows import Known
-
-    theta = recorded[1].get("known_theta")
-    if theta is None:
-        raise InputError("the run does not say which simulations were known when it began; make it again")
-    usual = np.full(len(theta), "state_equations" in recorded[0])
-    return Known(theta, np.asarray(recorded[1].get("known_watched", usual), dtype=np.bool_))
-
-
-def _without(recorded: Recorded, made: Mapping[str, Any]) -> Recorded:
-    """Leave out what a stage notes of its circumstances: what is not made with its numbers."""
-    return {key: value for key, value in recorded[0].items() if key in made}, recorded[1]
+    has_equations, known = "state_equations" in recorded[0], None
+    if (theta := recorded[1].get("known_theta")) is not None:
+        watched = recorded[1].get("known_watched", np.full(len(theta), has_equations))
+        known = Known(theta, np.asarray(watched, dtype=np.bool_))
+    numbers, arrays, _n_simulated = calibrate_adaptively(
+        study,
+        Adaptive(**recipe["settings"]),
+        restriction_of(recipe),
+        None if known is None else lambda *_: known,
+        state_equations=has_equations,
+    )
+    return numbers, arrays

@@ -1,1 +1,1 @@
-"""Running FMUs: descriptions, instances, co-simulation, model exchange, sensitivities."""
+"""Running FMUs: descriptions, instances, co-simulation, model exchange."""

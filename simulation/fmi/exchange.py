@@ -60,18 +60,12 @@ class ModelExchange:
         self.plan = plan
         self._start = start
         self._states = description.states
-        self.state_references = tuple(
-            np.array([description.variables[name].reference for name in names], dtype=np.uint32)
-            for names in (description.states, description.derivatives)
-        )
         self._functions = FUNCTIONS[instance.prefix]
         self.tolerance = SHARE_OF_TOLERANCE * (
             plan.tolerance if plan.tolerance is not None and plan.tolerance > 0.0 else DEFAULT_TOLERANCE
         )
         self.table: IntArray = np.zeros(SLOT.SIZE, dtype=np.int64)
         self.table[: len(self._functions)] = instance.addresses(*self._functions)
-        if instance.has("GetDirectionalDerivative"):
-            self.table[SLOT.DIRECTIONAL] = instance.addresses("GetDirectionalDerivative")[0]
         self.table[SLOT.IS_FMI3] = instance.prefix == "fmi3"
         self.table[SLOT.N_STATES] = len(description.states)
         self.table[SLOT.N_INDICATORS] = description.n_event_indicators
@@ -136,7 +130,7 @@ class ModelExchange:
         """Return the function of a stage, without the version."""
         if stage >= FIRST_INPUT:
             return self._start.inputs.name(stage - FIRST_INPUT)
-        return "GetDirectionalDerivative" if stage == SLOT.DIRECTIONAL else self._functions[stage]
+        return self._functions[stage]
 
     def _fault(self, time: float) -> str:
         """Say what CVODE met with in the FMU in this communication step, if anything."""

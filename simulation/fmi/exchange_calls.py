@@ -80,9 +80,7 @@ class _Slots(NamedTuple):
     X: int = 25  # N_Vector of the states
     X_BETWEEN: int = 26  # N_Vector of the states at a time inside the last step
     ABSOLUTE: int = 27  # N_Vector of the absolute tolerances
-    DIRECTIONAL: int = 28  # of the FMU; 0 where it has none
-    LAST_ORDER: int = 29
-    SIZE: int = 30
+    SIZE: int = 28
 
 
 SLOT: Final = _Slots()
@@ -147,20 +145,6 @@ def get_real(table: Any, references: Any, n: int, values: Any) -> Any:
     if table[SLOT.IS_FMI3] != 0:
         return call_status(table[SLOT.GET_REAL], (table[SLOT.COMPONENT], references, n, values, n))
     return call_status(table[SLOT.GET_REAL], (table[SLOT.COMPONENT], references, n, values))
-
-
-@compiled
-def directional_derivative(
-    table: Any, unknowns: Any, n_unknowns: int, knowns: Any, n_knowns: int, seed: Any, result: Any
-) -> Any:
-    """Get the derivative of unknowns along a direction of knowns, all given by address."""
-    function, component = table[SLOT.DIRECTIONAL], table[SLOT.COMPONENT]
-    if table[SLOT.IS_FMI3] != 0:
-        return call_status(
-            function,
-            (component, unknowns, n_unknowns, knowns, n_knowns, seed, n_knowns, result, n_unknowns),
-        )
-    return call_status(function, (component, unknowns, n_unknowns, knowns, n_knowns, seed, result))
 
 
 @compiled

@@ -126,7 +126,6 @@ class Cvode:
             (SLOT.STOP_AT, "CVodeSetStopTime"),
             (SLOT.INTERPOLATE, "CVodeGetDky"),
             (SLOT.TOLERANCES, "CVodeSVtolerances"),
-            (SLOT.LAST_ORDER, "CVodeGetLastOrder"),
         ):
             table[slot] = _address(cvode, name)
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,6 @@ from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.scratch import ScratchFolder
 from simulation.trajectories import Trajectories
-
-if TYPE_CHECKING:
-    from simulation.fmi.sensitivity import TrajectorySensitivities
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +114,6 @@ class FmuModel:
             InputError: If the FMU cannot be opened or does not have the variables.
         """
         self._settings = settings
-        self._sensitivities: TrajectorySensitivities | None = None
         scenario = settings.scenario
         description = read_description(settings.path)
         description.interface(settings.interface, str(settings.path))
@@ -236,46 +231,8 @@ class FmuModel:
             y[:] = np.nan
         return reason
 
-    @property
-    def provides_sensitivities(self) -> bool:
-        """Whether sensitivities() can answer: directional derivatives in model exchange, no state events."""
-        from simulation.fmi.sensitivity import why_no_sensitivities
-
-        return not self._settings.shared_warmup and not why_no_sensitivities(*self._opened[:2])
-
-    def sensitivities(self, theta: FloatArray) -> tuple[Trajectories, FloatArray]:
-        """Simulate every row, and differentiate its outputs by the FMU's own derivatives.
-
-        Args:
-            theta: Parameters. Shape (n, p). [model's units]
-
-        Returns:
-            The trajectories, and dy/dtheta, NaN in failed rows. Shape (n, t, k, p). [declared units]
-
-        Raises:
-            InputError: If the FMU does not provide them, or its derivatives contradict finite differences.
-            NeedsFreshProcess: If the FMU cannot go on in this process; the answers so far are lost.
-        """
-        # Here, because it loads CVODE and compiles its callbacks.
-        from simulation.fmi.sensitivity import TrajectorySensitivities
-
-        settings, answer = self._settings, self.simulate(theta)
-        if self._sensitivities is None:
-            self._sensitivities = TrajectorySensitivities(*self._opened, shared_warmup=settings.shared_warmup)
-            weakref.finalize(self, self._sensitivities.close)
-        return self._sensitivities.differentiate(
-            answer,
-            settings.parameters_for_fmu(answer.theta),
-            output_factors=settings.output_factors,
-            output_offsets=settings.output_offsets,
-            parameter_factors=settings.parameter_factors,
-            simulate=self._runner.run,
-        )
-
     def close(self) -> None:
         """Free the instance and remove the unpacked folder; closing twice does no harm."""
-        if self._sensitivities is not None:
-            self._sensitivities.close()
         self._finalizer()
 
     def __enter__(self) -> "FmuModel":

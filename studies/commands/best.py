@@ -10,7 +10,7 @@ HELP = "show the best model per size and the best calibration of each case"
 MORE = """\
 what happens: the table shows the best trial of each label (case and profile) and training-set size. Best
 means the least validation error among completed trials. Beside its hyperparameters and errors stand the
-errors of PCA + GP. The column "tuning" is the change of the validation error against the default
+errors of PCA + GP. The column "vs default" is the change of the validation error against the default
 configuration. Below the table: Python lines that load the study and the model, and the best calibration of
 each case on its latest measurement. The command changes nothing.
 
@@ -38,7 +38,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     paths = find_project(chosen.storage)
     refuse_old_project(paths)
-    project = read_project(paths).chosen(chosen.which)
+    project = read_project(paths, chosen.which)
     known = sorted({one.spec.n_train for one in project.studies})
     for n_train in chosen.n_train or ():
         if n_train not in known:

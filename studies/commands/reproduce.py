@@ -1,6 +1,7 @@
 """`studies reproduce`: make a recorded result again and compare its numbers."""
 
 import argparse
+from dataclasses import asdict
 
 from studies.commands import values
 from studies.console import Console
@@ -42,6 +43,6 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     run_id, rows = reproduce(find_project(chosen.storage), chosen.run, console, n_jobs=jobs)
     show_reproduction(console, run_id, rows)
     is_equal = all(row.is_equal for row in rows)
-    numbers = [row.to_dict() for row in rows]
+    numbers = [asdict(row) for row in rows]
     console.document({"command": "reproduce", "run": run_id, "equal": is_equal, "numbers": numbers})
     return OK if is_equal else FAILED

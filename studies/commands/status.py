@@ -37,9 +37,9 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     paths = find_project(chosen.storage)
     refuse_old_project(paths)
-    project = read_project(paths).chosen(chosen.which)
+    project = read_project(paths, chosen.which)
     if chosen.live and not console.as_json:
-        console.watch(lambda: status_blocks(read_project(paths).chosen(chosen.which)))
+        console.watch(lambda: status_blocks(read_project(paths, chosen.which)))
         return 0
     console.show(status_blocks(project))
     console.document(status_document(project))

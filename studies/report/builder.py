@@ -85,7 +85,7 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
         for c, pictures in contents.others
     )
     return [
-        Section("tuned", "Tuned surrogates", (), tables("tuning")),
+        Section("tuned", "Tuned surrogates", tables=tables("tuning"), is_leading=True),
         Section(
             "calibration",
             "Calibration",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox, require_shape
 from studies.report.records_model import CoverageSet, SensitivityRecord
-from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedRecord
+from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 
@@ -76,7 +76,7 @@ class ReportData:
     calibrations: tuple[CalibrationRecord, ...] = ()
     coverage: CoverageSet | None = None
     sensitivity: SensitivityRecord | None = None
-    tuned: tuple[TunedRecord, ...] = ()
+    tuned: tuple[TunedSize, ...] = ()
     trials: TrialsRecord | None = None
     learning_curves: tuple[LearningCurves, ...] = ()
     validations: tuple[ValidationRecord, ...] = ()

@@ -67,7 +67,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page; folded ones are opened by the reader."""
+    """A part of the page; the reader opens folded ones, a leading one stands above the headline numbers."""
 
     anchor: str
     heading: str
@@ -77,6 +77,7 @@ class Section:
     verdict: Verdict | None = None
     paragraphs: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
+    is_leading: bool = False
 
     @property
     def is_empty(self) -> bool:
@@ -107,8 +108,9 @@ def page(
         f'<header><h1>{escape(data.title)}</h1><p class="sub">{escape(data.label)}{created}</p>',
         f'<nav aria-label="Contents">{links}<a href="#again">Do it again</a></nav></header>',
         f'<main>{note}<p class="lead">{escape(lead)}</p>',
+        *(_section(section) for section in shown if section.is_leading),
         _cards(cards),
-        *(_section(section) for section in shown),
+        *(_section(section) for section in shown if not section.is_leading),
         _again(data.provenance),
         "</main>",
         f"<footer>{escape(footer)}</footer>",

@@ -6,7 +6,8 @@ Shapes use m trials, e epochs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from studies.report.records import Booleans, Floats, Integers, require_shape
 
@@ -43,34 +44,64 @@ class TrialsRecord:
 
 
 @dataclass(frozen=True)
-class TunedRecord:
-    """The best surrogate of one training-set size.
+class TunedSize:
+    """What tuning came to for one training-set size; as JSON values it is what programs read.
 
     Attributes:
+        label: Label of the study.
+        case: Name of the case.
         n_train: Size of the training set.
-        hyperparameters: What Optuna chose, by name.
-        test_mae: [output unit, differences]
-        test_p90: 90th percentile of the absolute errors. [output unit, differences]
-        validation_mae: [output unit, differences]
-        gain: Part of the default configuration's validation MAE that tuning took away; NaN if unknown. [1]
-        baseline_mae: Of PCA + GP on the same sets; NaN without. [output unit, differences]
-        baseline_p90: Of PCA + GP on the same sets; NaN without. [output unit, differences]
+        study: Name of the Optuna study.
+        surrogate: Named form of the surrogate.
+        is_baseline: Whether it is the PCA + GP that is fitted for comparison.
+        unit: Of the errors.
+        n_planned: Trials the study shall have.
+        n_trials: Trials that have ended: complete, pruned and failed ones.
         n_complete: Trials trained to their end.
         n_pruned: Trials stopped early.
         n_failed: Trials that failed.
+        n_running: Trials that run now.
+        n_waiting: Trials that wait.
+        n_proposed: Trials that the sampler proposed from results.
+        wall_s: Training time of all trials together. [s]
+        to_go_s: Training time of the trials to come, on one core; None before the first trial. [s]
+        gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
+        trial: Number of the best trial; None without a complete one, as all that follows.
+        run_id: MLflow's run of the best trial.
+        model_uri: Address by which MLflow loads the best surrogate.
+        params: Hyperparameters of the best trial.
+        mae: Test MAE of the best trial. [unit]
+        p90: 90th percentile of its absolute test errors. [unit]
+        metrics: All errors of the best trial by name. [unit]
+        baseline: Errors of PCA + GP on the same sets by name; empty without. [unit]
     """
 
+    label: str
+    case: str
     n_train: int
-    hyperparameters: Mapping[str, float | int | str]
-    test_mae: float
-    test_p90: float
-    validation_mae: float
-    gain: float
-    baseline_mae: float
-    baseline_p90: float
+    study: str
+    surrogate: str
+    is_baseline: bool
+    unit: str
+    n_planned: int
+    n_trials: int
     n_complete: int
     n_pruned: int
     n_failed: int
+    n_running: int
+    n_waiting: int
+    n_proposed: int
+    wall_s: float
+    to_go_s: float | None
+    gain: float | None
+    trial: int | None = None
+    run_id: str | None = None
+    model_uri: str | None = None
+    params: Mapping[str, Any] = field(default_factory=dict)
+    mae: float | None = None
+    p90: float | None = None
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    baseline: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -144,37 +144,38 @@ def tuning_table(data: ReportData) -> Table | None:
     if not data.tuned:
         return None
     unit = difference_unit(data.measurement.units[0])
-    names = tuple(dict.fromkeys(name for one in data.tuned for name in one.hyperparameters))
+    names = tuple(dict.fromkeys(name for one in data.tuned for name in one.params))
     columns = (
-        Column("n_train", "training simulations", "", count),
+        Column("n_train", "n_train", "", count),
         *(Column(name, name) for name in names),
-        Column("test_mae", "test MAE", unit),
-        Column("test_p90", "90th percentile", unit),
+        Column("test_mae", "MAE", unit),
+        Column("test_p90", "P90", unit),
         Column("gain", "gain over default", "", percent),
-        Column("pca_gp_test_mae", "PCA + GP: test MAE", unit),
-        Column("pca_gp_test_p90", "90th percentile", unit),
-        Column("n_complete", "complete trials", "", count),
+        Column("pca_gp_test_mae", "PCA+GP MAE", unit),
+        Column("pca_gp_test_p90", "PCA+GP P90", unit),
+        Column("n_complete", "complete", "", count),
         Column("n_pruned", "pruned", "", count),
         Column("n_failed", "failed", "", count),
-        Column("validation_mae", "validation MAE", unit),
+        Column("validation_mae", "MAE val", unit),
     )
     rows = tuple(
         (
             one.n_train,
-            *(one.hyperparameters.get(name) for name in names),
-            one.test_mae,
-            one.test_p90,
-            one.gain if math.isfinite(one.gain) else None,
-            one.baseline_mae if math.isfinite(one.baseline_mae) else None,
-            one.baseline_p90 if math.isfinite(one.baseline_p90) else None,
+            *(one.params.get(name) for name in names),
+            one.mae,
+            one.p90,
+            one.gain,
+            one.baseline.get("test/mae"),
+            one.baseline.get("test/p90"),
             one.n_complete,
             one.n_pruned,
             one.n_failed,
-            one.validation_mae,
+            one.metrics["val/mae"],
         )
         for one in sorted(data.tuned, key=lambda one: one.n_train)
     )
-    return Table("tuning", "Best surrogate per training-set size, chosen by validation MAE", columns, rows)
+    title = "Best surrogate per training-set size by validation error (MAE and 90th percentile: test set)"
+    return Table("tuning", title, columns, rows)
 
 
 def sensitivity_table(data: ReportData) -> Table | None:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,12 +11,13 @@ import numpy as np
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from simulation.store.row_set import RowSet
-from studies.console import Column
+from studies.leaderboard import leaderboard
 from studies.recipe import Recipe, recipe_of
-from studies.report.wording import MISSING, count, difference_unit, percent, quantity, setting, significant
+from studies.report.records_tuning import TunedSize
+from studies.report.wording import count, difference_unit, quantity
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
 from studies.stages.simulate import datasets_of, set_files
-from studies.tuning.declaration import SETS, Declaration, output_metric
+from studies.tuning.declaration import SETS, Declaration
 
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
@@ -202,56 +204,14 @@ def _outcome(
     specs: Sequence[Declaration], found: "Sequence[TunedStudy]", *, reused: bool, wall_s: float
 ) -> Outcome:
     digest = digest_of({"studies": [spec.name for spec in specs], "ended": [one.n_ended for one in found]})
-    beside = {one.spec.n_train: one for one in found if one.spec.is_baseline}
-    studies = [_summary(one, beside.get(one.spec.n_train)) for one in found if not one.spec.is_baseline]
+    studies = [asdict(one.summary(found)) for one in found if not one.spec.is_baseline]
     return Outcome("tune", digest, {"studies": studies}, reused, wall_s)
-
-
-def _summary(found: "TunedStudy", baseline: "TunedStudy | None") -> Summary:
-    best = found.best
-    return {
-        "study": found.spec.name,
-        "n_train": found.spec.n_train,
-        "n_trials": found.n_ended,
-        "n_complete": found.count("complete"),
-        "n_pruned": found.count("pruned"),
-        "n_failed": found.count("failed"),
-        "n_proposed": found.n_proposed,
-        "best_trial": None if best is None else best.number,
-        "run_id": None if best is None else best.run_id,
-        "best_metrics": {} if best is None else dict(best.metrics),
-        "best_params": {} if best is None else dict(best.params),
-        "gain_over_default": found.gain,
-        "baseline_metrics": dict(baseline.best.metrics) if baseline and baseline.best else {},
-        "wall_s": found.wall_s,
-    }
 
 
 def show_tuning(study: Study, outcome: Outcome) -> None:
     """Print the best surrogate of each size."""
-    unit = difference_unit(study.case.outputs[0].unit)
-    behind = f" [{unit}]" if unit else ""
-    searched = list(study.profile.tuning.space)
-    several = study.case.outputs if len(study.case.outputs) > 1 else ()
-    columns = [Column("n_train", True), *(Column(name, True) for name in searched)]
-    columns += [Column(f"MAE{behind}", True), Column(f"P90{behind}", True)]
-    columns += [Column(f"{one.name} [{difference_unit(one.unit)}]", True, 3) for one in several]
-    columns += [Column("gain", True), Column(f"PCA+GP MAE{behind}", True), Column("P90", True, 2)]
-    columns += [Column("trials", True), Column("pruned", True, 4), Column("failed", True, 5)]
-    rows = []
-    for found in outcome.summary["studies"]:
-        errors, beside, params = found["best_metrics"], found["baseline_metrics"], found["best_params"]
-        cells = [found["n_train"], *(setting(params.get(name)) for name in searched)]
-        cells += [significant(errors[name]) for name in ("test/mae", "test/p90")]
-        cells += [significant(errors[f"test/{output_metric(one.name)}"]) for one in several]
-        gain = found["gain_over_default"]
-        cells += [MISSING if gain is None else percent(gain)]
-        cells += [significant(beside[name]) if beside else MISSING for name in ("test/mae", "test/p90")]
-        rows.append([*cells, found["n_trials"], found["n_pruned"], found["n_failed"]])
-    title = (
-        f"{study.label}: best surrogate per training-set size (test errors; gain over the default settings)"
-    )
-    study.console.table(title, columns, rows)
+    sizes = [TunedSize(**one) for one in outcome.summary["studies"]]
+    study.console.show([leaderboard(sizes, f"{study.label}: best surrogate per training-set size")])
 
 
 @contextmanager

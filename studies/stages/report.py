@@ -35,7 +35,7 @@ from studies.stages.results import (
     validation_record,
 )
 from studies.stages.tracking import log_report
-from studies.stages.tuned_trials import learning_curves, trials_record, tuned_by_size, tuned_records
+from studies.stages.tuned_trials import learning_curves, trials_record, tuned_by_size, tuned_sizes
 from studies.stages.uncertainty_results import stored_posteriors
 from studies.tracking.origin import versions
 
@@ -127,7 +127,7 @@ def _report_data(study: Study) -> ReportData:
         uncertainties=tuple(
             uncertainty_record(stored.numbers, stored.arrays) for stored in stored_posteriors(study)
         ),
-        tuned=tuned_records(study),
+        tuned=tuned_sizes(study),
         trials=trials_record(tuned),
         learning_curves=learning_curves(study, tuned),
         references=tuple(Reference(**vars(known)) for known in case.references),

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedRecord
+from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
 from studies.stages.pipeline import Study
 from studies.tracking.runs import CURVE
 from studies.tracking.stage_run import run_store
@@ -21,30 +21,10 @@ def tuned_by_size(study: Study, *, baseline: bool = False) -> dict[int, TunedStu
     return {n: one for (n, is_baseline), one in sorted(latest.items()) if is_baseline == baseline}
 
 
-def tuned_records(study: Study) -> tuple[TunedRecord, ...]:
+def tuned_sizes(study: Study) -> tuple[TunedSize, ...]:
     """Return the best surrogate of each training-set size, with PCA + GP beside it."""
-    baselines, found = tuned_by_size(study, baseline=True), []
-    for n_train, one in tuned_by_size(study).items():
-        best, beside = one.best, baselines.get(n_train)
-        if best is None:
-            continue
-        other = beside.best.metrics if beside is not None and beside.best is not None else {}
-        found.append(
-            TunedRecord(
-                n_train=n_train,
-                hyperparameters=dict(best.params),
-                test_mae=best.metrics["test/mae"],
-                test_p90=best.metrics["test/p90"],
-                validation_mae=best.metrics["val/mae"],
-                gain=np.nan if one.gain is None else one.gain,
-                baseline_mae=other.get("test/mae", np.nan),
-                baseline_p90=other.get("test/p90", np.nan),
-                n_complete=one.count("complete"),
-                n_pruned=one.count("pruned"),
-                n_failed=one.count("failed"),
-            )
-        )
-    return tuple(found)
+    baselines = list(tuned_by_size(study, baseline=True).values())
+    return tuple(one.summary(baselines) for one in tuned_by_size(study).values() if one.best is not None)
 
 
 def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:

@@ -31,6 +31,7 @@ __all__ = [
     "RunTag",
     "connect",
     "make_database",
+    "mlflow",
 ]
 
 

@@ -1,28 +1,24 @@
 """The best surrogate per training-set size: a logged model of its trial's run, in MLflow's registry."""
 
 import tempfile
-import time
 import warnings
+from contextlib import redirect_stderr
 from importlib.metadata import version
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import pelsvae
 from simulation.errors import InputError
-from studies.paths import ProjectPaths
 from studies.report.wording import difference_unit
-from studies.tracking.quiet_mlflow import Metric
 from studies.tracking.runs import RunStore
 from studies.tuning.declaration import ALIAS, Declaration
 
 if TYPE_CHECKING:
-    from mlflow.entities.model_registry import ModelVersion
-
     from pelsvae.surrogate import Surrogate
     from studies.tuning.results import TrialView
 
 SURROGATE = "surrogate"
-_TRIAL_RUN = "trial_run_id"
 
 
 def load_surrogate(
@@ -43,74 +39,29 @@ def load_surrogate(
             raise InputError(f"the surrogate of MLflow's run {run_id} cannot be loaded: {error}") from None
 
 
-def register_best(runs: RunStore, spec: Declaration, best: "TrialView", paths: ProjectPaths) -> None:
-    """Register the best trial's surrogate under the alias "champion", unless it is there already.
+def register_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
+    """Give the best trial's surrogate the alias "champion"; it is registered where it is not yet.
 
     Raises:
         InputError: the trial's weights are gone or out of this machine's reach.
     """
     client, name = runs.client, spec.model_name
-    present = _champion(runs, name)
-    if present is not None and present.tags.get(_TRIAL_RUN) == best.run_id:
-        return
-    if not client.search_registered_models(f"name = '{name}'"):
-        client.create_registered_model(
-            name, description=f"Best surrogate of {spec.label}, n_train {spec.n_train}."
-        )
-    known = [
-        one
-        for one in client.search_model_versions(f"name = '{name}'")
-        if one.tags.get(_TRIAL_RUN) == best.run_id
-    ]
-    registered = known[0] if known else _logged(runs, spec, best, name)
-    client.set_registered_model_alias(name, ALIAS, registered.version)
+    known = client.search_model_versions(f"name = '{name}' and run_id = '{best.run_id}'")
+    number = known[0].version if known else _register(runs, spec, best)
+    if not known or ALIAS not in known[0].aliases:
+        client.set_registered_model_alias(name, ALIAS, str(number))
 
 
-def _logged(runs: RunStore, spec: Declaration, best: "TrialView", name: str) -> "ModelVersion":
-    """Log the surrogate as a model of the trial's run, and register it."""
-    from mlflow.entities import LoggedModelOutput
-
-    client = runs.client
-    settings = {key: str(value) for key, value in {"n_train": spec.n_train, **best.params}.items()}
-    model = client.create_logged_model(
-        runs.experiment(spec.label),
-        name=name,
-        source_run_id=best.run_id,
-        params=settings,
-        tags={"study": spec.name, "trial": str(best.number)},
-        model_type="PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP",
-    )
-    with tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
-        weights = runs.fetch(best.run_id, SURROGATE, Path(scratch))
-        folder = Path(scratch) / "model"
-        _save_pyfunc(spec, weights, folder, model.model_id, best.run_id)
-        client.log_model_artifacts(model.model_id, str(folder))
-    client.finalize_logged_model(model.model_id, "READY")
-    # Once more with the model's id: MLflow's page of models shows a model's errors beside its settings.
-    now = round(1000.0 * time.time())
-    metrics = [Metric(key, value, now, 0, model_id=model.model_id) for key, value in best.metrics.items()]
-    client.log_batch(best.run_id, metrics=metrics)
-    client.log_outputs(best.run_id, [LoggedModelOutput(model.model_id, step=best.n_epochs)])
-    unit = difference_unit(spec.output_unit)
-    errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
-    return client.create_model_version(
-        name,
-        source=f"models:/{model.model_id}",
-        run_id=best.run_id,
-        model_id=model.model_id,
-        tags={_TRIAL_RUN: best.run_id, "study": spec.name, "trial": str(best.number)},
-        description=". ".join(
-            part for part in (f"Trial {best.number} of {spec.name}", errors, spec.note) if part
-        ),
-    )
-
-
-def _save_pyfunc(spec: Declaration, weights: Path, folder: Path, model_id: str, run_id: str) -> None:
-    """Write an MLflow model: the weights, the loader and what the columns are called."""
+def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
+    """Log the surrogate as a model of the trial's run, register it, and return its version."""
     import numpy as np
     import pandas as pd
 
-    with warnings.catch_warnings():
+    with (
+        warnings.catch_warnings(),
+        redirect_stderr(StringIO()),  # MLflow prints what it has registered
+        tempfile.TemporaryDirectory(prefix="studies-model-") as scratch,
+    ):
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         import mlflow.pyfunc
         from mlflow.models import Model, ModelSignature
@@ -119,23 +70,25 @@ def _save_pyfunc(spec: Declaration, weights: Path, folder: Path, model_id: str, 
         middle = [0.5 * (low + high) for low, high in zip(spec.lower, spec.upper, strict=True)]
         inputs: list[ColSpec | TensorSpec] = [ColSpec("double", name) for name in spec.parameter_names]
         outputs = Schema([TensorSpec(np.dtype(np.float64), (-1, -1, len(spec.output_names)))])
-        mlflow.pyfunc.save_model(
-            folder,
+        mlflow.set_experiment(experiment_id=runs.experiment(spec.label))
+        logged = Model.log(
+            None,
+            mlflow.pyfunc,
+            spec.model_name,
+            run_id=best.run_id,
+            name=spec.model_name,
+            model_type="PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP",
+            tags={"study": spec.name, "trial": best.number},
             loader_module="pelsvae.pyfunc",
             code_paths=[str(Path(pelsvae.__file__).parent)],
-            data_path=str(weights),
-            mlflow_model=Model(model_id=model_id, run_id=run_id),
+            data_path=str(runs.fetch(best.run_id, SURROGATE, Path(scratch))),
             pip_requirements=[f"{one}=={version(one).split('+')[0]}" for one in ("numpy", "pandas", "torch")],
             signature=ModelSignature(Schema(inputs), outputs),
             input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
             metadata={"label": spec.label, "study": spec.name, "output_unit": spec.output_unit},
         )
-
-
-def _champion(runs: RunStore, name: str) -> "ModelVersion | None":
-    from mlflow.exceptions import MlflowException
-
-    try:
-        return runs.client.get_model_version_by_alias(name, ALIAS)
-    except MlflowException:
-        return None
+    unit = difference_unit(spec.output_unit)
+    errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
+    said = ". ".join(part for part in (f"Trial {best.number} of {spec.name}", errors, spec.note) if part)
+    runs.client.update_model_version(spec.model_name, str(logged.registered_model_version), said)
+    return int(logged.registered_model_version)

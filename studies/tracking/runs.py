@@ -11,13 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from simulation.errors import InputError, MachineError
+from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
-from studies.paths import ProjectPaths, folder_name
-from studies.storage_url import hide_passwords
+from studies.paths import ProjectPaths, cannot_open, folder_name
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database
+from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database, mlflow
 
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
 NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
@@ -50,17 +49,8 @@ class RunStore:
         except (OSError, InputError):
             raise
         except Exception as error:
-            lines = hide_passwords(str(error)).splitlines() or [type(error).__name__]
-            where = (
-                paths.show(paths.tracking_database)
-                if paths.storage is None
-                else hide_passwords(paths.storage)
-            )
-            kind = MachineError if "Operational" in type(error).__name__ + lines[0] else InputError
-            raise kind(
-                f"MLflow cannot open {where} ({lines[0]}); check that it can be reached and written"
-            ) from None
-        self._origin = origin_tags(paths.root)
+            raise cannot_open(paths, "MLflow", paths.tracking_database, error) from None
+        self._origin = origin_tags()
         self._experiments: dict[str, str] = {}
 
     def experiment(self, label: str) -> str:
@@ -85,20 +75,13 @@ class RunStore:
         """Return the runs of an experiment that have all of some tags, the earliest first."""
         wanted = [f"tags.`{name}` = '{value}'" for name, value in tags.items()]
         wanted += [f"attributes.status = '{status}'"] if status else []
-        found: list[Run] = []
-        token = None
-        while True:
-            page = self.client.search_runs(
-                [self.experiment(label)],
-                " and ".join(wanted),
-                order_by=["attributes.start_time ASC"],
-                max_results=1000,
-                page_token=token,
-            )
-            found += page
-            token = page.token
-            if not token:
-                return found
+        found: list[Run] = mlflow.search_runs(
+            [self.experiment(label)],
+            " and ".join(wanted),
+            order_by=["attributes.start_time ASC"],
+            output_format="list",
+        )
+        return found
 
     def begin(self, label: str, name: str, tags: Mapping[str, Any], *, start_s: float | None = None) -> str:
         """Make a run, and return its id."""

@@ -12,7 +12,6 @@ from studies.paths import ProjectPaths
 from studies.tracking.quiet_mlflow import Metric
 from studies.tracking.runs import NOTE, RunStore
 
-N_CURVE_POINTS = 100
 _REFUSED = re.compile(r"[^/\w.\- :]")
 
 
@@ -35,7 +34,7 @@ class StageRun:
         started_s: start of the stage. [s since 1970, UTC]
         wall_s: its duration. [s]
         note: Markdown, shown on the run's page.
-        record: what makes it again, kept as `recipe.json`; empty where nothing does.
+        record: what makes it again, kept as `provenance.json`; empty where nothing does.
     """
 
     label: str
@@ -83,24 +82,16 @@ def log_stage(paths: ProjectPaths, stage: StageRun) -> None:
         [
             Metric(metric_name(name), value, at, step)
             for name, curve in stage.curves.items()
-            for step, value in thinned(curve)
+            for step, value in curve
         ],
     )
     runs.log_files(run_id, stage.figures, "figures")
     runs.log_files(run_id, stage.artifacts)
     if stage.record:
-        runs.log_json(run_id, stage.record, "recipe.json")
+        runs.log_json(run_id, stage.record, "provenance.json")
     runs.end(run_id, "FINISHED", end_s=started_s + stage.wall_s)
 
 
 def metric_name(name: str) -> str:
     """Return a metric's name without the signs that MLflow refuses: `wall[1].R` becomes `wall_1_.R`."""
     return _REFUSED.sub("_", name)
-
-
-def thinned(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
-    """Keep so many points of a curve that a chart of it looks the same, its ends among them."""
-    if len(curve) <= N_CURVE_POINTS:
-        return list(curve)
-    last = len(curve) - 1
-    return [curve[i] for i in sorted({round(i * last / (N_CURVE_POINTS - 1)) for i in range(N_CURVE_POINTS)})]

@@ -1,15 +1,13 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
 import time
-from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import optuna
 from mlflow.exceptions import MlflowException
 
 from studies.paths import ProjectPaths
-from studies.report.wording import difference_unit, percent, setting, significant
 from studies.tracking.datasets import dataset_inputs
 from studies.tracking.registry import register_best
 from studies.tracking.runs import RunStore
@@ -55,8 +53,9 @@ def open_study_run(
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
     """End the runs that a worker left open: each takes the state that Optuna gives its trial."""
-    trials = study.get_trials(deepcopy=False)
-    for run in runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING"):
+    left = runs.find(spec.label, {"role": "trial", "study": spec.name}, status="RUNNING")
+    trials = study.get_trials(deepcopy=False)  # later than the runs, so that each run has its trial
+    for run in left:
         number = int(run.data.tags.get("trial", -1))
         trial = trials[number] if 0 <= number < len(trials) else None
         if trial is None or trial.user_attrs.get("mlflow_run_id") not in (None, run.info.run_id):
@@ -80,7 +79,7 @@ def close_study(
             numbers["best/gain_over_default"] = found.gain
         mark_best(runs, spec, best)
         if not spec.is_baseline:
-            register_best(runs, spec, best, paths)
+            register_best(runs, spec, best)
     runs.log(run_id, metrics=numbers, tags={"best_trial": "" if best is None else best.number})
     runs.end(run_id, "FINISHED", end_s=time.time())
 
@@ -93,41 +92,3 @@ def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
             runs.client.delete_tag(run.info.run_id, BEST)
     if runs.client.get_run(best.run_id).data.tags.get(BEST) != kind:
         runs.log(best.run_id, tags={BEST: kind})
-
-
-def leaderboard_note(studies: "Sequence[TunedStudy]", note: str) -> str:
-    """Return a label's table of the best surrogate per size, as Markdown for the head of its page."""
-    tuned = [study for study in studies if not study.spec.is_baseline and study.best is not None]
-    if not tuned:
-        return note
-    baselines = {s.spec.n_train: s.best for s in studies if s.spec.is_baseline and s.best is not None}
-    unit, names = difference_unit(tuned[0].spec.output_unit), list(tuned[0].spec.space)
-    behind = f" [{unit}]" if unit else ""
-    head = [
-        "n_train",
-        *names,
-        f"MAE{behind}",
-        f"P90{behind}",
-        "gain over default",
-        f"PCA + GP MAE{behind}",
-        "trials",
-    ]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---:|" * len(head)]
-    for study in tuned:
-        best = study.best
-        assert best is not None
-        beside = baselines.get(study.spec.n_train)
-        cells: list[Any] = [study.spec.n_train, *(setting(best.settings.get(name)) for name in names)]
-        cells += [significant(best.metrics["test/mae"]), significant(best.metrics["test/p90"])]
-        cells += ["–" if study.gain is None else percent(study.gain)]
-        cells += ["–" if beside is None else significant(beside.metrics["test/mae"]), study.n_ended]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    # MLflow's page shows the first line alone until it is unfolded.
-    said = [
-        f"{study.spec.n_train}: {' / '.join(setting(best.settings.get(name)) for name in names)} → "
-        f"{significant(best.metrics['test/mae'])}, {significant(best.metrics['test/p90'])}"
-        for study in tuned
-        if (best := study.best) is not None
-    ]
-    first = f"Best per n_train ({' / '.join(names)} → test MAE, P90{behind}): {' · '.join(said)}"
-    return "\n\n".join(part for part in (first, "\n".join(lines), note) if part)

@@ -36,7 +36,7 @@ class TrialRun:
         params: its hyperparameters.
         settings: all settings of its surrogate.
         seed: seed of its training.
-        record: what makes the trial again, kept as `recipe.json`.
+        record: what makes the trial again, kept as `provenance.json`.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class TrialRun:
         self._points: list[Metric] = []
         self._flushed_s = time.monotonic()
         runs.log(self.id, params={"n_train": spec.n_train, "seed": seed, **settings, **params})
-        runs.log_json(self.id, record, "recipe.json")
+        runs.log_json(self.id, record, "provenance.json")
 
     def hear(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""

@@ -9,7 +9,7 @@ import time
 import urllib.request
 import webbrowser
 from contextlib import suppress
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 from simulation.errors import InputError, MachineError
 from simulation.workers.family import end_with_parent
@@ -22,7 +22,11 @@ START_LIMIT_S, STOP_LIMIT_S = 120.0, 10.0
 LOG_FILE = "ui.log"
 # The job runners that MLflow would start take two gigabytes, and nothing here uses them.
 ENVIRONMENT = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false", "MLFLOW_DISABLE_TELEMETRY": "true"}
-LEADERBOARD = "tags.best = 'yes'"
+# Sorted by a metric, the trials do not hide below the runs of their studies.
+LEADERBOARD = urlencode(
+    {"searchFilter": "tags.best = 'yes'", "orderByKey": "metrics.`test/mae`", "orderByAsc": "false"},
+    quote_via=quote,
+)
 
 
 def open_ui(
@@ -99,7 +103,7 @@ def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
     runs = f"#/experiments/{known[chosen]}/runs?workflowType=machine_learning"
     return {
         f"All runs of {chosen}": runs,
-        f"Best trial per training-set size of {chosen}": f"{runs}&searchFilter={quote(LEADERBOARD)}",
+        f"Best trial per training-set size of {chosen}": f"{runs}&{LEADERBOARD}",
         "Registered models": "#/models",
     }
 

@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -98,6 +98,11 @@ class Declaration:
         return size_name(self.n_train) + (" PCA + GP" if self.is_baseline else "")
 
     @property
+    def data(self) -> tuple[Any, ...]:
+        """What two studies share whose errors are compared: the label and the data sets."""
+        return self.label, self.n_train, *sorted(self.digests.items())
+
+    @property
     def model_name(self) -> str:
         """Name of the best surrogate in MLflow's registry."""
         return f"{self.label}-{size_name(self.n_train)}"
@@ -169,29 +174,6 @@ class Declaration:
             )
         values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
         return cls(**values)
-
-
-@dataclass(frozen=True)
-class TrialResult:
-    """What a training came to.
-
-    Args:
-        metrics: errors by name (`val/mae`, `val/p90`, `test/mae`, ...). [first output's unit]
-        n_epochs: epochs trained.
-        best_epoch: epoch whose weights were kept.
-        n_rows: training rows used.
-        wall_s: duration. [s]
-        reason: why the training ended.
-        weights_sha256: of the trained surrogate's weights.
-    """
-
-    metrics: dict[str, float] = field(default_factory=dict)
-    n_epochs: int = 0
-    best_epoch: int = 0
-    n_rows: int = 0
-    wall_s: float = 0.0
-    reason: str = ""
-    weights_sha256: str = ""
 
 
 def output_metric(output_name: str) -> str:

@@ -1,16 +1,19 @@
 """What the studies of a project have come to, read from Optuna alone: for tables, figures and programs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from studies.paths import ProjectPaths
+from studies.report.records_tuning import TunedSize
+from studies.report.wording import difference_unit
 from studies.tuning.declaration import Declaration
 from studies.tuning.storage import (
+    CLOSED,
     DECLARATION,
     PLANNED,
     RUN_ID,
@@ -20,15 +23,6 @@ from studies.tuning.storage import (
     storage_of,
 )
 
-State = Literal["complete", "pruned", "failed", "running", "waiting"]
-_STATES: dict[TrialState, State] = {
-    TrialState.COMPLETE: "complete",
-    TrialState.PRUNED: "pruned",
-    TrialState.FAIL: "failed",
-    TrialState.RUNNING: "running",
-    TrialState.WAITING: "waiting",
-}
-
 
 @dataclass(frozen=True)
 class TrialView:
@@ -36,39 +30,33 @@ class TrialView:
 
     Args:
         number: Optuna's number of the trial.
-        place: its place in the study, from 0.
-        state: how it stands.
+        state: "complete", "pruned", "failed", "running" or "waiting".
         params: its hyperparameters.
         settings: all settings of its surrogate; empty where it has no hyperparameters yet.
-        value: validation MAE; of a pruned trial the last one reported. [output's unit]
+        value: validation MAE; of a trial that is not complete the last one reported. [output's unit]
         metrics: errors by name; empty unless the trial is complete. [output's unit]
-        reports: validation MAE by epoch, where trials are compared. [output's unit]
         run_id: MLflow's run, empty without one.
         proposed_by: "default", "profile", "start-up" or the sampler's name.
         reason: why it ended.
         wall_s: duration of the training. [s]
         n_epochs: epochs trained.
         best_epoch: epoch whose weights were kept.
-        seed: seed of the training.
         began_s: when it began. [s since 1970, UTC]
         weights_sha256: of the trained surrogate's weights.
     """
 
     number: int
-    place: int
-    state: State
+    state: str
     params: Mapping[str, Any]
     settings: Mapping[str, Any]
     value: float | None
     metrics: Mapping[str, float]
-    reports: Mapping[int, float]
     run_id: str
     proposed_by: str
     reason: str
     wall_s: float
     n_epochs: int
     best_epoch: int
-    seed: int
     began_s: float
     weights_sha256: str
 
@@ -81,15 +69,15 @@ class TunedStudy:
         spec: what it was declared with.
         n_planned: trials it shall have.
         trials: its places, in order.
-        run_id: MLflow's run of the study, empty without one.
+        n_closed: trials it had when its best surrogate was registered; 0 before.
     """
 
     spec: Declaration
     n_planned: int
     trials: tuple[TrialView, ...]
-    run_id: str = ""
+    n_closed: int = 0
 
-    def count(self, state: State) -> int:
+    def count(self, state: str) -> int:
         """Return the number of trials in a state."""
         return sum(trial.state == state for trial in self.trials)
 
@@ -133,6 +121,44 @@ class TunedStudy:
         """Trials that the sampler proposed from results."""
         return sum(trial.proposed_by.endswith("Sampler") for trial in self.trials)
 
+    def summary(self, studies: "Iterable[TunedStudy]" = ()) -> TunedSize:
+        """Return what it came to.
+
+        Args:
+            studies: where its PCA + GP is looked for: that of the same label and data sets.
+        """
+        spec, best = self.spec, self.best
+        beside = next((o.best for o in studies if o.spec.is_baseline and o.spec.data == spec.data), None)
+        errors = {} if best is None else dict(best.metrics)
+        return TunedSize(
+            label=spec.label,
+            case=spec.case_name,
+            n_train=spec.n_train,
+            study=spec.name,
+            surrogate=spec.surrogate,
+            is_baseline=spec.is_baseline,
+            unit=difference_unit(spec.output_unit),
+            n_planned=self.n_planned,
+            n_trials=self.n_ended,
+            n_complete=self.count("complete"),
+            n_pruned=self.count("pruned"),
+            n_failed=self.count("failed"),
+            n_running=self.count("running"),
+            n_waiting=self.count("waiting"),
+            n_proposed=self.n_proposed,
+            wall_s=self.wall_s,
+            to_go_s=self.to_go_s,
+            gain=self.gain,
+            trial=None if best is None else best.number,
+            run_id=None if best is None else best.run_id,
+            model_uri=spec.model_uri,
+            params={} if best is None else dict(best.params),
+            mae=errors.get("test/mae"),
+            p90=errors.get("test/p90"),
+            metrics=errors,
+            baseline={} if beside is None else dict(beside.metrics),
+        )
+
     @property
     def began_s(self) -> float:
         """When its first trial began. [s since 1970, UTC]."""
@@ -150,8 +176,8 @@ def read_study(study: optuna.Study) -> TunedStudy:
     return TunedStudy(
         spec=spec,
         n_planned=int(attrs.get(PLANNED, 0)),
-        trials=tuple(_view(spec, trial, place) for place, trial in enumerate(trials)),
-        run_id=str(attrs.get(RUN_ID, "")),
+        trials=tuple(_view(spec, trial) for trial in trials),
+        n_closed=int(attrs.get(CLOSED, 0)),
     )
 
 
@@ -166,10 +192,10 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
         return []
     found = []
     with storage_of(paths) as storage:
-        for summary in optuna.get_all_study_summaries(storage, include_best_trial=False):
-            declared = summary.user_attrs.get(DECLARATION)
+        for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
+            declared = study.user_attrs.get(DECLARATION)
             if isinstance(declared, dict) and label in (None, declared.get("label")):
-                found.append(read_study(optuna.load_study(study_name=summary.study_name, storage=storage)))
+                found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
     return sorted(
         found, key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s)
     )
@@ -190,29 +216,28 @@ def latest_studies(
     }
 
 
-def _view(spec: Declaration, trial: FrozenTrial, place: int) -> TrialView:
+def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
     training = trial.user_attrs.get("training", {})
     began = trial.datetime_start.timestamp() if trial.datetime_start else 0.0
     ended = trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0
     params = dict(trial.params)
     known = {name: value for name, value in params.items() if name in spec.settings}
+    last = None if trial.last_step is None else trial.intermediate_values[trial.last_step]
+    value = last if trial.value is None else float(trial.value)
     usual = "" if trial.state == TrialState.WAITING else "start-up"
     return TrialView(
         number=trial.number,
-        place=place,
-        state=_STATES[trial.state],
+        state="failed" if trial.state == TrialState.FAIL else trial.state.name.lower(),
         params=params,
         settings={**spec.settings, **known} if known or not spec.space else {},
-        value=None if trial.value is None else float(trial.value),
+        value=value,
         metrics=errors_of(trial) if trial.state == TrialState.COMPLETE else {},
-        reports={int(step): float(value) for step, value in trial.intermediate_values.items()},
         run_id=str(trial.user_attrs.get(RUN_ID, "")),
         proposed_by=str(trial.user_attrs.get("proposed_by", usual)),
         reason=str(trial.user_attrs.get("reason", "")),
         wall_s=float(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),
         n_epochs=int(training.get("n_epochs", trial.last_step or 0)),
         best_epoch=int(training.get("best_epoch", 0)),
-        seed=int(trial.user_attrs.get("seed", 0)),
         began_s=began,
         weights_sha256=str(training.get("weights_sha256", "")),
     )

@@ -1,22 +1,17 @@
-"""Optuna's samplers and pruners by name, and seeds that make a study repeatable."""
+"""Optuna's samplers and pruners by name, and the seeds that make a study repeatable."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from inspect import signature
 from typing import Any
 
 import optuna
-from optuna.distributions import BaseDistribution
 from optuna.pruners import BasePruner
 from optuna.samplers import BaseSampler
-from optuna.storages import RDBStorage
-from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
 from studies.tuning.declaration import Declaration
 from studies.tuning.pruner import CatchUpPruner
-from studies.tuning.storage import is_owned, place_of, set_owner, trial_id
 
-PROPOSED_BY = "proposed_by"
 _OWN_PRUNERS = {"CatchUpPruner": CatchUpPruner}
 _ONE_SEQUENCE = ("QMCSampler", "GridSampler", "BruteForceSampler")
 """Samplers that go through one sequence: each trial takes the same seed, not one of its own."""
@@ -59,61 +54,10 @@ def _made(kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base
         raise InputError(f"tuning.{kind}: {name} refuses its arguments: {error}") from None
 
 
-class RepeatableSampler(BaseSampler):
-    """Asks a fresh sampler at each trial, seeded by the study's seed and the trial's place.
+def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:
+    """Return the sampler of one trial, seeded by the study's seed and the trial's place.
 
     So a study that was interrupted, or whose worker died, goes on as the undisturbed one would have.
-
-    Args:
-        spec: the study.
-        storage: where it lies; hears that the trial has begun and who works on it before anything else.
-        on_begun: called once the trial is begun.
     """
-
-    def __init__(self, spec: Declaration, storage: RDBStorage, on_begun: Callable[[], None]) -> None:
-        self._spec, self._storage, self._on_begun = spec, storage, on_begun
-        self._sampler = self._fresh(0)
-
-    def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        """Note who works on the trial, and make its sampler."""
-        # Optuna's own heartbeat begins with the objective: a kill before it would leave a running trial.
-        self._storage.record_heartbeat(trial_id(self._storage, study, trial.number))
-        if not is_owned(trial):  # somebody else took the claimed trial at that very moment
-            set_owner(self._storage, study, trial.number)
-        self._on_begun()
-        self._sampler = self._fresh(place_of(trial, study.get_trials(deepcopy=False)))
-        self._sampler.before_trial(study, trial)
-
-    def infer_relative_search_space(
-        self, study: optuna.Study, trial: FrozenTrial
-    ) -> dict[str, BaseDistribution]:
-        """Ask the sampler."""
-        return self._sampler.infer_relative_search_space(study, trial)
-
-    def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """Ask the sampler, and note that it had results to propose from."""
-        params = self._sampler.sample_relative(study, trial, search_space)
-        if params and PROPOSED_BY not in trial.user_attrs:
-            name = type(self._sampler).__name__
-            self._storage.set_trial_user_attr(trial_id(self._storage, study, trial.number), PROPOSED_BY, name)
-        return params
-
-    def sample_independent(
-        self,
-        study: optuna.Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """Ask the sampler."""
-        return self._sampler.sample_independent(study, trial, param_name, param_distribution)
-
-    def after_trial(self, study: optuna.Study, trial: FrozenTrial, state: TrialState, values: Any) -> None:
-        """Tell the sampler."""
-        self._sampler.after_trial(study, trial, state, values)
-
-    def _fresh(self, place: int) -> BaseSampler:
-        is_one_sequence = self._spec.sampler.get("name") in _ONE_SEQUENCE
-        return make_sampler(self._spec.sampler, self._spec.trial_seed(0 if is_one_sequence else place, 0))
+    is_one_sequence = spec.sampler.get("name") in _ONE_SEQUENCE
+    return make_sampler(spec.sampler, spec.trial_seed(0 if is_one_sequence else place, 0))

@@ -16,7 +16,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
-from studies.paths import ProjectPaths
+from studies.paths import ProjectPaths, cannot_open
 from studies.storage_url import hide_passwords
 from studies.tuning.declaration import Declaration
 from studies.tuning.owner import is_dead, this_process
@@ -25,9 +25,10 @@ HEARTBEAT_S, GRACE_S = 10, 30
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 DECLARATION, PLANNED, OWNER, RUN_ID = "declaration", "n_trials", "owner", "mlflow_run_id"
-SEED = "seed"
+CLOSED = "closed"
+"""Attribute of a study: how many trials it had when its best surrogate was registered."""
+PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
-FINISHED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
@@ -60,12 +61,7 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
     except (InputError, OSError):
         raise
     except Exception as error:
-        lines = hide_passwords(str(error.__cause__ or error)).splitlines() or [type(error).__name__]
-        where = paths.show(paths.optuna_database) if paths.storage is None else hide_passwords(paths.storage)
-        kind = MachineError if "Operational" in type(error.__cause__ or error).__name__ else InputError
-        raise kind(
-            f"Optuna cannot open {where} ({lines[0]}); check that it can be reached and written"
-        ) from None
+        raise cannot_open(paths, "Optuna", paths.optuna_database, error) from None
     if paths.storage is None:
         from sqlalchemy import event
 
@@ -160,33 +156,34 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     for place, params in enumerate(spec.first_points):
         if not study.get_trials(deepcopy=False) or place:
             origin = "default" if place == 0 else "profile"
-            study.enqueue_trial(params, user_attrs={"proposed_by": origin}, skip_if_exists=bool(params))
+            study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
     return study
 
 
-def claim_next(storage: RDBStorage, study: optuna.Study) -> None:
+def claim_next(storage: RDBStorage, study: optuna.Study) -> int:
     """Note on the next trial who works on it while it still waits; call it while the study is locked.
 
-    A worker that is killed while its trial begins so leaves no running trial without an owner.
+    A worker that is killed while its trial begins so leaves no running trial without an owner. Optuna's own
+    heartbeat begins with the objective, so the first one is recorded here.
+
+    Returns:
+        The trial's place in the study.
     """
     trials = study.get_trials(deepcopy=False)
-    waiting = next((trial for trial in trials if trial.state == TrialState.WAITING), None)
-    if waiting is None:
-        owner = {"trial": len(trials), **this_process()}
-        study.add_trial(optuna.create_trial(state=TrialState.WAITING, user_attrs={OWNER: owner}))
-    else:
-        set_owner(storage, study, waiting.number)
+    if not any(trial.state == TrialState.WAITING for trial in trials):
+        study.add_trial(optuna.create_trial(state=TrialState.WAITING))
+        trials = study.get_trials(deepcopy=False)
+    waiting = next(trial for trial in trials if trial.state == TrialState.WAITING)
+    set_owner(storage, study, waiting.number)
+    return place_of(waiting, trials)
 
 
 def set_owner(storage: RDBStorage, study: optuna.Study, number: int) -> None:
-    """Note that this process works on a trial."""
-    storage.set_trial_user_attr(trial_id(storage, study, number), OWNER, {"trial": number, **this_process()})
-
-
-def trial_id(storage: RDBStorage, study: optuna.Study, number: int) -> int:
-    """Return the storage's id of a trial."""
+    """Note that this process works on a trial, and that it lives."""
     study_id = storage.get_study_id_from_name(study.study_name)
-    return storage.get_trial_id_from_study_id_trial_number(study_id, number)
+    trial_id = storage.get_trial_id_from_study_id_trial_number(study_id, number)
+    storage.set_trial_user_attr(trial_id, OWNER, {"trial": number, **this_process()})
+    storage.record_heartbeat(trial_id)
 
 
 def is_owned(trial: FrozenTrial) -> bool:
@@ -241,6 +238,7 @@ def n_begun(trials: Sequence[FrozenTrial]) -> int:
 def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
     """Let a trial be run again by whoever comes next, `MAX_RETRIES` times at most."""
     trial = copy.deepcopy(trial)  # Optuna adds to its history
+    trial.user_attrs.pop(RUN_ID, None)  # the retry gets a run of its own
     if SEED not in trial.user_attrs:
         # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
         trial.distributions, trial.params = {}, {}

@@ -1,7 +1,6 @@
 """Train and judge the surrogate of one trial; knows neither Optuna nor MLflow."""
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
 from simulation.store.row_set import RowSet
 from studies.paths import ProjectPaths
-from studies.tuning.declaration import SETS, Declaration, TrialResult, output_metric
+from studies.tuning.declaration import SETS, Declaration, output_metric
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
@@ -69,7 +68,7 @@ def train(
     *,
     on_epoch: Callable[[EpochReport], None],
     on_report: Callable[[int, float], None],
-) -> tuple[FitResult, TrialResult]:
+) -> tuple[FitResult, dict[str, float]]:
     """Train a surrogate and judge it on the validation and the test set.
 
     Args:
@@ -81,13 +80,12 @@ def train(
         on_report: called with epoch and validation error where trials are compared.
 
     Returns:
-        The surrogate and what it came to.
+        The surrogate, and its errors by name (`val/mae`, `test/p90`, ...). [first output's unit]
 
     Raises:
         TrainingDiverged: the loss or an error is not finite.
     """
     steps = report_epochs(config.max_epochs)
-    started = time.perf_counter()
 
     def hear(report: EpochReport) -> None:
         on_epoch(report)
@@ -110,15 +108,7 @@ def train(
     judged = judge(fitted.surrogate, spec, data)
     if not all(map(math.isfinite, judged.values())):
         raise TrainingDiverged("the errors of the trained surrogate are not finite")
-    result = TrialResult(
-        metrics=judged,
-        n_epochs=fitted.n_epochs,
-        best_epoch=fitted.best_epoch,
-        n_rows=len(data.train[0]),
-        wall_s=time.perf_counter() - started,
-        reason=fitted.stop_reason,
-    )
-    return fitted, result
+    return fitted, judged
 
 
 def judge(surrogate: Surrogate, spec: Declaration, data: StudyData) -> dict[str, float]:

@@ -12,16 +12,18 @@ from typing import IO, Any
 
 import optuna
 from optuna.storages import RDBStorage
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial
 
 from simulation.errors import InputError
+from studies.leaderboard import leaderboard_note
 from studies.paths import ProjectPaths
 from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
-from studies.tracking.study_run import close_study, end_left_runs, leaderboard_note, open_study_run
+from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning.declaration import Declaration
 from studies.tuning.results import TunedStudy, latest_studies, read_studies, read_study
 from studies.tuning.storage import (
+    CLOSED,
     is_unfinished,
     make_study,
     retry_lost,
@@ -118,14 +120,13 @@ def tune(
             planned = 1 if spec.is_baseline else n_trials
             with study_locked(storage, paths, spec.name):
                 study = make_study(storage, spec, n_trials=planned)
-                retry_lost(study)
             if recipe and study.user_attrs.get(RECIPE) != recipe:
                 study.set_user_attr(RECIPE, recipe)
             run_id = open_study_run(runs, spec, planned, study.user_attrs.get(STUDY_RUN), paths)
             if study.user_attrs.get(STUDY_RUN) != run_id:
                 study.set_user_attr(STUDY_RUN, run_id)
-            end_left_runs(runs, study, spec)
             part = _Part(spec, study, run_id, planned)
+            _give_back(part, storage, paths, runs)
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
         largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
         with _stopped_at_the_end(largest_first, storage, paths, runs):
@@ -152,7 +153,8 @@ def tune(
         # The page shows all sizes of the label, those of other commands too.
         label, case = specs[0].label, specs[0].digests["case"]
         latest = latest_studies(read_studies(paths, label=label), case)
-        runs.describe(label, leaderboard_note([latest[key] for key in sorted(latest)], specs[0].note))
+        sizes_now = [one.summary(latest.values()) for key, one in sorted(latest.items()) if not key[1]]
+        runs.describe(label, leaderboard_note(sizes_now, specs[0].note))
         return found
 
 
@@ -228,40 +230,22 @@ def _stopped_at_the_end(
         raise
 
 
-CLOSED = "closed"
-"""Attribute of a study: how many trials it had when its best surrogate was registered."""
-
-
 def closed_studies(
     specs: Sequence[Declaration], paths: ProjectPaths, n_trials: int
 ) -> list[TunedStudy] | None:
     """Return the studies where all of them are finished and registered, None where work is left."""
-    if paths.storage is None and not paths.optuna_database.is_file():
-        return None
-    found = []
-    with storage_of(paths) as storage:
-        for spec in specs:
-            try:
-                study = optuna.load_study(study_name=spec.name, storage=storage)
-            except KeyError:
-                return None
-            trials = study.get_trials(deepcopy=False)
-            planned = 1 if spec.is_baseline else n_trials
-            is_closed = study.user_attrs.get(CLOSED) == len(trials)
-            if is_unfinished(trials, planned) or n_running(trials) or not is_closed:
-                return None
-            found.append(read_study(study))
-    return found
+    known = {one.spec.name: one for one in read_studies(paths, label=specs[0].label)}
+    found = [known[spec.name] for spec in specs if spec.name in known]
+    are_closed = len(found) == len(specs) and all(
+        one.n_closed == one.n_ended == len(one.trials) >= (1 if one.spec.is_baseline else n_trials)
+        for one in found
+    )
+    return found if are_closed else None
 
 
 def _close(part: _Part, runs: RunStore, paths: ProjectPaths) -> TunedStudy:
     """Register the best surrogate of a study and end its run."""
     found = read_study(part.study)
     close_study(runs, part.spec, found, part.run_id, paths)
-    part.study.set_user_attr(CLOSED, len(part.trials))
+    part.study.set_user_attr(CLOSED, len(found.trials))
     return found
-
-
-def n_running(trials: Sequence[FrozenTrial]) -> int:
-    """Return how many trials of a study run now."""
-    return sum(trial.state == TrialState.RUNNING for trial in trials)

@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +30,22 @@ from studies.storage_url import hide_passwords
 from studies.tracking.origin import environment
 from studies.tracking.runs import RunStore
 from studies.tracking.trial_run import TrialRun, end_run
-from studies.tuning.declaration import Declaration, TrialResult
-from studies.tuning.sampler import RepeatableSampler, make_pruner
+from studies.tuning.declaration import Declaration
+from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import (
-    FINISHED,
     PLANNED,
+    PROPOSED_BY,
     RUN_ID,
     SEED,
     claim_next,
     declaration_of,
+    is_owned,
     is_unfinished,
     open_storage,
     place_of,
     retry_lost,
     run_again,
+    set_owner,
     study_locked,
 )
 from studies.tuning.training import load_data, train
@@ -75,14 +76,10 @@ class Worker:
             study = optuna.load_study(study_name=name, storage=self._storage)
         except KeyError:
             raise InputError(f"there is no study {name!r}; type: studies status") from None
-        self._spec = declaration_of(study)
-        self._begun: Callable[[], None] = lambda: None
+        self._study, self._spec = study, declaration_of(study)
+        study.pruner = make_pruner(self._spec.pruner)
         self._number: int | None = None
         self._is_lost = False
-        sampler = RepeatableSampler(self._spec, self._storage, lambda: self._begun())
-        self._study = optuna.load_study(
-            study_name=name, storage=self._storage, sampler=sampler, pruner=make_pruner(self._spec.pruner)
-        )
         self._data = load_data(self._spec, paths)
         self._runs = RunStore(paths)
         self._environment = environment(resolve_device(self._spec.base_config.device).type)
@@ -94,52 +91,50 @@ class Worker:
             until_s: no trial begins after this moment. [s since 1970, UTC]
         """
         while until_s is None or time.time() < until_s:
-            with study_locked(self._storage, self._paths, self._spec.name) as begun:
-                self._begun = begun
+            with study_locked(self._storage, self._paths, self._spec.name) as release:
                 retry_lost(self._study)
                 planned = int(self._study.user_attrs.get(PLANNED, 0))
                 if not is_unfinished(self._study.get_trials(deepcopy=False), planned):
                     return
-                claim_next(self._storage, self._study)
-                self._run_trial()
+                place = claim_next(self._storage, self._study)
+                self._study.sampler = sampler_of_place(self._spec, place)
+                self._run_trial(release)
 
-    def _run_trial(self) -> None:
+    def _run_trial(self, on_begun: Callable[[], None]) -> None:
         """Let Optuna run one trial; a trial that this process could not end is run again."""
         self._number, self._is_lost = None, False
+
+        def objective(trial: optuna.Trial) -> float:
+            self._number = trial.number
+            try:
+                return self._train(trial, on_begun)
+            finally:
+                self._is_lost = self._study.get_trials(deepcopy=False)[trial.number].state.is_finished()
+
         try:
-            self._study.optimize(
-                self._objective, n_trials=1, catch=(TrialFailedError,), callbacks=[self._end]
-            )
+            self._study.optimize(objective, n_trials=1, catch=(TrialFailedError,), callbacks=[self._end])
         except BaseException:
             number: int | None = self._number
             if number is None:
                 raise
-            trial = self._study.get_trials()[number]
             with suppress(Exception):
-                self._end(self._study, trial)
-            if self._is_lost:
+                self._end(self._study, self._study.get_trials()[number])
+            if self._is_lost:  # this process stood still, so another one has ended the trial
                 return
             # A full disk or a Ctrl-C is no fault of the configuration.
-            run_again(self._study, trial)
+            run_again(self._study, self._study.get_trials()[number])
             raise
 
-    def _objective(self, trial: optuna.Trial) -> float:
-        self._number = trial.number
-        try:
-            value = self._train(trial)
-        except (optuna.TrialPruned, TrialFailedError):
-            raise
-        except Exception:
-            self._is_lost = self._is_taken(trial.number)
-            raise
-        self._is_lost = self._is_taken(trial.number)
-        return value
-
-    def _train(self, trial: optuna.Trial) -> float:
+    def _train(self, trial: optuna.Trial, on_begun: Callable[[], None]) -> float:
         spec = self._spec
+        trials = self._study.get_trials(deepcopy=False)
+        if not is_owned(trials[trial.number]):  # somebody else took the claimed trial at that very moment
+            set_owner(self._storage, self._study, trial.number)
+        on_begun()
+        if trial.relative_params and PROPOSED_BY not in trial.user_attrs:
+            trial.set_user_attr(PROPOSED_BY, spec.sampler["name"])
         params = suggested(trial, spec.space, spec.base_config)
-        frozen = self._study.get_trials(deepcopy=False)
-        place = place_of(frozen[trial.number], frozen)
+        place = place_of(trials[trial.number], trials)
         seed = spec.trial_seed(place, 1)
         config = spec.config(params)
         run = TrialRun(
@@ -178,49 +173,44 @@ class Worker:
                 stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
 
         def stop(reason: str) -> None:
-            run.flush()
-            note(TrialResult(n_epochs=epoch, wall_s=time.perf_counter() - began, reason=reason))
+            note(reason)
             raise optuna.TrialPruned(reason)
 
-        def note(result: TrialResult) -> None:
-            said = asdict(result)
-            for name, value in said.pop("metrics").items():
-                if name != "val/mae":  # Optuna has it as the trial's value
-                    trial.set_user_attr(name, value)
-            trial.set_user_attr("reason", said.pop("reason"))
-            trial.set_user_attr("training", {key: value for key, value in said.items() if value})
+        def note(reason: str, **more: Any) -> None:
+            run.flush()
+            trial.set_user_attr("reason", reason)
+            ended = {"n_epochs": epoch, "wall_s": time.perf_counter() - began, **more}
+            trial.set_user_attr("training", ended)
 
         try:
-            fitted, result = train(spec, config, seed, self._data, on_epoch=hear, on_report=compare)
+            fitted, metrics = train(spec, config, seed, self._data, on_epoch=hear, on_report=compare)
         except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
         except Exception as error:
-            if self._is_taken(trial.number):
-                raise
             # Whatever else a configuration provokes (divergence, memory) is its result.
-            run.flush()
-            note(
-                TrialResult(n_epochs=epoch, wall_s=time.perf_counter() - began, reason=failure_reason(error))
-            )
+            note(failure_reason(error))
             raise TrialFailedError(failure_reason(error)) from error
-        run.flush()
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
             fitted.surrogate.save(folder)
             weights = file_digest(folder / "weights.npz")
-            if result.metrics["val/mae"] < self._best():
+            if metrics["val/mae"] < self._best():
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
-        note(TrialResult(**{**asdict(result), "weights_sha256": weights}))
-        return result.metrics["val/mae"]
+        for name, value in metrics.items():
+            if name != "val/mae":  # Optuna has it as the trial's value
+                trial.set_user_attr(name, value)
+        note(
+            fitted.stop_reason,
+            n_epochs=fitted.n_epochs,
+            best_epoch=fitted.best_epoch,
+            weights_sha256=weights,
+        )
+        return metrics["val/mae"]
 
     def _best(self) -> float:
         complete = self._study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         ours = [trial.value for trial in complete if trial.value is not None and RUN_ID in trial.user_attrs]
         return min(ours, default=float("inf"))
-
-    def _is_taken(self, number: int) -> bool:
-        """Say whether another worker has ended a trial of this one, which stood still for too long."""
-        return self._study.get_trials(deepcopy=False)[number].state in FINISHED
 
     def _end(self, study: optuna.Study, trial: FrozenTrial) -> None:
         run_id = trial.user_attrs.get(RUN_ID)

@@ -43,7 +43,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("reproduce", "wall-smoke/adaptive", "-q"),
     ("run", *STUDY, "--seed", "1"),
 )
-GRACE_S, LIMIT_S = 15.0, 600.0
+GRACE_S, LIMIT_S = 60.0, 600.0
 VOLATILE = ("wall", "environment", "run_id", "n_reused", "finished", "recipe", "per_second", "_s")
 
 

@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import optuna
 import psutil
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,16 +23,13 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from studies.paths import ProjectPaths  # noqa: E402
 from studies.tracking.runs import RunStore  # noqa: E402
-from studies.tuning.storage import open_storage, place_of, places  # noqa: E402
-
-STARTED_S = 4.0
+from studies.tuning.storage import OWNER, place_of, places, storage_of  # noqa: E402
 
 
 def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str | None) -> bool:
     """Tune under fire, then look at what is left."""
-    import optuna
-
     draw, n_killed, n_commands = random.Random(seed), 0, 0
+    paths = ProjectPaths(root, storage)
     words = ["tune", "wall", "--profile", "smoke", "--n-train", "32", "--trials", str(n_trials)]
     words += ["--parallel", "3", "--jobs", "3", "-q"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), **({"STUDIES_STORAGE": storage} if storage else {})}
@@ -45,24 +43,23 @@ def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str |
             stdout=subprocess.DEVNULL,
         )
         while command.poll() is None:
-            time.sleep(draw.uniform(0.1, 2.0))
-            workers = [
-                one for one in psutil.Process().children(recursive=True) if "worker" in " ".join(said(one))
-            ]
-            workers = [one for one in workers if "studies.tuning.worker" in said(one)]
+            time.sleep(draw.uniform(0.05, 1.0))
+            busy = pids_of_trials(paths)
+            children = psutil.Process().children(recursive=True)
+            workers = [one for one in children if one.pid in busy and "studies.tuning.worker" in said(one)]
             if workers and n_killed < n_kills and command.poll() is None:
                 draw.choice(workers).kill()
                 n_killed += 1
         if command.returncode == 0:
             break
-    paths = ProjectPaths(root, storage)
-    (name,) = [one for one in optuna.get_all_study_names(open_storage(paths)) if "pca-gp" not in one]
-    trials = optuna.load_study(study_name=name, storage=open_storage(paths)).get_trials()
+    with storage_of(paths) as opened:
+        (name,) = [one for one in optuna.get_all_study_names(opened) if "pca-gp" not in one]
+        trials = optuna.load_study(study_name=name, storage=opened).get_trials()
     ended = Counter(trial.state.name for trial in places(trials))
     runs = RunStore(paths)
     found = runs.find("wall-smoke", {"role": "trial", "study": name})
     wrong = [
-        run.info.run_id
+        (run.data.tags["trial"], run.info.status, trials[int(run.data.tags["trial"])].state.name)
         for run in found
         if run.info.status != {"COMPLETE": "FINISHED", "PRUNED": "FINISHED"}.get(
             trials[int(run.data.tags["trial"])].state.name, "FAILED"
@@ -74,7 +71,7 @@ def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str |
         f"{'PostgreSQL' if storage else 'SQLite'}: {n_killed} kills, {n_commands} commands, "
         f"{time.monotonic() - began:.0f} s; {len(trials)} attempts at {len(places(trials))} places: "
         f"{dict(ended)}; "
-        f"{doubled} doubled; {len(found)} MLflow runs, {len(wrong)} of them disagree: "
+        f"{doubled} doubled; {len(found)} MLflow runs, {len(wrong)} of them disagree {wrong or ''}: "
         f"{'good' if is_good and not doubled else 'BAD'}",
         flush=True,
     )
@@ -87,6 +84,22 @@ def said(process: psutil.Process) -> list[str]:
         return process.cmdline()
     except psutil.Error:
         return []
+
+
+def pids_of_trials(paths: ProjectPaths) -> set[int]:
+    """Return the processes that have claimed or begun a trial which has not ended."""
+    if paths.storage is None and not paths.optuna_database.is_file():
+        return set()
+    with storage_of(paths) as storage:
+        studies = [
+            optuna.load_study(study_name=n, storage=storage) for n in optuna.get_all_study_names(storage)
+        ]
+        trials = [trial for study in studies for trial in study.get_trials(deepcopy=False)]
+    return {
+        trial.user_attrs[OWNER]["pid"]
+        for trial in trials
+        if OWNER in trial.user_attrs and not trial.state.is_finished()
+    }
 
 
 def main() -> int:

@@ -167,7 +167,7 @@ def test_what_is_not_there_is_one_line(copied: Path, studies: Run, run: str, sai
     assert len(answer.err.splitlines()) == 1
 
 
-@pytest.mark.parametrize(("role", "said"), [("study", "recipe.json"), ("sensitivity", "'sensitivity'")])
+@pytest.mark.parametrize(("role", "said"), [("study", "provenance.json"), ("sensitivity", "'sensitivity'")])
 def test_what_cannot_be_made_again_is_one_line(copied: Path, studies: Run, role: str, said: str) -> None:
     answer = studies("reproduce", runs_of(copied, role)[0], "--json")
     assert answer.code == 2

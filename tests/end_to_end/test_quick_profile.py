@@ -126,11 +126,11 @@ def test_one_call_of_mlflow_answers_the_best_model_of_each_size(first: Done) -> 
         assert run.info.run_id == study["run_id"]
         assert run.data.tags["mlflow.parentRunId"]
         for name in ("val/mae", "test/mae", "test/p90"):
-            assert run.data.metrics[name] == study["best_metrics"][name]
+            assert run.data.metrics[name] == study["metrics"][name]
         for name in ("n_latent", "n_hidden", "beta"):
-            assert run.data.params[name] == str(study["best_params"][name])
+            assert run.data.params[name] == str(study["params"][name])
         # The named baseline stands beside it.
-        assert study["baseline_metrics"]["test/mae"] > 0.0
+        assert study["baseline"]["test/mae"] > 0.0
     assert client.search_runs([experiment.experiment_id], "attributes.status = 'RUNNING'") == []
 
 

@@ -18,7 +18,7 @@ from studies.report import (
     TrialsRecord,
 )
 from studies.report.records_restriction import RestrictionRecord
-from studies.report.records_tuning import TunedRecord
+from studies.report.records_tuning import TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
@@ -187,20 +187,23 @@ def trials(sizes: tuple[int, ...] = (32, 64, 128, 256, 512, 1024), n_each: int =
     return TrialsRecord(n_train, tuple(str(s) for s in state), validation, test, p90, is_best)
 
 
-def tuned(every: TrialsRecord) -> tuple[TunedRecord, ...]:
+def tuned(every: TrialsRecord) -> tuple[TunedSize, ...]:
     """Return the best of the trials of each size, with made-up hyperparameters and a PCA + GP beside it."""
     found = []
     for k, row in enumerate(np.flatnonzero(every.is_best)):
         n_train = int(every.n_train[row])
         states = [s for s, n in zip(every.state, every.n_train, strict=True) if n == n_train]
         found.append(
-            TunedRecord(
-                n_train=n_train, hyperparameters={"n_latent": 8 * 2**k, "n_hidden": 128, "beta": 12.5 * 3**k},
-                test_mae=float(every.test_mae[row]), test_p90=float(every.test_p90[row]),
-                validation_mae=float(every.validation_mae[row]), gain=0.1 * k if k else np.nan,
-                baseline_mae=0.9 * float(every.test_mae[row]), baseline_p90=np.nan,
-                n_complete=states.count("complete"), n_pruned=states.count("pruned"),
-                n_failed=states.count("failed"),
+            TunedSize(
+                label="office-quick", case="office", n_train=n_train, study=f"office-quick/n{n_train}",
+                surrogate="refined", is_baseline=False, unit="K", n_planned=len(states),
+                n_trials=len(states), n_complete=states.count("complete"), n_pruned=states.count("pruned"),
+                n_failed=states.count("failed"), n_running=0, n_waiting=0, n_proposed=0, wall_s=60.0,
+                to_go_s=0.0, gain=0.1 * k if k else None, trial=0, run_id="0" * 32, model_uri="models:/a@b",
+                params={"n_latent": 8 * 2**k, "n_hidden": 128, "beta": 12.5 * 3**k},
+                mae=float(every.test_mae[row]), p90=float(every.test_p90[row]),
+                metrics={"val/mae": float(every.validation_mae[row])},
+                baseline={"test/mae": 0.9 * float(every.test_mae[row])},
             )
         )  # fmt: skip
     return tuple(found)

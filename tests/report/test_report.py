@@ -263,8 +263,8 @@ def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
         (best,) = np.flatnonzero((all_trials.n_train == row["n_train"]) & all_trials.is_best)
         assert row["test_mae"] == all_trials.test_mae[best]
         assert row["test_p90"] == all_trials.test_p90[best]
-        assert {name: row[name] for name in ("n_latent", "n_hidden", "beta")} == record.hyperparameters
-        assert row["pca_gp_test_mae"] == record.baseline_mae
+        assert {name: row[name] for name in ("n_latent", "n_hidden", "beta")} == record.params
+        assert row["pca_gp_test_mae"] == record.baseline["test/mae"]
         assert row["pca_gp_test_p90"] is None
     assert rows[0]["gain"] is None
     firsts = [row["first_order"] for row in sobol.records()]

@@ -61,7 +61,7 @@ def test_a_complete_trial_has_its_run(tuned: ProjectPaths) -> None:
     curve = client.get_metric_history(run.info.run_id, "curve/validation_mae")
     assert [point.step for point in curve] == list(range(1, 13))
     assert min(point.value for point in curve) == pytest.approx(errors["val/mae"])
-    assert {one.path for one in client.list_artifacts(run.info.run_id)} >= {"recipe.json", "surrogate"}
+    assert {one.path for one in client.list_artifacts(run.info.run_id)} >= {"provenance.json", "surrogate"}
 
 
 def test_a_pruned_trial_has_curves_and_no_errors(tuned: ProjectPaths) -> None:
@@ -90,7 +90,7 @@ def test_the_run_of_a_study_says_what_it_came_to(tuned: ProjectPaths) -> None:
     experiment = connect(tuned.tracking_uri).get_experiment_by_name(LABEL)
     assert experiment is not None
     note = experiment.tags["mlflow.note.content"]
-    assert "| n_train | n_latent | n_hidden | beta | MAE [K] | P90 [K] |" in note
+    assert "| n_train | n_latent | n_hidden | beta | MAE | P90 |" in note
 
 
 def test_the_best_of_each_size_is_found_in_one_call_also_after_more_trials(copied: ProjectPaths) -> None:
@@ -145,7 +145,7 @@ def test_a_moved_project_has_its_runs_and_models(copied: ProjectPaths, tmp_path:
     assert mlflow.pyfunc.load_model(tuned_study(16).model_uri).predict(THETA).shape == (3, 25, 1)
     best = read_studies(moved)[0].best
     assert best is not None
-    recipe = RunStore(moved).fetch(best.run_id, "recipe.json", tmp_path)
+    recipe = RunStore(moved).fetch(best.run_id, "provenance.json", tmp_path)
     assert recipe.stat().st_size > 1000
     Worker(moved, SPECS[0].name).run()  # what is finished stays finished
 
