@@ -14,6 +14,9 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).res
 from hypothesis import HealthCheck, Phase, given, seed, settings  # noqa: E402
 from inputs_for_tests import Input, Outcomes, inputs, project, tried  # noqa: E402
 
+ROUND = 500
+"""Inputs of one seed; Hypothesis remembers all that it has drawn from one."""
+
 
 def main() -> int:
     """Run it."""
@@ -21,32 +24,35 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
-    outcomes, began = Outcomes(), time.monotonic()
+    outcomes, began, n, number = Outcomes(), time.monotonic(), 0, 0
     warnings.simplefilter("ignore")
     with project() as root:
+        while n < chosen.inputs:
 
-        @seed(chosen.seed)
-        @settings(
-            max_examples=chosen.inputs,
-            database=None,
-            deadline=None,
-            phases=[Phase.generate],
-            suppress_health_check=list(HealthCheck),
-        )
-        @given(inputs())
-        def fuzz(given_: Input) -> None:
-            tried(root, given_, outcomes)
+            @seed(1_000_003 * chosen.seed + number)
+            @settings(
+                max_examples=min(ROUND, chosen.inputs - n),
+                database=None,
+                deadline=None,
+                phases=[Phase.generate],
+                suppress_health_check=list(HealthCheck),
+            )
+            @given(inputs())
+            def fuzz(given_: Input) -> None:
+                tried(root, given_, outcomes)
 
-        fuzz()
-    for (kind, outcome), n in sorted(outcomes.counts.items()):
-        print(f"{kind:18s} {outcome}: {n}")
+            fuzz()
+            n, number = sum(outcomes.counts.values()), number + 1
+            n_right = sum(count for (kind, _), count in outcomes.counts.items() if kind.endswith("right"))
+            print(
+                f"{n} inputs, {n_right} of them right, {time.monotonic() - began:.0f} s; "
+                f"slowest {outcomes.slowest_s:.1f} s; {len(outcomes.violations)} violations",
+                flush=True,
+            )
+    for (kind, outcome), count in sorted(outcomes.counts.items()):
+        print(f"{kind:18s} {outcome}: {count}")
     for violation in outcomes.violations:
         print(f"VIOLATION {violation}")
-    n_right = sum(n for (kind, _), n in outcomes.counts.items() if kind.endswith("right"))
-    print(
-        f"{sum(outcomes.counts.values())} inputs, {n_right} of them right, {time.monotonic() - began:.0f} s; "
-        f"slowest {outcomes.slowest_s:.1f} s; {len(outcomes.violations)} violations"
-    )
     return bool(outcomes.violations)
 
 
