@@ -158,9 +158,8 @@ def importances_by_size(sizes: Sequence[SizeTrials]) -> dict[str, dict[str, floa
     ratios: list[float] = []
     space = {name: SearchParameter(**one) for name, one in sizes[0].networks.search.items()}
     for size in sizes:
-        judged = [trial for trial in size.networks.trials if trial.val_mae is not None and trial.params]
-        values = [known(trial.val_mae) for trial in judged]
-        here = [trial.params for trial in judged]
+        values = [known(trial.val_mae) for trial in size.networks.judged]
+        here = [trial.params for trial in size.networks.judged]
         found[str(size.n_train)] = importances(here, values, space)
         points += here
         ratios += [value / known(size.networks.best.val_mae) for value in values]
@@ -202,14 +201,13 @@ def _setting_picture(name: str, sizes: Sequence[SizeTrials], unit: str, footnote
     return Picture(
         name.removeprefix("n_"),
         f"Error over the {what}",
-        "Error as a multiple of the best of the same size, geometric mean over complete trials, by the "
-        f"nearest power of two of the {what}: {listed(said)}. "
-        "Pruned trials are missing, which flatters bad values.",
+        "Validation error as a multiple of the best of the same size, geometric mean over trials, by the "
+        f"nearest power of two of the {what}: {listed(said)}. Pruned trials count with their last error.",
         lambda path: setting_figure(
             {size.n_train: _setting_trials(size.networks, name) for size in sizes},
             path,
             what=what,
-            title=f"{what[:1].upper()}{what[1:]} and test error of every complete trial",
+            title=f"{what[:1].upper()}{what[1:]} and error of every trial",
             unit=unit,
             footnote=footnote,
         ),
@@ -217,13 +215,13 @@ def _setting_picture(name: str, sizes: Sequence[SizeTrials], unit: str, footnote
 
 
 def ratio_by_octave(sizes: Sequence[SizeTrials], name: str) -> dict[int, float]:
-    """Return by power of two the geometric mean of (test MAE / best of the same size). [1]."""
+    """Return by power of two the geometric mean of (validation MAE / best of the same size). [1]."""
     ratios: dict[int, list[float]] = {}
     for size in sizes:
-        least = float(_errors(size.networks.complete).min())
-        for trial in size.networks.complete:
-            octave = 2 ** round(math.log2(size.networks.setting(trial, name)))
-            ratios.setdefault(octave, []).append(known(trial.test_mae) / least)
+        tuning, least = size.networks, known(size.networks.best.val_mae)
+        for trial in tuning.judged:
+            octave = 2 ** round(math.log2(tuning.setting(trial, name)))
+            ratios.setdefault(octave, []).append(known(trial.val_mae) / least)
     return {value: float(np.exp(np.mean(np.log(found)))) for value, found in sorted(ratios.items())}
 
 
@@ -232,8 +230,14 @@ def _is_searched(sizes: Sequence[SizeTrials], name: str) -> bool:
 
 
 def _setting_trials(tuning: Tuning, name: str) -> SettingTrials:
-    values = np.array([tuning.setting(trial, name) for trial in tuning.complete], dtype=np.float64)
-    return SettingTrials(values, _errors(tuning.complete), tuning.complete.index(tuning.best))
+    pruned = [trial for trial in tuning.judged if trial.state == "pruned"]
+    return SettingTrials(
+        values=_floats([tuning.setting(trial, name) for trial in tuning.complete]),
+        test_mae=_errors(tuning.complete),
+        best=tuning.complete.index(tuning.best),
+        pruned_values=_floats([tuning.setting(trial, name) for trial in pruned]),
+        pruned_mae=_floats([trial.val_mae for trial in pruned]),
+    )
 
 
 def _tunings(size: SizeTrials) -> list[Tuning]:

@@ -75,6 +75,11 @@ class Tuning:
         return tuple(trial for trial in self.trials if trial.state == "complete")
 
     @property
+    def judged(self) -> tuple[Trial, ...]:
+        """Trials with hyperparameters and a validation error; a pruned one has its last."""
+        return tuple(trial for trial in self.trials if trial.val_mae is not None and trial.params)
+
+    @property
     def best(self) -> Trial:
         """The complete trial of least validation error."""
         return min(self.complete, key=lambda trial: (known(trial.val_mae), trial.number))

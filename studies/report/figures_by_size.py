@@ -34,23 +34,27 @@ def size_colors(sizes: Sequence[int]) -> dict[int, str]:
 
 @dataclass(frozen=True)
 class SettingTrials:
-    """The complete trials of one size.
+    """The trials of one size.
 
     Attributes:
-        values: Of the setting. Shape (m,).
-        test_mae: Test errors. Shape (m,).
+        values: Of the setting, complete trials. Shape (m,).
+        test_mae: Test errors of complete trials. Shape (m,).
         best: Position of the trial chosen by validation error.
+        pruned_values: Of the setting, pruned trials. Shape (q,).
+        pruned_mae: Their last validation errors. Shape (q,).
     """
 
     values: Floats
     test_mae: Floats
     best: int
+    pruned_values: Floats
+    pruned_mae: Floats
 
 
 def setting_figure(
     trials: Mapping[int, SettingTrials], path: Path, *, what: str, title: str, unit: str, footnote: str = ""
 ) -> Path:
-    """Draw every complete trial's test error over a setting, the best of each size as a star.
+    """Draw every trial's error over a setting, the best of each size as a star, pruned ones hollow.
 
     Args:
         trials: By training-set size.
@@ -66,14 +70,19 @@ def setting_figure(
     colors = size_colors(list(trials))
     with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
         axes = figure.subplots()
-        values = np.concatenate([group.values for group in trials.values()])
+        values = np.concatenate([v for group in trials.values() for v in (group.values, group.pruned_values)])
+        errors = np.concatenate([e for group in trials.values() for e in (group.test_mae, group.pruned_mae)])
         low, high = math.floor(math.log2(values.min())), math.ceil(math.log2(values.max()))
         category_log(axes, [2**power for power in range(low, high + 1)])
         axes.set_xlim(float(values.min()) / 1.3, float(values.max()) * 1.3)
-        decimal_log(axes, *log_limits(np.concatenate([group.test_mae for group in trials.values()])))
+        decimal_log(axes, *log_limits(errors))
         labels = []
         for size, group in trials.items():
             best = group.best
+            axes.plot(
+                group.pruned_values, group.pruned_mae, linestyle="none", marker="o", markersize=3.5,
+                color="none", markeredgecolor=colors[size], alpha=0.45,
+            )  # fmt: skip
             axes.plot(
                 group.values, group.test_mae, linestyle="none", marker="o", markersize=4.5,
                 color=colors[size], alpha=0.7, markeredgewidth=0,
@@ -83,7 +92,7 @@ def setting_figure(
                 color=colors[size], markeredgecolor="white", markeredgewidth=0.8, zorder=4,
             )  # fmt: skip
             labels.append(EndLabel(float(group.test_mae[best]), f"n = {count(size)}", colors[size]))
-        axes.set_xlabel(f"{what} (★ chosen by validation error)")
+        axes.set_xlabel(f"{what} (★ chosen by validation error, ○ pruned, at the last validation error)")
         axes.set_ylabel(axis_label("test MAE", unit))
         end_labels(axes, labels)
     return path

@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from simulation.errors import InputError
 from studies.cli import main
 from studies.paper.fig6_shown import shown
 from studies.paper.fig6_sizes import Origin, SizeTrials, Trial, Tuning, read_sizes, write_sizes
+from studies.report.wording import count, setting, significant
 from studies.search_space import SearchParameter
 from studies.tuning.importance import importances
 
@@ -37,6 +38,8 @@ ORIGIN = Origin(
     n_test=320,
     versions={},
 )
+REPOSITORY = Path(__file__).resolve().parents[2]
+COMMITTED = REPOSITORY / "data" / "paper-results" / "fig6"
 Draw = Callable[..., tuple[int, dict[str, Any]]]
 
 
@@ -111,6 +114,30 @@ def test_it_is_drawn_without_simulations_and_trainings(tmp_path: Path, draw: Dra
     assert best["ratio_to_pca_gp"] == pytest.approx(0.8)
     assert "1.0 K against 2.0 K at n = 32 and 0.080 K against 0.10 K at n = 1,024" in result["verdict"]
     assert "The faithful form, with 1 trial per size, reaches 1.4 K at n = 32." in result["verdict"]
+
+
+def test_the_committed_trials_are_drawn_and_the_documentation_has_their_numbers(draw: Draw) -> None:
+    code, _ = draw("--from", str(COMMITTED))
+    assert code == 0
+    origin, sizes = read_sizes(COMMITTED)
+    documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
+    for n, numbers in shown(origin, sizes).numbers["by_size"].items():
+        assert documented_row(n, numbers) in documentation
+
+
+def documented_row(n: int, numbers: Mapping[str, Any]) -> str:
+    """Return a row of the table in docs/paper.md."""
+    cells = [
+        count(n),
+        f"{numbers['trials']} ({numbers['n_pruned']})",
+        f"{significant(numbers['best_mae'])} ({significant(numbers['best_p90'])})",
+        *(setting(numbers[name]) for name in ("n_latent", "n_hidden", "beta", "learning_rate")),
+        significant(numbers["default_mae"]),
+        significant(numbers["pca_gp_mae"]) if "pca_gp_mae" in numbers else "",
+        f"{numbers['ratio_to_pca_gp']:.2f}" if "pca_gp_mae" in numbers else "",
+        {32: "2.0", 256: "0.4 to 1.1", 1024: "0.10", 4096: "0.07"}.get(n, ""),
+    ]
+    return f"| {' | '.join(cells)} |"
 
 
 def test_files_are_read_as_they_were_written(tmp_path: Path) -> None:
