@@ -93,7 +93,7 @@ def setting_figure(
             )  # fmt: skip
             labels.append(EndLabel(float(group.test_mae[best]), f"n = {count(size)}", colors[size]))
         axes.set_xlabel(f"{what} (★ chosen by validation error, ○ pruned, at the last validation error)")
-        axes.set_ylabel(axis_label("test MAE", unit))
+        axes.set_ylabel(axis_label("MAE", unit))
         end_labels(axes, labels)
     return path
 
