@@ -15,7 +15,7 @@ from simulation.errors import InputError
 from studies.cli import main
 from studies.paper.fig6_shown import shown
 from studies.paper.fig6_sizes import Origin, SizeTrials, Trial, Tuning, read_sizes, write_sizes
-from studies.report.wording import count, setting, significant
+from studies.report.wording import count, percent, setting, significant
 from studies.search_space import SearchParameter
 from studies.tuning.importance import importances
 
@@ -133,6 +133,7 @@ def documented_row(n: int, numbers: Mapping[str, Any]) -> str:
         f"{significant(numbers['best_mae'])} ({significant(numbers['best_p90'])})",
         *(setting(numbers[name]) for name in ("n_latent", "n_hidden", "beta", "learning_rate")),
         significant(numbers["default_mae"]),
+        percent(-numbers["gain"]),
         significant(numbers["pca_gp_mae"]) if "pca_gp_mae" in numbers else "",
         f"{numbers['ratio_to_pca_gp']:.2f}" if "pca_gp_mae" in numbers else "",
         {32: "2.0", 256: "0.4 to 1.1", 1024: "0.10", 4096: "0.07"}.get(n, ""),
