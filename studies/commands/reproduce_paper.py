@@ -23,16 +23,20 @@ mlruns/results/<label>/paper/<item>/ and in MLflow.
 
 --budget small (default) takes about an hour on two cores, --budget full up to twelve. The full budget uses
 the trainings of the small one. --profile takes sizes and trials of another profile, for example smoke as a
-test.
+test, or paper for the networks as the paper describes them.
+
+--from FOLDER draws Fig. 6 from the trials of an earlier run. Nothing is simulated or trained, and the
+recording is not needed.
 
 examples:
   studies reproduce-paper --dry-run                         the plan and its duration
   studies reproduce-paper --only fig5 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
+  studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
   studies reproduce-paper office-recorded --export data/paper-results/office-recorded.json
 """
 
-PROFILE = "paper"
+PROFILE = "thorough"
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -51,7 +55,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument("--row", metavar="NAME", help="with --only table3: only this row")
     command.add_argument("--budget", default="small", metavar="NAME", help="small (default) or full")
     command.add_argument(
-        "--profile", metavar="NAME", help="sizes and trials of another profile; default: paper"
+        "--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"
     )
     command.add_argument(
         "--trials", type=values.whole(1), metavar="N", help="trials per size; default: the profile's"
@@ -72,6 +76,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--export", type=Path, metavar="FILE", help="also write the numbers of all items to one JSON file"
     )
+    command.add_argument(
+        "--from", dest="source", type=Path, metavar="FOLDER", help="with --only fig6: draw it from its trials"
+    )
     options.add_simulation(command)
 
 
@@ -81,6 +88,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     items = with_needs(chosen_items(chosen.only))
     _refuse_senseless(chosen)
+    if chosen.source is not None:
+        return _drawn(chosen, console)
     plan = _plan(chosen, console)
     from studies.paper.gather import build_page, export
     from studies.paper.run import estimates_s, run_item
@@ -147,14 +156,47 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
 
     if chosen.dry_run and chosen.export is not None:
         raise InputError("--dry-run writes nothing, but --export writes a file; remove one of them")
+    flags = (("--export", chosen.export), ("--again", chosen.again), ("--dry-run", chosen.dry_run))
+    if chosen.source is not None:
+        if {item.name for item in chosen_items(chosen.only)} != {"fig6"}:
+            raise InputError("--from draws Fig. 6 alone; add --only fig6")
+        others = [flag for flag, is_given in (*flags, ("--row", chosen.row)) if is_given]
+        if others:
+            raise InputError(f"--from draws Fig. 6 and does nothing else; remove {listed(others)}")
     if chosen.row is None:
         return
-    flags = (("--export", chosen.export), ("--again", chosen.again), ("--dry-run", chosen.dry_run))
     beside = [flag for flag, is_given in flags if is_given]
     if {item.name for item in chosen_items(chosen.only or ["table3"])} != {"table3"}:
         beside.insert(0, f"--only {' '.join(chosen.only)}")
     if beside:
         raise InputError(f"--row computes one row of table3 and nothing else; remove {listed(beside)}")
+
+
+def _drawn(chosen: argparse.Namespace, console: Console) -> int:
+    """Draw Fig. 6 from the trials of an earlier run and return the exit code."""
+    from studies.paper.fig6 import drawn_from
+    from studies.paper.run import write_drawn
+    from studies.paths import find_project
+
+    origin, result = drawn_from(chosen.source)
+    if chosen.case != origin.case:
+        raise InputError(f"{chosen.source} holds trials of {origin.case}, not of {chosen.case}")
+    paths = find_project(chosen.storage)
+    command = f"studies reproduce-paper {origin.case} --only fig6 --from {paths.show(chosen.source)}"
+    files = write_drawn(paths, origin, result, command)
+    console.result(f"{result.agreement}: {result.verdict}")
+    for file in files:
+        console.say(paths.show(file))
+    console.document(
+        {
+            "command": "reproduce-paper",
+            "label": origin.label,
+            "agreement": result.agreement,
+            "verdict": result.verdict,
+            "files": [paths.show(file) for file in files],
+        }
+    )
+    return OK
 
 
 def _one_row(plan: "Plan", name: str, console: Console) -> int:
@@ -179,11 +221,11 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     from studies.paper.plan import Plan, budget_for
     from studies.profile import load_profile
 
-    profile = chosen.profile or PROFILE
-    own_profile = profile != PROFILE
+    asked = chosen.profile or PROFILE
+    own_profile = asked != PROFILE
     budget = budget_for(
         chosen.budget,
-        load_profile(profile),
+        load_profile(asked),
         own_profile=own_profile,
         trials=chosen.trials,
         n_seeds=chosen.seeds,
@@ -195,12 +237,13 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         case: str | None = None,
         window: tuple[float, float] | None = None,
         seed: int | None = seed,
+        profile: str | None = None,
         n_train: tuple[int, ...],
         trials: int,
     ) -> "Study":
         words = vars(chosen) | {
             "case": case or chosen.case,
-            "profile": profile,
+            "profile": profile or asked,
             "window": None if window is None else values.Window(*window),
             "seed": seed,
             "n_train": list(n_train),
@@ -209,7 +252,7 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         return open_study(argparse.Namespace(**words), console)
 
     words = [chosen.case]
-    words += ["--profile", profile] if own_profile else []
+    words += ["--profile", asked] if own_profile else []
     words += ["--budget", chosen.budget] if chosen.budget != "small" else []
     words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
     words += ["--seeds", str(chosen.seeds)] if chosen.seeds is not None else []

@@ -1,166 +1,116 @@
 """Fig. 6: every trial's error over the training-set size, and how much hyperparameters matter at each."""
 
-from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray
 from simulation.store.row_set import RowSet
-from studies.paper.plan import SIMULATIONS_PER_S, Plan
-from studies.paper.published import FIG_6_LATENT, FIG_6_MAE, FIG_6_RANGE
-from studies.paper.result import ERROR, Agreement, ItemResult, columns_in
+from studies.paper.fig6_shown import shown
+from studies.paper.fig6_sizes import Origin, SizeTrials, Tuning, read_sizes, tuning_of, write_sizes
+from studies.paper.plan import FAITHFUL_PROFILE, FAITHFUL_TRAINING_S, SIMULATIONS_PER_S, Plan
+from studies.paper.result import ItemResult, item_folder
 from studies.paper.tuned import Tuned, tune_sizes
-from studies.report import captions
-from studies.report.contents import Picture
-from studies.report.figures_by_size import LatentTrials, latent_figure
-from studies.report.figures_tuning import mae_over_n_figure
-from studies.report.tables import Table
-from studies.report.wording import count, difference_unit, listed, quantity, significant
-from studies.stages.simulate import set_files, train_seed
-from studies.stages.tuned_trials import trials_record, tuned_by_size
-from studies.tuning.results import TrialView, TunedStudy
-
-CLOSE = 1.5
-"""Errors within this factor of each other are called the same: it is read from a figure, and noise is 5 %."""
-
-COLUMNS = (
-    ("n_train", "training simulations", ""),
-    ("trials", "trials", ""),
-    ("best_mae", "best MAE", ERROR),
-    ("best_p90", "its 90th percentile", ERROR),
-    ("default_mae", "MAE untuned", ERROR),
-    ("median_mae", "median MAE", ERROR),
-    ("worst_mae", "worst MAE", ERROR),
-    ("mean_predictor_mae", "MAE of predicting the mean", ERROR),
-    ("n_latent", "latent dimension", ""),
-    ("n_hidden", "hidden width", ""),
-    ("beta", "beta", ""),
-    ("paper_mae", "paper's best MAE", "K"),
-)
+from studies.profile import Profile, load_profile
+from studies.report.wording import difference_unit
+from studies.stages.pipeline import Study
+from studies.stages.simulate import set_files
+from studies.stages.tuned_trials import tuned_by_size
+from studies.tracking.origin import versions
 
 
 def inputs(plan: Plan) -> dict[str, Any]:
     """Return all that decides the result."""
     budget = plan.budget
-    profile = plan.study.profile.to_dict()
-    tuning = {key: value for key, value in profile["tuning"].items() if key != "n_trials"}
-    return {"n_train": list(budget.n_train), "trials": budget.trials, "tuning": tuning}
+    beside = {"trials": budget.faithful_trials, "tuning": _tuning(load_profile(FAITHFUL_PROFILE))}
+    return {
+        "n_train": list(budget.n_train),
+        "trials": budget.trials,
+        "tuning": _tuning(plan.study.profile),
+        "faithful": beside if budget.faithful_trials else None,
+    }
 
 
 def estimate_s(plan: Plan) -> float:
     """Estimate how long it takes from nothing. [s]."""
-    n_rows = max(plan.budget.n_train) + 640
-    return plan.training_s(plan.budget.n_train, plan.budget.trials) + n_rows / SIMULATIONS_PER_S
+    budget = plan.budget
+    n_rows = max(budget.n_train) + 640
+    faithful_s = 0.0
+    if budget.faithful_trials:
+        faithful_s = plan.training_s(plan.faithful_sizes, budget.faithful_trials, FAITHFUL_TRAINING_S)
+    return plan.training_s(budget.n_train, budget.trials) + faithful_s + n_rows / SIMULATIONS_PER_S
 
 
 def run(plan: Plan) -> ItemResult:
-    """Tune every size on the window of Fig. 6 and compare all its trials."""
-    trials = plan.budget.trials
-    tuned = tune_sizes(plan.hyperparameter_study(plan.budget.n_train, min(trials.values())), trials)
+    """Tune every size on the window of Fig. 6, the faithful form beside it, and compare all trials."""
+    budget = plan.budget
+    tuned = tune_sizes(plan.hyperparameter_study(), budget.trials)
+    found = [(tuned, budget.trials)]
+    if budget.faithful_trials:
+        faithful = tune_sizes(plan.faithful_study(), budget.faithful_trials)
+        found.append((faithful, budget.faithful_trials))
+    origin, sizes = collected(plan, *(one for one, _ in found))
+    result = shown(origin, sizes)
+    files = write_sizes(item_folder(plan.study, "fig6"), origin, sizes)
+    commands = tuple(command for one, trials in found for command in one.commands(trials))
+    return replace(result, files=files, uses=commands)
+
+
+def drawn_from(folder: Path) -> tuple[Origin, ItemResult]:
+    """Return the same from the files of an earlier run, without simulations and trainings.
+
+    Raises:
+        InputError: the files cannot be read, or do not belong together.
+    """
+    origin, sizes = read_sizes(folder)
+    return origin, shown(origin, sizes)
+
+
+def collected(plan: Plan, tuned: Tuned, faithful: Tuned | None = None) -> tuple[Origin, list[SizeTrials]]:
+    """Return all trials of all sizes that have a complete one, the smallest size first.
+
+    Args:
+        plan: what is repeated.
+        tuned: the surrogate of the profile.
+        faithful: the form of the paper, None without.
+    """
     study = tuned.study
-    by_size = tuned_by_size(study)
-    groups = {n: one.trials for n, one in by_size.items()}
-    drawn = trials_record(by_size)
-    assert drawn is not None, "a tuning stage ends with trials"
-    unit = difference_unit(study.case.outputs[0].unit)
-    found = {n: _numbers(one) for n, one in sorted(by_size.items())}
-    for n, error in _mean_predictor(tuned).items():
-        found[n]["mean_predictor_mae"] = error
-    latent = _by_latent(groups)
-    agreement, verdict = _verdict(found, latent, unit)
-    window = f"days {study.case.window_d[0]:g} to {study.case.window_d[1]:g}"
-    return ItemResult(
-        agreement=agreement,
-        verdict=verdict,
-        numbers={
-            "by_size": found,
-            "mean_ratio_to_best_by_latent": latent,
-            "window_d": list(study.case.window_d),
-        },
-        paper={"best_mae": FIG_6_MAE, "range": list(FIG_6_RANGE), "best_latent": list(FIG_6_LATENT)},
-        tables=(
-            Table(
-                "sizes",
-                f"Hyperparameter studies on {window}; worst and median are over complete trials",
-                columns_in(unit, COLUMNS),
-                tuple(_row(n, numbers) for n, numbers in found.items()),
-            ),
-        ),
-        pictures=(
-            Picture(
-                "mae-over-n",
-                "Every trial's error over the training-set size",
-                captions.trials_caption(drawn, unit),
-                lambda path: mae_over_n_figure(drawn, path, unit=unit, footnote=f"{study.label}, {window}"),
-            ),
-            Picture(
-                "latent",
-                "Error over the latent dimension",
-                _latent_caption(latent),
-                lambda path: latent_figure(
-                    {n: _latent_trials(one) for n, one in sorted(by_size.items())},
-                    path,
-                    title="Latent dimension and test error of every complete trial",
-                    unit=unit,
-                    footnote=f"{study.label}, {window}",
-                ),
-            ),
-        ),
-        n_calls=tuned.n_simulations,
-        work_s=tuned.wall_s,
-        seeds={"training design": train_seed(study.profile.seed), "trials": study.profile.seed},
-        settings=(
-            ("window", window),
-            ("trials per size", ", ".join(f"{n}: {len(records)}" for n, records in sorted(groups.items()))),
-        ),
-        metrics={f"best_mae/n{n:04d}": numbers["best_mae"] for n, numbers in found.items()},
-        uses=tuned.commands(trials),
+    data, profile = study.profile.data, study.profile
+    origin = Origin(
+        command=plan.command("fig6"),
+        case=study.case.name,
+        case_sha256=study.case.digest,
+        label=plan.study.label,
+        note=study.case.note,
+        budget=plan.budget.name,
+        profile=profile.name,
+        seed=profile.seed,
+        window_d=study.case.window_d,
+        unit=difference_unit(study.case.outputs[0].unit),
+        n_validation=data.n_validation,
+        n_test=data.n_test,
+        versions=versions(),
     )
+    networks = _tunings(study)
+    beside = {} if faithful is None else _tunings(faithful.study)
+    pca_gp = _tunings(study, baseline=True)
+    sizes = [
+        SizeTrials(n, mean, networks[n], beside.get(n), pca_gp.get(n))
+        for n, mean in _mean_predictor(tuned).items()
+        if n in networks
+    ]
+    return origin, sizes
 
 
-def _complete(records: Sequence[TrialView]) -> list[TrialView]:
-    return [record for record in records if record.state == "complete" and record.run_id]
+def _tunings(study: Study, *, baseline: bool = False) -> dict[int, Tuning]:
+    found = {n: tuning_of(one) for n, one in tuned_by_size(study, baseline=baseline).items()}
+    return {n: one for n, one in found.items() if one is not None}
 
 
-def _mae(records: Sequence[TrialView]) -> FloatArray:
-    return np.array([record.metrics["test/mae"] for record in records], dtype=np.float64)
-
-
-def _of(records: Sequence[TrialView], setting: str) -> FloatArray:
-    return np.array([record.settings[setting] for record in records], dtype=np.float64)
-
-
-def _latent_trials(study: TunedStudy) -> LatentTrials:
-    complete, best = _complete(study.trials), study.best
-    assert best is not None, "the stage refuses a size without a complete trial"
-    return LatentTrials(_of(complete, "n_latent"), _mae(complete), complete.index(best))
-
-
-def _numbers(study: TunedStudy) -> dict[str, Any]:
-    records, complete, best = study.trials, _complete(study.trials), study.best
-    assert best is not None, "the stage refuses a size without a complete trial"
-    errors = _mae(complete)
-    first = study.default
-    return {
-        "trials": len(records),
-        "n_complete": len(complete),
-        "n_pruned": sum(r.state == "pruned" for r in records),
-        "n_failed": sum(r.state == "failed" for r in records),
-        "best_mae": best.metrics["test/mae"],
-        "best_p90": best.metrics["test/p90"],
-        "default_mae": None if first is None else first.metrics["test/mae"],
-        "median_mae": float(np.median(errors)),
-        "worst_mae": float(errors.max()),
-        "n_latent": best.settings["n_latent"],
-        "n_hidden": best.settings["n_hidden"],
-        "beta": best.settings["beta"],
-    }
-
-
-def _row(n: int, numbers: dict[str, Any]) -> tuple[Any, ...]:
-    named = {"n_train": n, "paper_mae": FIG_6_MAE.get(n), **numbers}
-    return tuple(named[key] for key, _, _ in COLUMNS)
+def _tuning(profile: Profile) -> dict[str, Any]:
+    tuning: dict[str, Any] = profile.to_dict()["tuning"]
+    return {key: value for key, value in tuning.items() if key != "n_trials"}
 
 
 def _mean_predictor(tuned: Tuned) -> dict[int, float]:
@@ -171,80 +121,5 @@ def _mean_predictor(tuned: Tuned) -> dict[int, float]:
     test = test[np.isfinite(test).all(axis=(1, 2))]
     return {
         n: float(np.mean(np.abs(np.nanmean(train[:n], axis=0) - test) * scales))
-        for n in tuned.study.profile.data.n_train
+        for n in sorted(tuned.study.profile.data.n_train)
     }
-
-
-def _by_latent(groups: Mapping[int, Sequence[TrialView]]) -> dict[int, float]:
-    """Return by latent dimension the geometric mean of (MAE / best MAE of the same size). [1]."""
-    ratios: dict[int, list[float]] = {}
-    for records in groups.values():
-        complete = _complete(records)
-        errors = _mae(complete)
-        for record, ratio in zip(complete, (errors / errors.min()).tolist(), strict=True):
-            ratios.setdefault(int(record.settings["n_latent"]), []).append(ratio)
-    return {z: float(np.exp(np.mean(np.log(found)))) for z, found in sorted(ratios.items())}
-
-
-def _latent_caption(latent: dict[int, float]) -> str:
-    said = [f"{z}: {significant(ratio, 3)}" for z, ratio in latent.items()]
-    return (
-        "Error as a multiple of the best of the same size, geometric mean over complete trials, by latent "
-        f"dimension: {', '.join(said)}. Pruned trials are missing, which flatters bad dimensions."
-    )
-
-
-def _verdict(found: dict[int, dict[str, Any]], latent: dict[int, float], unit: str) -> tuple[Agreement, str]:
-    known = {n: (found[n]["best_mae"], mae) for n, mae in FIG_6_MAE.items() if n in found}
-    close = [max(ours / theirs, theirs / ours) <= CLOSE for ours, theirs in known.values()]
-    agreement: Agreement = "differs"
-    if known:
-        agreement = "agrees" if all(close) else "agrees in part" if any(close) else "differs"
-    first, last = min(found), max(found)
-    falls = found[last]["best_mae"] < found[first]["best_mae"]
-    parts = [
-        f"The error {'falls with the training set as in the paper' if falls else 'does not fall'}: "
-        f"{quantity(found[first]['best_mae'], unit, 2)} at n = {first}, "
-        f"{quantity(found[last]['best_mae'], unit, 2)} at n = {count(last)}."
-    ]
-    if known:
-        said = [
-            f"{quantity(ours, unit, 2)} against about {quantity(theirs, unit, 2)} at n = {count(n)}"
-            for n, (ours, theirs) in known.items()
-        ]
-        parts.append(f"Ours against the paper's figure: {listed(said)}.")
-    if 32 in known:
-        mean = found[32]["mean_predictor_mae"]
-        better = [
-            who for who, mae in (("ours", known[32][0]), ("the paper's", known[32][1])) if mae < 0.9 * mean
-        ]
-        parts.append(
-            f"At n = 32 predicting the mean trajectory errs by {quantity(mean, unit, 2)}: "
-            f"{' and '.join(better) or 'neither network'} is clearly better than that."
-        )
-    size, low, high = FIG_6_RANGE
-    if size in found:
-        ours = found[size]
-        span = (
-            f"the one complete trial errs by {quantity(ours['best_mae'], unit, 2)}"
-            if ours["n_complete"] == 1
-            else f"{count(ours['n_complete'])} complete trials span {quantity(ours['best_mae'], unit, 2)} to "
-            f"{quantity(ours['worst_mae'], unit, 2)}"
-        )
-        parts.append(
-            f"At n = {size} {span} (paper: {low} to {high} {unit}; "
-            f"{count(ours['n_pruned'], 'trial')} of ours were pruned and would widen it)."
-        )
-    chosen = {n: numbers["n_latent"] for n, numbers in found.items()}
-    inside = [n for n, z in chosen.items() if FIG_6_LATENT[0] <= z <= FIG_6_LATENT[1]]
-    parts.append(
-        f"Best latent dimensions are {listed(str(z) for z in chosen.values())} (paper: 64 to 256); "
-        f"{len(inside)} of {len(chosen)} lie in the paper's range, and from the best to the worst dimension "
-        f"the error grows by a factor of {significant(max(latent.values()) / min(latent.values()), 3)} on "
-        "average."
-    )
-    parts.append(
-        "The paper does not print layers, activation, batch size, optimizer, patience, L or beta, so its "
-        "networks cannot be rebuilt exactly; ours take the first author's later public configuration."
-    )
-    return agreement, " ".join(parts)

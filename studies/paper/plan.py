@@ -1,5 +1,6 @@
 """How much of the paper is repeated: budgets, and the studies (window, seed, sizes) they are spent on."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, Protocol
@@ -16,8 +17,12 @@ Window = tuple[float, float] | None
 HYPERPARAMETER_WINDOW_D = (8.0, 16.0)
 """Days of Fig. 6; everything else is done on the case's own window."""
 
-# Seconds of one training of the paper's form on one core, measured; pruned trials end sooner.
-TRAINING_S = {32: 8.0, 128: 16.0, 256: 22.0, 1024: 60.0, 4096: 260.0}
+FAITHFUL_PROFILE = "paper"
+"""The profile with the networks as the paper describes them."""
+
+# Processor seconds of one training to its end, measured; pruned trials end sooner.
+TRAINING_S = {32: 2.5, 128: 4.5, 256: 7.5, 1024: 30.0, 4096: 115.0}
+FAITHFUL_TRAINING_S = {32: 10.0, 128: 14.0, 256: 22.0, 1024: 95.0, 4096: 370.0}
 SIMULATIONS_PER_S = 1_500.0
 DIRECT_CALLS_PER_S = 2_000.0
 PREDICTIONS_PER_S = 4_500.0
@@ -32,6 +37,7 @@ class PaperBudget:
         note: what a reader of the results must know.
         n_train: training-set sizes.
         trials: trials per size; a size that is not named gets those of the next larger one.
+        faithful_trials: the same for the faithful form in Fig. 6; sizes above the largest have none.
         window_trials: trials per size on the case's own window, for Fig. 7 and Table 4.
         n_base: Saltelli blocks of the Sobol indices.
         n_resamples: their bootstrap samples.
@@ -48,6 +54,7 @@ class PaperBudget:
     note: str
     n_train: tuple[int, ...]
     trials: dict[int, int]
+    faithful_trials: dict[int, int]
     window_trials: dict[int, int]
     n_base: int
     n_resamples: int
@@ -71,6 +78,7 @@ BUDGETS: dict[str, PaperBudget] = {
         "robust statistics. It shows the shape of the results; --budget full has the paper's sizes.",
         n_train=(32, 64, 128, 256, 512, 1024),
         trials={4096: 4},
+        faithful_trials={},
         window_trials={4096: 4},
         n_base=4096,
         n_resamples=100,
@@ -86,7 +94,8 @@ BUDGETS: dict[str, PaperBudget] = {
         note="Full budget: all training-set sizes of the paper, fewer trials for the larger ones, ten seeds "
         "for the robust statistics.",
         n_train=(32, 64, 128, 256, 512, 1024, 1536, 2048, 4096),
-        trials={256: 40, 512: 24, 1024: 16, 2048: 10, 4096: 8},
+        trials={512: 40, 4096: 16},
+        faithful_trials={512: 16},
         window_trials={256: 16, 512: 12, 1024: 8, 4096: 5},
         n_base=32_768,
         n_resamples=200,
@@ -123,6 +132,7 @@ def budget_for(
             f"{profile.name}.".strip(),
             n_train=sizes,
             trials=every,
+            faithful_trials={},
             window_trials=every,
             n_base=profile.sensitivity.n_base,
             n_resamples=profile.sensitivity.n_resamples,
@@ -136,7 +146,8 @@ def budget_for(
     if trials is not None:
         every = {max(budget.n_train): trials}
         note = f"{budget.note} Trials: {trials} per size, not the budget's."
-        budget = replace(budget, note=note, trials=every, window_trials=every)
+        faithful = {max(budget.faithful_trials): trials} if budget.faithful_trials else {}
+        budget = replace(budget, note=note, trials=every, faithful_trials=faithful, window_trials=every)
     return budget if n_seeds is None else replace(budget, n_seeds=n_seeds)
 
 
@@ -155,10 +166,11 @@ class StudyOpener(Protocol):
         case: str | None = None,
         window: Window = None,
         seed: int | None = None,
+        profile: str | None = None,
         n_train: tuple[int, ...],
         trials: int,
     ) -> Study:
-        """Return the study of a case (None: the one asked for), window (None: its own), seed and sizes."""
+        """Return the study of a case, window, seed and profile (None: the one asked for), and sizes."""
 
 
 @dataclass(frozen=True)
@@ -184,17 +196,36 @@ class Plan:
         """Return the study of the case's own window with other sizes or trials."""
         return self.opener(n_train=n_train, trials=trials)
 
-    def hyperparameter_study(self, n_train: tuple[int, ...], trials: int) -> Study:
+    def hyperparameter_study(self) -> Study:
+        """Return the study of Fig. 6, with all sizes."""
+        return self._fig6_study(None, self.budget.n_train, self.budget.trials)
+
+    def faithful_study(self) -> Study:
+        """Return the study of the faithful form that Fig. 6 shows beside it, without PCA + GP."""
+        trials = self.budget.faithful_trials
+        study = self._fig6_study(FAITHFUL_PROFILE, self.faithful_sizes, trials)
+        tuning = replace(study.profile.tuning, baseline=False)
+        return replace(study, profile=replace(study.profile, tuning=tuning))
+
+    @property
+    def faithful_sizes(self) -> tuple[int, ...]:
+        """Training-set sizes at which Fig. 6 shows the faithful form."""
+        return tuple(n for n in self.budget.n_train if n <= max(self.budget.faithful_trials, default=0))
+
+    def _fig6_study(self, profile: str | None, n_train: tuple[int, ...], every: dict[int, int]) -> Study:
         """Return the study of Fig. 6's window, or the case's own where the recording does not hold it."""
+        trials = min(every.values())
         try:
-            return self.opener(window=HYPERPARAMETER_WINDOW_D, n_train=n_train, trials=trials)
+            return self.opener(
+                window=HYPERPARAMETER_WINDOW_D, profile=profile, n_train=n_train, trials=trials
+            )
         except MachineError:
             raise
         except InputError as error:
             # Nobody typed this window: what the case says of it, without the option's name.
             why = error.__cause__ or error
             self.study.console.say(f"fig6: days 8 to 16 cannot be had ({why}); the case's own window is used")
-            return self.window_study(n_train, trials)
+            return self.opener(profile=profile, n_train=n_train, trials=trials)
 
     def other_study(self, case: str) -> Study:
         """Return the study of another case, with the sizes and trials of the robust statistics."""
@@ -219,10 +250,18 @@ class Plan:
         """Estimated time of the studies of the case's own window. [s]."""
         return self.training_s(self.budget.n_train, self.budget.window_trials)
 
-    def training_s(self, sizes: tuple[int, ...], trials: dict[int, int]) -> float:
-        """Estimate how long tuning takes. [s]."""
-        known = sorted(TRAINING_S)
-        each = np.interp(np.log(sizes), np.log(known), [TRAINING_S[n] for n in known])
+    def training_s(
+        self, sizes: tuple[int, ...], trials: dict[int, int], one_s: Mapping[int, float] = TRAINING_S
+    ) -> float:
+        """Estimate how long tuning takes. [s].
+
+        Args:
+            sizes: training-set sizes.
+            trials: trials per size.
+            one_s: duration of one training, by size. [s]
+        """
+        known = sorted(one_s)
+        each = np.interp(np.log(sizes), np.log(known), [one_s[n] for n in known])
         work = sum(float(s) * trials_for(trials, n) for n, s in zip(sizes, each, strict=True))
         return work / min(self.study.n_jobs, len(sizes)) + 10.0
 

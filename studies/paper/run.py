@@ -1,14 +1,17 @@
 """Run one item of the paper as a stage: finished ones are read, new ones written, told to the tracker."""
 
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from studies.paper.catalog import Item, item_module
+from studies.paper.catalog import Item, chosen_items, item_module
+from studies.paper.fig6_sizes import Origin
 from studies.paper.plan import Plan
-from studies.paper.result import item_folder, write_result
+from studies.paper.result import ItemResult, item_folder, write_result
 from studies.paper.telling import tell_item
+from studies.paths import ProjectPaths
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Summary, digest_of, read_manifest, run_stage
 
@@ -50,6 +53,43 @@ def estimates_s(plan: Plan, items: tuple[Item, ...]) -> dict[str, float]:
     return costs
 
 
+def write_drawn(paths: ProjectPaths, origin: Origin, result: ItemResult, command: str) -> list[Path]:
+    """Write Fig. 6 as it was drawn from the trials of an earlier run.
+
+    It does not count as finished: without these trials the item trains its own.
+
+    Args:
+        paths: the project.
+        origin: where the trials come from.
+        result: what they come to.
+        command: what draws it.
+
+    Returns:
+        The files, the JSON file first.
+    """
+    (item,) = chosen_items(["fig6"])
+    head = _head(item, command, origin.case, origin.label, origin.note, origin.budget, origin.profile)
+    folder = paths.results(origin.label) / "paper" / item.name
+    return write_result(folder, replace(result, uses=(origin.command,)), head)
+
+
+def _head(
+    item: Item, command: str, case: str, label: str, note: str, budget: str, profile: str
+) -> dict[str, str]:
+    """Return what stands before an item's result in its JSON file."""
+    return {
+        "item": item.name,
+        "title": item.title,
+        "command": command,
+        "case": case,
+        "label": label,
+        "note": note,
+        "budget": budget,
+        "profile": profile,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
 def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
     """Make one item unless it is finished.
 
@@ -64,17 +104,8 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         result = item_module(item).run(plan)
-        head = {
-            "item": item.name,
-            "title": item.title,
-            "command": plan.command(item.name),
-            "case": study.case.name,
-            "label": study.label,
-            "note": study.case.note,
-            "budget": plan.budget.name,
-            "profile": study.profile.name,
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
+        case, budget, profile = study.case, plan.budget.name, study.profile.name
+        head = _head(item, plan.command(item.name), case.name, study.label, case.note, budget, profile)
         folder = item_folder(study, item.name)
         files = write_result(folder, result, head)
         tell_item(

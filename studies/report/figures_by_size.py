@@ -1,7 +1,8 @@
-"""Pictures of surrogates by training-set size: error over latent dimension, and over a spread of tests."""
+"""Pictures of surrogates by training-set size: error over a setting, and over a spread of tests."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,28 +33,33 @@ def size_colors(sizes: Sequence[int]) -> dict[int, str]:
 
 
 @dataclass(frozen=True)
-class LatentTrials:
-    """The complete trials of one size.
+class SettingTrials:
+    """The trials of one size.
 
     Attributes:
-        n_latent: Latent dimensions. Shape (m,).
-        test_mae: Test errors. Shape (m,).
+        values: Of the setting, complete trials. Shape (m,).
+        test_mae: Test errors of complete trials. Shape (m,).
         best: Position of the trial chosen by validation error.
+        pruned_values: Of the setting, pruned trials. Shape (q,).
+        pruned_mae: Their last validation errors. Shape (q,).
     """
 
-    n_latent: Floats
+    values: Floats
     test_mae: Floats
     best: int
+    pruned_values: Floats
+    pruned_mae: Floats
 
 
-def latent_figure(
-    trials: Mapping[int, LatentTrials], path: Path, *, title: str, unit: str, footnote: str = ""
+def setting_figure(
+    trials: Mapping[int, SettingTrials], path: Path, *, what: str, title: str, unit: str, footnote: str = ""
 ) -> Path:
-    """Draw every complete trial's test error over its latent dimension, the best of each size as a star.
+    """Draw every trial's error over a setting, the best of each size as a star, pruned ones hollow.
 
     Args:
         trials: By training-set size.
         path: Where the PNG goes.
+        what: Name of the setting.
         title: What it shows.
         unit: Unit of the errors.
         footnote: Small print.
@@ -64,24 +70,30 @@ def latent_figure(
     colors = size_colors(list(trials))
     with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
         axes = figure.subplots()
-        dimensions = sorted({int(z) for group in trials.values() for z in group.n_latent})
-        category_log(axes, dimensions)
-        axes.set_xlim(min(dimensions) / 1.3, max(dimensions) * 1.3)
-        decimal_log(axes, *log_limits(np.concatenate([group.test_mae for group in trials.values()])))
+        values = np.concatenate([v for group in trials.values() for v in (group.values, group.pruned_values)])
+        errors = np.concatenate([e for group in trials.values() for e in (group.test_mae, group.pruned_mae)])
+        low, high = math.floor(math.log2(values.min())), math.ceil(math.log2(values.max()))
+        category_log(axes, [2**power for power in range(low, high + 1)])
+        axes.set_xlim(float(values.min()) / 1.3, float(values.max()) * 1.3)
+        decimal_log(axes, *log_limits(errors))
         labels = []
         for size, group in trials.items():
             best = group.best
             axes.plot(
-                group.n_latent, group.test_mae, linestyle="none", marker="o", markersize=4.5,
+                group.pruned_values, group.pruned_mae, linestyle="none", marker="o", markersize=3.5,
+                color="none", markeredgecolor=colors[size], alpha=0.45,
+            )  # fmt: skip
+            axes.plot(
+                group.values, group.test_mae, linestyle="none", marker="o", markersize=4.5,
                 color=colors[size], alpha=0.7, markeredgewidth=0,
             )  # fmt: skip
             axes.plot(
-                group.n_latent[best], group.test_mae[best], linestyle="none", marker="*", markersize=13,
+                group.values[best], group.test_mae[best], linestyle="none", marker="*", markersize=13,
                 color=colors[size], markeredgecolor="white", markeredgewidth=0.8, zorder=4,
             )  # fmt: skip
             labels.append(EndLabel(float(group.test_mae[best]), f"n = {count(size)}", colors[size]))
-        axes.set_xlabel("latent dimension (★ chosen by validation error)")
-        axes.set_ylabel(axis_label("test MAE", unit))
+        axes.set_xlabel(f"{what} (★ chosen by validation error, ○ pruned, at the last validation error)")
+        axes.set_ylabel(axis_label("MAE", unit))
         end_labels(axes, labels)
     return path
 

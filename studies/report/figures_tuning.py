@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,11 +24,22 @@ from studies.report.drawing import (
 )
 from studies.report.findings import best_trials
 from studies.report.records import Floats
-from studies.report.records_tuning import LearningCurves, TrialsRecord
+from studies.report.records_tuning import ErrorLine, LearningCurves, TrialsRecord
 from studies.report.wording import axis_label, count, quantity, significant
 
+LINES = ((SERIES[2], "-"), (SERIES[4], (0, (4, 2))))
+"""Color and dashes of the surrogates that are drawn as lines beside the trials."""
 
-def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: str = "") -> Path:
+
+def mae_over_n_figure(
+    trials: TrialsRecord,
+    path: Path,
+    *,
+    unit: str,
+    footnote: str = "",
+    beside: Sequence[ErrorLine] = (),
+    published: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
+) -> Path:
     """Draw every trial's test error over the training-set size, mean beside 90th percentile (Fig. 6).
 
     Args:
@@ -34,6 +47,8 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
         path: Where the PNG goes.
         unit: Unit of the errors, e.g. "K".
         footnote: Small print.
+        beside: At most two other surrogates, drawn as lines.
+        published: MAE that the paper names, by training-set size: one value, or least and largest. [unit]
 
     Returns:
         The path.
@@ -42,7 +57,11 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
     with drawing(path, title=_mae_title(trials, unit), height_in=3.9, footnote=footnote) as figure:
         panels = figure.subplots(1, 2, sharey=True)
         pruned = np.array([state == "pruned" for state in trials.state], dtype=bool)
-        everything = np.concatenate([trials.test_mae, trials.test_p90, trials.validation_mae[pruned]])
+        others = [values for line in beside for values in (line.mae, line.p90)]
+        theirs = np.array([value for values in published.values() for value in values], dtype=np.float64)
+        everything = np.concatenate(
+            [trials.test_mae, trials.test_p90, trials.validation_mae[pruned], *others, theirs]
+        )
         low, high = log_limits(everything)
         # Room for the numbers below the stars and for the explanation above the points.
         limits = (low / (high / low) ** 0.14, high * (high / low) ** 0.2)
@@ -56,6 +75,11 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
             decimal_log(axes, *limits)
             axes.grid(visible=False, axis="x")
             _draw_trials(axes, trials, values, is_mae=what == "MAE")
+            for line, (color, dashes) in zip(beside, LINES, strict=False):
+                errors = line.mae if what == "MAE" else line.p90
+                axes.plot(line.n_train, errors, color=color, linestyle=dashes, linewidth=1.4, zorder=3.5)
+            if what == "MAE":
+                _draw_published(axes, published)
             axes.plot(trials.n_train[best], values[best], color=BEST_SURROGATE, linewidth=1.1, zorder=4)
             axes.plot(
                 trials.n_train[best], values[best], linestyle="none", marker="*", markersize=13,
@@ -70,8 +94,16 @@ def mae_over_n_figure(trials: TrialsRecord, path: Path, *, unit: str, footnote: 
             axes.set_title("Mean absolute error" if what == "MAE" else "90th percentile over parameter sets")
             axes.set_xlabel("training simulations")
         panels[0].set_ylabel(axis_label("error on the test set", unit))
-        _explain_marks(panels[1], trials)
+        _explain_marks(panels[1], trials, beside, is_published=bool(published))
     return path
+
+
+def _draw_published(axes: Axes, published: Mapping[int, tuple[float, ...]]) -> None:
+    for n, values in published.items():
+        axes.plot(
+            [n] * len(values), values, color=INK, linewidth=1.2, marker="D", markersize=5,
+            markerfacecolor="white", zorder=4.5,
+        )  # fmt: skip
 
 
 def _mae_title(trials: TrialsRecord, unit: str) -> str:
@@ -125,7 +157,9 @@ def _beside_each_other(n_train: Floats | np.ndarray[tuple[int], np.dtype[np.int6
     return x
 
 
-def _explain_marks(axes: Axes, trials: TrialsRecord) -> None:
+def _explain_marks(
+    axes: Axes, trials: TrialsRecord, beside: Sequence[ErrorLine], *, is_published: bool
+) -> None:
     n = {state: trials.state.count(state) for state in ("complete", "pruned", "failed")}
     lines = [
         ("★ best by validation", BEST_SURROGATE),
@@ -135,6 +169,9 @@ def _explain_marks(axes: Axes, trials: TrialsRecord) -> None:
         lines.append((f"○ {count(n['pruned'])} pruned (left, at the last validation)", MUTED))
     if n["failed"]:
         lines.append((f"× {count(n['failed'])} failed (left, upper edge)", MUTED))
+    lines += [(f"— {line.name}", color) for line, (color, _) in zip(beside, LINES, strict=False)]
+    if is_published:
+        lines.append(("◇ the paper (left)", INK))
     for number, (line, color) in enumerate(lines):
         axes.annotate(
             line, (0.985, 0.985), (0, -12.5 * number), xycoords="axes fraction", textcoords="offset points",

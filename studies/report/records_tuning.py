@@ -44,6 +44,23 @@ class TrialsRecord:
 
 
 @dataclass(frozen=True)
+class ErrorLine:
+    """Test errors of another surrogate by training-set size, drawn as a line.
+
+    Attributes:
+        name: Which surrogate.
+        n_train: Training-set sizes, rising. Shape (s,).
+        mae: Shape (s,). [output unit, differences]
+        p90: 90th percentile of the absolute errors. Shape (s,). [output unit, differences]
+    """
+
+    name: str
+    n_train: Integers
+    mae: Floats
+    p90: Floats
+
+
+@dataclass(frozen=True)
 class TunedSize:
     """What tuning came to for one training-set size; as JSON values it is what programs read.
 

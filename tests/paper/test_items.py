@@ -137,6 +137,6 @@ def test_a_profile_of_the_users_own_sets_sizes_and_trials() -> None:
     budget = budget_for("full", smoke, own_profile=True, trials=None)
     assert (budget.n_train, trials_for(budget.trials, 16), budget.n_base) == ((16, 32), 2, 8)
     assert trials_for(budget_for("full", smoke, own_profile=True, trials=7).trials, 32) == 7
-    assert budget_for("small", load_profile("paper"), own_profile=False, trials=None) == BUDGETS["small"]
+    assert budget_for("small", load_profile("thorough"), own_profile=False, trials=None) == BUDGETS["small"]
     with pytest.raises(InputError, match=r"--budget huge: there is no such budget; give small or full"):
         budget_for("huge", smoke, own_profile=False, trials=None)

@@ -105,6 +105,16 @@ def section_of(page: str, item: str) -> str:
 
 
 @pytest.mark.usefixtures("made")
+def test_fig6_is_drawn_again_from_its_trials(project: Path, reproduce: Reproduce) -> None:
+    trained = result_of(project, "fig6")
+    code, _ = reproduce("--only", "fig6", "--from", str(project / RESULTS / "fig6"))
+    assert code == 0
+    again = result_of(project, "fig6")
+    for part in ("verdict", "numbers", "tables", "pictures", "metrics", "n_calls", "seeds"):
+        assert again[part] == trained[part]
+
+
+@pytest.mark.usefixtures("made")
 def test_a_spread_of_one_is_the_test_set_and_one_of_zero_a_single_point(project: Path) -> None:
     result = result_of(project, "fig7")
     numbers, n_rows = result["numbers"], 12
