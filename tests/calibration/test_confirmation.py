@@ -16,6 +16,7 @@ from studies.calibration.ending import (
     PROMISED,
     Confirmation,
 )
+from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Features
@@ -71,11 +72,13 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     _, away = places(1, n_rows=40)
     assert np.median(away) > PROMISED
     problem = rc_problem(noise=0.05)
-    at = problem.space.to_unit(TRUE_RC)
-    u = np.concatenate([np.random.default_rng(0).random((40, 2)), at[None]])
+    at = LeastSquaresTRF().minimize(problem, problem.space.to_unit(TRUE_RC)).u
+    rng = np.random.default_rng(0)
+    around = np.clip(at + 0.05 * rng.standard_normal((10, 2)), 0.0, 1.0)
+    u = np.concatenate([rng.random((30, 2)), around, at[None]])
     process = ProcessGroups.fit(FEATURES, u, problem.residuals(u))
     best, rows = (at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
-    _, gains = least_unlikely(process, None, best, rows, 1, np.random.default_rng(1))
+    _, gains = least_unlikely(process, None, best, rows, 1, rng)
     assert np.median(gains) < PROMISED
 
 
