@@ -15,8 +15,9 @@ from simulation.arrays import FloatArray
 N_TESTED, N_BLOCKS = 3, 3
 # Relative gains below this are none: an answer within 0.02 of the best is right. [1]
 CONFIRMED = 1e-2
-# Median gain that functions drawn from the surrogate may promise where a search has converged. [1]
-PROMISED = 0.02
+# Gain that functions drawn from the surrogate may promise where a search has converged: their median, and
+# with few parameters three quarters of them, because there rows can exclude more.
+PROMISED, QUANTILE, QUANTILE_OF_FEW = 0.02, 0.5, 0.75
 # Restarts that are owed beside with so few parameters: rows are near each other there, so restarts are short.
 FEW_PARAMETERS, N_RESTARTS_MORE = 8, 2
 # Restarts in vain after which a search stops whose error is too large.
@@ -48,9 +49,9 @@ class Confirmation:
             n_parameters: Parameters of the problem.
             least_restarts: Restarts that are owed at least; none are owed where that is 0.
         """
-        self.restarts_owed = least_restarts
-        if least_restarts and n_parameters <= FEW_PARAMETERS:
-            self.restarts_owed += N_RESTARTS_MORE
+        are_few = n_parameters <= FEW_PARAMETERS
+        self.restarts_owed = least_restarts and least_restarts + N_RESTARTS_MORE * are_few
+        self._quantile = QUANTILE_OF_FEW if are_few else QUANTILE
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -79,8 +80,8 @@ class Confirmation:
 
     @property
     def promised(self) -> float:
-        """Median gain over the best row at minima of functions that may be the true one. [1]."""
-        return float(np.median(self._gains)) if self._gains else np.inf
+        """Gain over the best row at minima of functions that may be the true one, a quantile. [1]."""
+        return float(np.quantile(self._gains, self._quantile)) if self._gains else np.inf
 
     @property
     def is_promising(self) -> bool:
