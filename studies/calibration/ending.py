@@ -17,7 +17,7 @@ N_TESTED, N_BLOCKS = 3, 3
 CONFIRMED = 1e-2
 # Gain that functions drawn from the surrogate may promise where a search has converged: their median, and
 # with few parameters three quarters of them, because there rows can exclude more.
-PROMISED, QUANTILE, QUANTILE_OF_FEW = 0.02, 0.5, 0.75
+PROMISED, QUANTILE, QUANTILE_OF_FEW = 0.05, 0.5, 0.75
 # Restarts that are owed beside with so few parameters: rows are near each other there, so restarts are short.
 FEW_PARAMETERS, N_RESTARTS_MORE = 8, 2
 # Restarts in vain after which a search stops whose error is too large.
