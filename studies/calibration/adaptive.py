@@ -39,7 +39,7 @@ class AdaptiveResult:
         history: Best MSE over rows asked.
         stop_reason: Why it ended, in words.
         converged: True when the target ended it, or little was expected and tests of that found nothing;
-            False for a budget, failures, or an error that is too large and was not explained.
+            False for a budget, failures, a gain that may be left, or an error that is too large.
         left: Where it did not converge, what may be left to gain and what the next round would try.
         is_flat: Parameters on which the error around the best point hardly depends over all of their ranges,
             as far as rows or state equations show. Shape (p,).

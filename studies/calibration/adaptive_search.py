@@ -10,7 +10,6 @@ from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.confirmation import least_unlikely
 from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least_excluded
 from studies.calibration.ending import (
-    CONFIRMED,
     N_RESTARTS_DOUBTED,
     Confirmation,
     Ending,
@@ -184,16 +183,18 @@ class AdaptiveSearch:
         """Ask where a lower error is least unlikely, all over the box; go on from what is better."""
         best = int(np.argmin(self._objective))
         here, before = self._u[best], float(self._objective[best])
-        expand, rows = partial(self._expand, self._fit()), (self._u, np.isfinite(self._objective))
-        n_before, n_parallel, known = self._objective.size, self._settings.n_parallel, self._confirmation
-        places, known.promised = least_unlikely(expand, (here, before), rows, n_parallel, self._rng)
-        if known.is_tested:
-            return
+        rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
+        process, n_before = self._fit(), self._objective.size
+        places, gains = least_unlikely(process, self._prior, (here, before), rows, n_parallel, self._rng)
         self._ask(places)
-        # What fails confirms nothing.
-        known.n_tested += int(np.isfinite(self._objective[n_before:]).any())
         if self._objective.min() < (1.0 - self._settings.ftol) * before:
             self._first, self._leg, self._idle, self._dull = 0, [], 0, 0
+            return
+        # What fails confirms nothing.
+        if np.isfinite(self._objective[n_before:]).any():
+            self._confirmation.note_test(gains)
+        # What was learnt may show a step from the best row.
+        self._dull = DULL_ROUNDS - 1
 
     def _ask_first(self, design: FloatArray) -> None:
         """Ask a first design, round by round where state equations may take less of it."""
@@ -378,7 +379,7 @@ class AdaptiveSearch:
     @property
     def _may_end(self) -> bool:
         """Whether the search has looked elsewhere and believes what it has found."""
-        has_looked = self._is_guided or self._confirmation.n_restarts >= self._confirmation.restarts_owed
+        has_looked = self._is_guided or self._confirmation.has_looked
         # Who names a target wants it, however little is expected.
         is_wanted = self._settings.target_mse is not None and not self._is_guided
         return has_looked and not self._is_doubtful and not is_wanted
@@ -395,10 +396,13 @@ class AdaptiveSearch:
             return Ending(f"the state equations expect {little}{nowhere}{missed}", converged=is_known)
         if self._is_too_large and not self._confirmation.is_excluded:
             return too_large(self._confirmation)
-        little = f"less than {CONFIRMED:g} of the error to be gained anywhere in the box"
-        nowhere = f", nowhere {WANTED:g} times the error" if self._is_too_large else ""
-        tests = f"{self._confirmation.in_words} gained no more"
-        return Ending(f"the surrogate expects {little}{nowhere}, and {tests}", converged=True)
+        if self._is_too_large:
+            return Ending(
+                f"{self._confirmation.in_words} gained no more, and the surrogate expects nowhere {WANTED:g} "
+                "times the error",
+                converged=not self._confirmation.is_promising,
+            )
+        return self._confirmation.ending
 
     @property
     def left(self) -> str:

@@ -14,7 +14,12 @@ FTOL = 1e-6
 
 
 def descend(
-    expand: Callable[[FloatArray], Expansion], start: FloatArray, lower: FloatArray, upper: FloatArray
+    expand: Callable[[FloatArray], Expansion],
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    ftol: float = FTOL,
 ) -> tuple[FloatArray, Expansion]:
     """Walk downhill from a point to a minimum in a box.
 
@@ -23,6 +28,7 @@ def descend(
         start: First point, clipped into the box. Shape (p,). [1]
         lower: Lower corner of the box. Shape (p,). [1]
         upper: Upper corner. Shape (p,). [1]
+        ftol: A step that lowers the function by less than this part is the last. [1]
 
     Returns:
         The last point and the function there.
@@ -44,7 +50,7 @@ def descend(
             break
         gain = here.value - there.value
         u, here, damping = trial, there, max(damping / 5.0, LEAST_DAMPING)
-        if gain < FTOL * abs(here.value):
+        if gain < ftol * abs(here.value):
             break
     return u, here
 

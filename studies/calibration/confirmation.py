@@ -1,8 +1,9 @@
-"""Where a search that has settled may be wrong: the place in the box where a lower error is least unlikely.
+"""Where a search that has settled may be wrong: minima of functions that may be the true ones.
 
-A surrogate that expects nothing more around its best row may still be wrong along a valley, where its errors
-are small and its variance is as small as what is left to gain. Such places are asked before a search says
-that it has converged: where the answers gain something, it goes on.
+A surrogate that expects nothing more around its best row may still be wrong, along a valley or in another
+one. So functions are drawn from what it believes after its rows, each is minimized over the whole box, and
+the place that most probably is better is asked. How much these minima promise says whether to believe the
+best row.
 """
 
 from functools import partial
@@ -11,49 +12,58 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.box_newton import descend
-from studies.calibration.elsewhere import Expand
+from studies.calibration.expected_objective import expected_objective
+from studies.calibration.posterior_sample import PosteriorSample
+from studies.calibration.prior import Prior
+from studies.calibration.process_groups import ProcessGroups
 
 # Worth asking for is an error below this part of the best one's: what counts as the right answer.
 WORTH = 0.98
 # An error whose residuals err by a variance v around a mean square m has about the variance
 # 2 v (v + 2 m) / k, where k residuals vary independently: few, as few directions in the box are left unknown.
 N_INDEPENDENT = 2.0
-# Descents a round, each in the part of the box beyond these distances from the best row along one coordinate,
-# and over the whole box.
-DISTANCES, N_BEYOND, N_ANYWHERE = (0.2, 0.5), 12, 4
-# Part of the variance that counts as error in what is expected; a place so near to a row is known.
-CAUTION, KNOWN = 0.03, 0.02
+# Functions drawn in a round, each minimized from anywhere in the box, and more from the best row.
+N_DRAWN, N_FROM_BEST = 16, 3
+# A descent ends where a step gains less than this part.
+ROUGH = 2e-3
+# A place so near to a row is known.
+KNOWN = 0.02
 
 
 def least_unlikely(
-    expand: Expand,
+    process: ProcessGroups,
+    prior: Prior | None,
     best: tuple[FloatArray, float],
     rows: tuple[FloatArray, BoolArray],
     n: int,
     rng: np.random.Generator,
-) -> tuple[FloatArray, float]:
-    """Return the places where an error worth having is least unlikely, and what is promised over the box.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the places where an error worth having is least unlikely, and what the functions promise.
 
     Args:
-        expand: The surrogate.
+        process: The surrogate.
+        prior: Of the parameters, None where nothing is known.
         best: The best row, shape (p,) [1], and its objective. [unit squared]
         rows: All rows, shape (m, p) [1], and which of them succeeded, shape (m,).
         n: How many places, each beyond `KNOWN` of the others as far as there are such.
-        rng: Source of the descents' starts.
+        rng: Source of the functions and of the descents' starts.
 
     Returns:
-        The places, shape (n, p), and the greatest relative gain over the best row that the surrogate
-        expects in the box. [1]
+        The places, shape (n, p), and by which part of the best row's objective the functions' minima lie
+        below it that were reached from anywhere in the box, shape (d,). [1]
     """
     (centre, objective), (u, good) = best, rows
     p = centre.size
-    ends = [_beyond(expand, centre, rng) for _ in range(N_BEYOND)]
-    mean = partial(expand, caution=0.0)
-    ends += [descend(mean, start, np.zeros(p), np.ones(p))[0] for start in rng.random((N_ANYWHERE, p))]
-    places = np.array(ends)
+    starts = [*rng.random((N_DRAWN, p)), *[centre] * N_FROM_BEST]
+    ends = []
+    for start in starts:
+        sample = PosteriorSample.draw(process, rng)
+        expand = partial(expected_objective, sample, prior, caution=0.0)
+        ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=ROUGH))
+    places = np.array([place for place, _ in ends])
+    gains = 1.0 - np.array([there.value for _, there in ends[:N_DRAWN]]) / objective
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
-    scores = np.array([_unlikely(expand, place, WORTH * objective) for place in places])
-    promised = 1.0 - min(expand(place, caution=CAUTION).value for place in places) / objective
+    scores = np.array([_unlikely(process, prior, place, WORTH * objective) for place in places])
     # Where the nearest row failed, the next one probably fails as well.
     scores[~good[np.argmin(distances, axis=1)]] += np.ptp(scores) + 1.0
     scores[distances.min(axis=1) < KNOWN] = np.inf
@@ -65,26 +75,13 @@ def least_unlikely(
     chosen += [int(i) for i in order if int(i) not in chosen]
     found = places[chosen[:n]]
     # Rounds larger than the descents are filled up with places anywhere.
-    return np.concatenate([found, rng.random((n - len(found), p))]), promised
+    return np.concatenate([found, rng.random((n - len(found), p))]), gains
 
 
-def _beyond(expand: Expand, centre: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return the minimum beyond a distance from the best row along a coordinate, all others free."""
-    p = centre.size
-    lower, upper, start = np.zeros(p), np.ones(p), centre.copy()
-    j = int(rng.integers(p))
-    distance = float(rng.choice(DISTANCES))
-    # Towards a bound that is nearer than this, the other way.
-    is_up = bool(rng.integers(2)) if distance <= centre[j] <= 1.0 - distance else centre[j] < 0.5
-    start[j] = np.clip(centre[j] + (distance if is_up else -distance), 0.0, 1.0)
-    (lower if is_up else upper)[j] = start[j]
-    return descend(partial(expand, caution=CAUTION), start, lower, upper)[0]
-
-
-def _unlikely(expand: Expand, u: FloatArray, wanted: float) -> float:
+def _unlikely(process: ProcessGroups, prior: Prior | None, u: FloatArray, wanted: float) -> float:
     """Return by how many deviations the error is expected to lie above a wanted one."""
-    mean = expand(u, caution=0.0).value
-    whole = expand(u, caution=1.0).value
+    mean = expected_objective(process, prior, u, 0.0).value
+    whole = expected_objective(process, prior, u, 1.0).value
     variance = max(whole - mean, 0.0)
     deviation = np.sqrt(2.0 * variance * (variance + 2.0 * mean) / N_INDEPENDENT)
     return float((whole - wanted) / max(deviation, 1e-9 * whole, np.finfo(float).tiny))

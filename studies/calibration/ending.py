@@ -1,18 +1,23 @@
 """When a search has converged, and the words for how it ended.
 
-That a surrogate expects little around the best row is not enough: it may be wrong. So the search tests it,
-with rounds where a lower error is least unlikely (confirmation.py) and with restarts away from the best row.
-What counts are tests since the last gain, and a gain that they found makes the search owe more of them.
+That a surrogate expects little around the best row is not enough: it may be wrong. So the search makes rounds
+of tests (confirmation.py), which say what functions promise that may be the true one, and restarts away from
+the best row. What counts are tests since the last gain. A search stops that does not find what is promised.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-# Rounds of tests that are owed, and how many more each time that they have found a gain. [1]
-N_TESTED, N_TESTED_MORE = 5, 3
+from simulation.arrays import FloatArray
+
+# Rounds of tests after the last gain, and how often as many with a restart are made while they promise more.
+N_TESTED, N_BLOCKS = 3, 3
 # Relative gains below this are none: an answer within 0.02 of the best is right. [1]
-CONFIRMED = 5e-3
+CONFIRMED = 1e-2
+# Gain that functions drawn from the surrogate may promise where a search has converged: their median, and
+# with few parameters three quarters of them, because there rows can exclude more.
+PROMISED, QUANTILE, QUANTILE_OF_FEW = 0.05, 0.5, 0.75
 # Restarts that are owed beside with so few parameters: rows are near each other there, so restarts are short.
 FEW_PARAMETERS, N_RESTARTS_MORE = 8, 2
 # Restarts in vain after which a search stops whose error is too large.
@@ -44,43 +49,65 @@ class Confirmation:
             n_parameters: Parameters of the problem.
             least_restarts: Restarts that are owed at least; none are owed where that is 0.
         """
-        self._n_restarts = least_restarts
-        if least_restarts and n_parameters <= FEW_PARAMETERS:
-            self._n_restarts += N_RESTARTS_MORE
+        are_few = n_parameters <= FEW_PARAMETERS
+        self.restarts_owed = least_restarts and least_restarts + N_RESTARTS_MORE * are_few
+        self._quantile = QUANTILE_OF_FEW if are_few else QUANTILE
         self.begin_again()
-        self.n_refuted = 0
 
     def begin_again(self) -> None:
         """Forget all tests, as where another error is minimized."""
-        self._best = self.promised = np.inf
-        self.n_tested = self.n_restarts = self.n_excluded = 0
+        self._best = np.inf
+        self._forget()
+
+    def _forget(self) -> None:
+        self._gains: list[FloatArray] = []
+        self.n_restarts = self.n_excluded = 0
 
     def note_best(self, best: float) -> None:
         """Take note of the best objective; what was tested before a gain does not count. [unit squared]."""
         if best < (1.0 - CONFIRMED) * self._best:
-            self.n_refuted += self.n_tested > 0
             self._best = best
-            self.n_tested = self.n_restarts = self.n_excluded = 0
+            self._forget()
+
+    def note_test(self, gains: FloatArray) -> None:
+        """Take note of a round of tests and the relative gains at minima of functions drawn for it. [1]."""
+        self._gains.append(gains)
+
+    @property
+    def n_tested(self) -> int:
+        """Rounds of tests."""
+        return len(self._gains)
+
+    @property
+    def promised(self) -> float:
+        """Gain over the best row at minima of functions that may be the true one, a quantile. [1]."""
+        return float(np.quantile(self._gains, self._quantile)) if self._gains else np.inf
+
+    @property
+    def is_promising(self) -> bool:
+        """Whether it cannot be believed that there is no more to gain."""
+        return self.promised > PROMISED
 
     @property
     def tests_owed(self) -> int:
-        """Rounds of tests without a gain before the search may end."""
-        return N_TESTED + N_TESTED_MORE * self.n_refuted
-
-    @property
-    def restarts_owed(self) -> int:
-        """Restarts without a gain before the search may end."""
-        return self._n_restarts and self._n_restarts + self.n_refuted
+        """Rounds of tests that are owed by now: as many again after each restart in vain."""
+        n_more = max(self.n_restarts + 1 - self.restarts_owed, 0) if self.restarts_owed else N_BLOCKS
+        return N_TESTED * min(1 + n_more * self.is_promising, N_BLOCKS)
 
     @property
     def is_tested(self) -> bool:
-        """Whether no more rounds of tests are owed: enough were made, and nothing is promised in the box."""
-        return self.has_tests and self.promised <= CONFIRMED
+        """Whether no more rounds of tests are owed."""
+        return self.n_tested >= self.tests_owed
 
     @property
-    def has_tests(self) -> bool:
-        """Whether as many rounds of tests were made as are owed whatever is promised."""
-        return self.n_tested >= self.tests_owed
+    def is_spent(self) -> bool:
+        """Whether enough was tried to find what is promised."""
+        return self.n_tested >= N_TESTED * N_BLOCKS
+
+    @property
+    def has_looked(self) -> bool:
+        """Whether the restarts that are owed were made and more is not promised, or not found."""
+        return self.n_restarts >= self.restarts_owed and (self.is_spent or not self.is_promising)
 
     @property
     def is_excluded(self) -> bool:
@@ -93,8 +120,25 @@ class Confirmation:
         tests = f"{_counted(self.n_tested, 'round')} of tests where more is least unlikely"
         return tests + (f" and {_counted(self.n_restarts, 'restart')}" if self.n_restarts else "")
 
+    @property
+    def ending(self) -> Ending:
+        """The end of a search that has made all tests and restarts."""
+        if self.is_promising:
+            return Ending(
+                f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error, but what is "
+                f"known of the model promises a gain of {self.promised:.2g} of the error",
+                converged=False,
+            )
+        return Ending(
+            f"what is known of the model promises no gain above {PROMISED:g} of the error anywhere in the "
+            f"box, and {self.in_words} gained no more",
+            converged=True,
+        )
+
     def still_owed(self, ftol: float) -> str:
         """Say of a search that expects less than `ftol` what would confirm that, for one that has to stop."""
+        if self.is_spent and self.is_promising:
+            return f"a gain of {self.promised:.2g} of the error may be left; another seed begins anew"
         tests = f"{min(self.n_tested, self.tests_owed)} of {self.tests_owed} rounds of tests"
         restarts = f"{min(self.n_restarts, self.restarts_owed)} of {self.restarts_owed} restarts"
         return (

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from simulation.arrays import FloatArray
+from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.prior import Prior
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Expansion, ResidualProcess
@@ -17,7 +18,9 @@ AS_GOOD, DOUBT = 0.98, 0.1
 SURPRISE = 0.1
 
 
-def expected_objective(process: Surrogate, prior: Prior | None, u: FloatArray, caution: float) -> Expansion:
+def expected_objective(
+    process: Surrogate | PosteriorSample, prior: Prior | None, u: FloatArray, caution: float
+) -> Expansion:
     """Expand the objective around a point: the error is predicted, a prior's penalty is known exactly."""
     found = process.expand(u, caution)
     if prior is None:

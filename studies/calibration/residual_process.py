@@ -200,6 +200,20 @@ class ResidualProcess:
             features, x, hyper, factor, coefficients, components.level, components.outside, variance, m
         )
 
+    @property
+    def _weights(self) -> tuple[FloatArray, float]:
+        """Inverse squared lengths of the features, shape (f,) [1], and the squared slope [1]."""
+        return np.exp(-2.0 * self.hyper[:-2]), float(np.exp(2.0 * self.hyper[-2]))
+
+    def kernels(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the kernels of a point (p,) with the rows, shape (n,), and by its coordinates, (n, p)."""
+        weights, slope = self._weights
+        x = self.features.at(u)
+        away = x - self.x
+        bumps = np.exp(-0.5 * (away**2) @ weights)
+        k = CONSTANT + bumps + slope * self.x @ (x * weights)
+        return k, self.features.pull_back(u, (slope * self.x - bumps[:, None] * away) * weights)
+
     def expand(self, u: FloatArray, caution: float) -> Expansion:
         """Expand the expected error around a point.
 
@@ -207,12 +221,9 @@ class ResidualProcess:
             u: The point. Shape (p,). [1]
             caution: Part of the predictive variance that is added to the squared mean. [1]
         """
-        weights, slope = np.exp(-2.0 * self.hyper[:-2]), float(np.exp(2.0 * self.hyper[-2]))
+        weights, slope = self._weights
         x = self.features.at(u)
-        away = x - self.x
-        bumps = np.exp(-0.5 * (away**2) @ weights)
-        k = CONSTANT + bumps + slope * self.x @ (x * weights)
-        dk = self.features.pull_back(u, (slope * self.x - bumps[:, None] * away) * weights)
+        k, dk = self.kernels(u)
         residuals, jacobian = self.level + k @ self.coefficients, dk.T @ self.coefficients
         mse = (self.outside + float(residuals @ residuals)) / self.n_residuals
         gradient = 2.0 * (jacobian @ residuals) / self.n_residuals

@@ -1,59 +1,125 @@
 """What is tested before a search has converged, and where."""
 
-from functools import partial
-
 import numpy as np
 import pytest
+from problems_for_tests import TRUE_RC, rc_problem
+from scipy.optimize import approx_fprime
 
 from simulation.arrays import FloatArray
-from studies.calibration.confirmation import least_unlikely
-from studies.calibration.ending import CONFIRMED, FEW_PARAMETERS, N_TESTED, N_TESTED_MORE, Confirmation
-from studies.calibration.residual_process import Expansion
+from simulation.toy import ToyRC
+from studies.calibration.confirmation import N_DRAWN, least_unlikely
+from studies.calibration.ending import (
+    CONFIRMED,
+    FEW_PARAMETERS,
+    N_BLOCKS,
+    N_TESTED,
+    PROMISED,
+    Confirmation,
+)
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.posterior_sample import PosteriorSample
+from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.residual_process import Features
+
+FEATURES = Features.of(ToyRC().parameter_space)
+# Differences of 1e-6 in the cube leave about 1e-6 of the gradient.
+GRADIENT_RTOL = 1e-4
+NOTHING, MUCH = np.full(N_DRAWN, -0.5), np.full(N_DRAWN, 2.0 * PROMISED)
 
 
-def valley(u: FloatArray, *, caution: float, unsure_at: float) -> Expansion:
-    """A valley along the second coordinate, lowest at 0.5; the surrogate is unsure in one part of it."""
-    mse = 1.0 + 50.0 * (u[0] - 0.5) ** 2 + 0.01 * (u[1] - 0.5) ** 2
-    variance = 0.02 * float(abs(abs(u[1] - 0.5) - unsure_at) < 0.1)
-    slope = np.array([100.0 * (u[0] - 0.5), 0.02 * (u[1] - 0.5)])
-    return Expansion(mse + caution * variance, mse, slope, np.diag([100.0, 0.02]))
+def taught(n: int, seed: int = 0) -> tuple[ProcessGroups, FloatArray, FloatArray]:
+    problem = rc_problem(noise=0.05)
+    u = np.random.default_rng(seed).random((n, 2))
+    return ProcessGroups.fit(FEATURES, u, problem.residuals(u)), u, problem.mse(u)
 
 
-def places(
-    unsure_at: float, n: int, rows: FloatArray, good: tuple[bool, ...], seed: int
-) -> tuple[FloatArray, float]:
-    best = np.array([0.5, 0.5])
-    expand = partial(valley, unsure_at=unsure_at)
-    return least_unlikely(expand, (best, 1.0), (rows, np.array(good)), n, np.random.default_rng(seed))
+def test_the_gradient_of_a_drawn_function_is_that_of_its_value() -> None:
+    process, _, _ = taught(12)
+    sample = PosteriorSample.draw(process, np.random.default_rng(3))
+    for point in np.random.default_rng(5).random((5, 2)):
+        numeric = approx_fprime(point, lambda v: sample.expand(v).value, 1e-7)
+        gradient = sample.expand(point).gradient
+        np.testing.assert_allclose(gradient, numeric, rtol=GRADIENT_RTOL, atol=1e-4 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_lower_error_is_least_unlikely_along_the_valley_where_the_surrogate_is_unsure(seed: int) -> None:
-    ((found,), _) = places(0.2, 1, np.array([[0.5, 0.5]]), (True,), seed)
-    assert found[0] == pytest.approx(0.5, abs=0.02)
-    assert 0.1 <= abs(found[1] - 0.5) <= 0.3
+def test_drawn_functions_pass_through_the_rows_and_vary_as_the_process_says() -> None:
+    process, u, mse = taught(12)
+    rng = np.random.default_rng(0)
+    samples = [PosteriorSample.draw(process, rng) for _ in range(300)]
+    best = int(np.argmin(mse))
+    assert samples[0].expand(u[best]).value == pytest.approx(mse[best], rel=0.05)
+    away = np.array([0.05, 0.95])
+    drawn = np.mean([sample.expand(away).value for sample in samples])
+    assert drawn == pytest.approx(process.expand(away, 1.0).value, rel=0.2)
 
 
-def test_where_the_nearest_row_failed_is_asked_last() -> None:
-    rows = np.array([[0.5, 0.5], [0.5, 0.8]])
-    ((found,), _) = places(0.2, 1, rows, (True, False), 0)
-    assert np.abs(found - rows[0]).max() <= np.abs(found - rows[1]).max()
+def places(n: int, n_rows: int = 12) -> tuple[FloatArray, FloatArray]:
+    process, u, mse = taught(n_rows)
+    best, rng = int(np.argmin(mse)), np.random.default_rng(1)
+    rows = u, np.ones(n_rows, dtype=np.bool_)
+    return least_unlikely(process, None, (u[best], float(mse[best])), rows, n, rng)
 
 
-def test_as_many_places_as_asked_for() -> None:
-    assert places(0.2, 40, np.array([[0.5, 0.5]]), (True,), 0)[0].shape == (40, 2)
+@pytest.mark.parametrize("n", [1, 3, 40])
+def test_as_many_places_as_asked_for_inside_the_box(n: int) -> None:
+    found, gains = places(n)
+    assert found.shape == (n, 2)
+    assert ((found >= 0.0) & (found <= 1.0)).all()
+    assert gains.shape == (N_DRAWN,)
 
 
-def test_a_gain_that_a_test_has_found_makes_more_tests_owed() -> None:
+def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
+    _, away = places(1, n_rows=40)
+    assert np.median(away) > PROMISED
+    problem = rc_problem(noise=0.05)
+    at = LeastSquaresTRF().minimize(problem, problem.space.to_unit(TRUE_RC)).u
+    rng = np.random.default_rng(0)
+    around = np.clip(at + 0.05 * rng.standard_normal((10, 2)), 0.0, 1.0)
+    u = np.concatenate([rng.random((30, 2)), around, at[None]])
+    process = ProcessGroups.fit(FEATURES, u, problem.residuals(u))
+    best, rows = (at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
+    _, gains = least_unlikely(process, None, best, rows, 1, rng)
+    assert np.median(gains) < PROMISED
+
+
+def test_a_gain_forgets_what_was_tested_before() -> None:
     confirmation = Confirmation(FEW_PARAMETERS + 1, 1)
     confirmation.note_best(1.0)
-    confirmation.n_tested, confirmation.n_restarts = 2, 1
+    confirmation.note_test(NOTHING)
+    confirmation.n_restarts = 1
     confirmation.note_best(1.0 - 0.5 * CONFIRMED)
-    assert (confirmation.n_tested, confirmation.tests_owed, confirmation.restarts_owed) == (2, N_TESTED, 1)
+    assert (confirmation.n_tested, confirmation.n_restarts) == (1, 1)
     # Small gains add up.
     confirmation.note_best(1.0 - 1.5 * CONFIRMED)
     assert confirmation.n_tested == confirmation.n_restarts == 0
-    assert (confirmation.tests_owed, confirmation.restarts_owed) == (N_TESTED + N_TESTED_MORE, 2)
+
+
+@pytest.mark.parametrize("n_parameters", [FEW_PARAMETERS, FEW_PARAMETERS + 1])
+def test_where_nothing_is_promised_the_least_tests_and_restarts_converge(n_parameters: int) -> None:
+    confirmation = Confirmation(n_parameters, 1)
+    for _ in range(N_TESTED):
+        assert not confirmation.is_tested
+        confirmation.note_test(NOTHING)
+    assert confirmation.is_tested
+    assert not confirmation.has_looked
+    confirmation.n_restarts = confirmation.restarts_owed
+    assert confirmation.has_looked
+    assert confirmation.ending.converged
+
+
+@pytest.mark.parametrize("least_restarts", [0, 1])
+def test_what_is_promised_and_not_found_is_looked_for_and_then_said(least_restarts: int) -> None:
+    confirmation = Confirmation(FEW_PARAMETERS + 1, least_restarts)
+    for _ in range(N_TESTED * N_BLOCKS):
+        if confirmation.is_tested:
+            assert not confirmation.has_looked
+            confirmation.n_restarts += 1
+        confirmation.note_test(MUCH)
+    confirmation.n_restarts = max(confirmation.n_restarts, confirmation.restarts_owed)
+    assert confirmation.has_looked
+    assert not confirmation.ending.converged
+    assert f"promises a gain of {2.0 * PROMISED:g} of the error" in confirmation.ending.reason
+    assert "may be left" in confirmation.still_owed(1e-3)
 
 
 def test_who_never_leaves_owes_no_restarts() -> None:

@@ -1,0 +1,97 @@
+"""A function drawn from what residual processes believe after their rows: one model that may be the true one.
+
+A draw of the prior is corrected by what the rows add to it (Matheron's rule, doi 10.48550/arXiv.2002.09309,
+Eq. 12); its bumps are a sum of random cosines (Rahimi and Recht, 2007).
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from studies.calibration.process_groups import ProcessGroups
+from studies.calibration.residual_kernel import CONSTANT
+from studies.calibration.residual_process import Expansion, ResidualProcess
+
+N_COSINES = 300
+
+
+@dataclass(frozen=True, eq=False)
+class _ProcessSample:
+    """A draw of one process of r components over f features.
+
+    Attributes:
+        process: The process.
+        frequencies: Of the cosines. Shape (c, f). [1]
+        phases: Shape (c,). [rad]
+        cosines: Their weights. Shape (c, r). [unit]
+        slopes: Weights of the features. Shape (f, r). [unit]
+        constants: Shape (r,). [unit]
+        coefficients: Weights of the rows' kernels. Shape (n, r). [unit]
+    """
+
+    process: ResidualProcess
+    frequencies: FloatArray
+    phases: FloatArray
+    cosines: FloatArray
+    slopes: FloatArray
+    constants: FloatArray
+    coefficients: FloatArray
+
+    @classmethod
+    def of(cls, process: ResidualProcess, rng: np.random.Generator) -> Self:
+        """Draw from a process."""
+        x, (n, r) = process.x, process.coefficients.shape
+        inverse_lengths, slope = np.exp(-process.hyper[:-2]), float(np.exp(process.hyper[-2]))
+        factor = np.linalg.inv(process.inverse_factor)
+        kernel = factor @ factor.T
+        # Each component has its own amplitude.
+        squares = (kernel @ process.coefficients * process.coefficients).sum(axis=0)
+        amplitudes = np.sqrt(np.maximum(squares, 0.0) / n)
+        frequencies = rng.standard_normal((N_COSINES, x.shape[1])) * inverse_lengths
+        phases = rng.uniform(0.0, 2.0 * np.pi, N_COSINES)
+        cosines = np.sqrt(2.0 / N_COSINES) * rng.standard_normal((N_COSINES, r)) * amplitudes
+        slopes = slope * inverse_lengths[:, None] * rng.standard_normal((x.shape[1], r)) * amplitudes
+        constants = np.sqrt(CONSTANT) * rng.standard_normal(r) * amplitudes
+        drawn = np.cos(x @ frequencies.T + phases) @ cosines + x @ slopes + constants
+        of_functions = CONSTANT + 1.0 + slope**2 * (x * inverse_lengths) ** 2 @ np.ones(x.shape[1])
+        noise = np.sqrt(np.maximum(np.diag(kernel) - of_functions, 0.0))
+        drawn += noise[:, None] * rng.standard_normal((n, r)) * amplitudes
+        missing = process.inverse_factor.T @ (process.inverse_factor @ drawn)
+        coefficients = process.coefficients - missing
+        return cls(process, frequencies, phases, cosines, slopes, constants, coefficients)
+
+    def residuals(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the components at a point (p,), shape (r,) [unit], and their Jacobian, shape (p, r)."""
+        process = self.process
+        x = process.features.at(u)
+        kernels, slopes = process.kernels(u)
+        angles = self.frequencies @ x + self.phases
+        residuals = process.level + np.cos(angles) @ self.cosines + x @ self.slopes + self.constants
+        jacobian = self.slopes - self.frequencies.T @ (np.sin(angles)[:, None] * self.cosines)
+        pulled = process.features.pull_back(u, jacobian.T).T
+        return residuals + kernels @ self.coefficients, pulled + slopes.T @ self.coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorSample:
+    """A draw of all groups of residuals; make it with `draw`."""
+
+    parts: tuple[_ProcessSample, ...]
+
+    @classmethod
+    def draw(cls, groups: ProcessGroups, rng: np.random.Generator) -> Self:
+        """Draw a function of the parameters that may be the model's residuals."""
+        return cls(tuple(_ProcessSample.of(process, rng) for process in groups.processes))
+
+    def expand(self, u: FloatArray, caution: float = 0.0) -> Expansion:
+        """Expand its mean squared error around a point (p,); it has no variance that caution could add."""
+        value, gradient, hessian = 0.0, np.zeros(u.size), np.zeros((u.size, u.size))
+        for part in self.parts:
+            residuals, jacobian = part.residuals(u)
+            m = part.process.n_residuals
+            value += (part.process.outside + float(residuals @ residuals)) / m
+            gradient += 2.0 * (jacobian @ residuals) / m
+            hessian += 2.0 * (jacobian @ jacobian.T) / m
+        return Expansion(value, value, gradient, hessian)
