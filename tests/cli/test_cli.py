@@ -274,7 +274,7 @@ def test_where_nothing_can_be_written_there_is_no_traceback(
 ) -> None:
     # What is told names the folder.
     root = project.rename(project.with_name("Büro"))
-    unknown_signs = {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
+    unknown_signs = {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
         f"{shlex.quote(sys.executable)} -m studies status {how}",
         shell=True,
@@ -284,7 +284,7 @@ def test_where_nothing_can_be_written_there_is_no_traceback(
         check=False,
     )
     assert done.returncode == code
-    assert ("B??ro yet" in done.stdout) == (how in ("2>&-", "| tail -n 1"))
+    assert ("B?ro yet" in done.stdout) == (how in ("2>&-", "| tail -n 1"))
     said = [line for line in done.stderr.splitlines() if line.startswith("studies: error")]
     assert "\n".join(said).startswith(err)
     assert bool(said) == bool(err)

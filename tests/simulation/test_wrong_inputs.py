@@ -58,7 +58,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     "no TOML": (toml("schema = 1", "schema ="), r"case\.toml: not valid TOML: .*line .*; correct that line$"),
     "an FMU": (
         lambda folder: (folder / "case.toml").write_bytes((folder / "decay.fmu").read_bytes()),
-        r"is no case file but, it seems, an FMU; studies new makes a case of one",
+        r"is not a case file but, it seems, an FMU; studies new makes a case of one",
     ),
     "another encoding": (
         lambda folder: (folder / "case.toml").write_bytes("# Wärme".encode("cp1252")),
@@ -201,14 +201,14 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "no recording": (
         lambda folder: (folder / "data" / "recording.csv").unlink(),
-        r"data/recording\.csv: no such file \(columns time_s, .*\); put the recording there",
+        r"data/recording\.csv: no such file; it needs the columns time_s, .*; put the recording there",
     ),
     "no recording, and the case knows its origin": (
         lambda folder: (
             (folder / "data" / "recording.csv").unlink(),
             toml('data = "data"', 'data = "data"\ndata_origin = "ask the author"')(folder),
         ),
-        r"data/recording\.csv: no such file \(columns time_s, .*\); ask the author$",
+        r"data/recording\.csv: no such file; it needs the columns time_s, .*; ask the author$",
     ),
     "empty recording": (
         lambda folder: (folder / "data" / "recording.csv").write_text(""),  # type: ignore[dict-item]

@@ -92,7 +92,7 @@ def test_a_study_on_its_way_shows_its_running_trial_and_the_time_to_go(copied: P
     running = [block for block in blocks if isinstance(block, Table)][1]
     assert running.rows[0][0] == f"{spec.name} trial {N_TUNED}"
     assert running.rows[0][1:2] == ["6/12"]
-    assert running.rows[0][3] == "1.25"
+    assert running.rows[0][2] == "1.25"
 
 
 def test_an_empty_project_says_what_to_type(project: ProjectPaths) -> None:
