@@ -10,6 +10,7 @@ from simulation.case_file import CaseFile, FirstMeasured, FixedValue, OutputTabl
 from simulation.errors import InputError
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from simulation.foreign_text import shortened
 from simulation.parameters import ParameterSpace
 from simulation.scenario import values_over_steps
 from simulation.units import Conversion, conversion
@@ -148,7 +149,7 @@ def _real(
         if value.first_measured not in names:
             raise InputError(
                 f'{where}: first_measured = "{value.first_measured}" is no output of the case; '
-                f"choose one of: {', '.join(names)}"
+                f"choose one of: {shortened(', '.join(names), 1000)}"
             )
         table = file.outputs[names.index(value.first_measured)]
         change, number = into(fmu, variable, table.unit, where), data.first_measured(table, start_s, where)
@@ -172,7 +173,7 @@ def _not_real(variable: FmuVariable, value: FixedValue, where: str) -> Value:
         if value not in variable.items:
             raise InputError(
                 f'{where} = "{value}": {variable.name} has no such item; choose one of: '
-                f"{', '.join(variable.items) or 'its numbers'}"
+                f"{shortened(', '.join(variable.items), 1000) or 'its numbers'}"
             )
         return variable.items[value]
     wanted = {"Boolean": ("true or false", bool), "String": ('a text in "quotes"', str)}
@@ -181,7 +182,8 @@ def _not_real(variable: FmuVariable, value: FixedValue, where: str) -> Value:
         raise InputError(f"{where} = {_as_toml(value)}: {variable.name} is of type {kind}; give {words}")
     if variable.items and value not in variable.items.values():
         raise InputError(
-            f"{where} = {value}: {variable.name} has no such item; choose one of: {', '.join(variable.items)}"
+            f"{where} = {value}: {variable.name} has no such item; choose one of: "
+            f"{shortened(', '.join(variable.items), 1000)}"
         )
     return value
 

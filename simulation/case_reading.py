@@ -126,4 +126,4 @@ def _suggestion(location: tuple[int | str, ...]) -> str:
         table = PriorTable
     known = [field.alias or name for name, field in table.model_fields.items()]
     close = difflib.get_close_matches(str(location[-1]), known, n=1)
-    return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known)})"
+    return f" (did you mean {close[0]}?)" if close else f" (known: {shortened(', '.join(known), 1000)})"

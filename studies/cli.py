@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from simulation.errors import InputError, MachineError
-from simulation.foreign_text import escaped
+from simulation.foreign_text import escaped, shortened
 from simulation.workers.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
@@ -28,6 +28,8 @@ from studies.interrupts import interrupt_heeded, interrupts_kept, is_interrupt
 from studies.storage_url import hide_passwords
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
+MOST_SAID = 2000
+"""Characters of the line of an error: what it quotes may be a stranger's."""
 WIDEST = 110  # columns of help
 COMMANDS = (
     "new",
@@ -243,7 +245,7 @@ class _Version(argparse.Action):
 
 
 def _bad_input(console: Console, line: str) -> int:
-    line = hide_passwords(line)
+    line = shortened(hide_passwords(line), MOST_SAID)
     console.warn(f"error: {line}")
     console.document({"error": line})
     return BAD_INPUT
@@ -266,6 +268,7 @@ def _failed(console: Console, error: BaseException) -> int:
         told = hide_passwords("".join(traceback.format_exception(error)))
         sys.stderr.write(escaped(told, keep_lines=True))
     line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
+    line = shortened(line, MOST_SAID)
     console.warn(f"error: {line}")
     console.document({"error": line})
     return FAILED

@@ -56,7 +56,7 @@ class Calibration:
     reason: str
     finished: str
     changed_since: Sequence[str]
-    made_of: Sequence[str | None]
+    made_of: Sequence[str]
 
     @property
     def error(self) -> float:
@@ -95,14 +95,21 @@ def _read(
         n_calls_paper=int(numbers["ledger"]["total_paper"]),
         n_calls_all=int(numbers["ledger"]["total_honest"]),
         n_known=int(numbers.get("n_known", 0)),
-        theta={name: float(value) for name, value in numbers["theta"].items()},
+        theta={name: _finite(value) for name, value in numbers["theta"].items()},
         units={str(one["name"]): str(one.get("unit", "1")) for one in declared.get("parameters", ())},
         fixed=[str(one) for one in numbers.get("restriction", {}).get("fixed", {})],
         reason=str(numbers.get("polish_stop_reason", numbers.get("stop_reason", ""))),
         finished=str(manifest.get("finished", "")),
         changed_since=_changed(paths, recipe),
-        made_of=(numbers.get("case_sha256"), numbers.get("measurement_sha256")),
+        made_of=(str(numbers.get("case_sha256")), str(numbers.get("measurement_sha256"))),
     )
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError("a calibrated parameter is a finite number")
+    return number
 
 
 def _changed(paths: ProjectPaths, recipe: Mapping[str, Any]) -> list[str]:

@@ -177,7 +177,7 @@ class FmuDescription:
         )
         if variable.causality != causality and not stands_in:
             raise InputError(
-                f"{where}: {name} is {variable.causality} in {self.path.name}, not {causality}; "
+                f"{where}: {shortened(name)} is {variable.causality} in {self.path.name}, not {causality}; "
                 f"choose one of: {_listed(self.names(causality))}"
             )
         if variable.is_out_of_reach:
@@ -293,4 +293,4 @@ def _described(
 def _listed(names: tuple[str, ...], most: int = 20) -> str:
     if not names:
         return "none"
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+    return ", ".join(shortened(name, 60) for name in names[:most]) + (", ..." if len(names) > most else "")
