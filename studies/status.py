@@ -51,7 +51,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
     rows = [
         [
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
-            f"{one.n_trials}/{max(one.n_planned, one.n_trials + one.n_running + one.n_waiting)}",
+            f"{one.n_trials}/{one.n_all}",
             one.n_pruned,
             Said(str(one.n_failed), "bad") if one.n_failed else 0,
             one.n_running,
@@ -70,7 +70,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
 
 def _total(tuned: Sequence[TunedSize]) -> str:
     n = {state: sum(getattr(one, f"n_{state}") for one in tuned) for state in ("trials", *_STATES)}
-    n_all = sum(max(one.n_planned, one.n_trials + one.n_running + one.n_waiting) for one in tuned)
+    n_all = sum(one.n_all for one in tuned)
     parts = [f"{count(n['trials'])} of {count(n_all, 'trial')} done"]
     parts += [f"{count(n[state])} {state}" for state in _STATES if n[state]]
     parts.append(f"{format_seconds(sum(one.wall_s for one in tuned))} of training")

@@ -85,7 +85,7 @@ class TunedSize:
         gain: Part of the default configuration's validation MAE that tuning took away; None if unknown. [1]
         trial: Number of the best trial; None without a complete one, as all that follows.
         run_id: MLflow's run of the best trial.
-        model_uri: Address by which MLflow loads the best surrogate.
+        model_uri: Address by which MLflow loads the best surrogate; None for a baseline, too.
         params: Hyperparameters of the best trial.
         mae: Test MAE of the best trial. [unit]
         p90: 90th percentile of its absolute test errors. [unit]
@@ -119,6 +119,11 @@ class TunedSize:
     p90: float | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
     baseline: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def n_all(self) -> int:
+        """Trials that it has or shall have."""
+        return max(self.n_planned, self.n_trials + self.n_running + self.n_waiting)
 
 
 @dataclass(frozen=True)

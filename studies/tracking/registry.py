@@ -2,14 +2,13 @@
 
 import tempfile
 import warnings
-from contextlib import redirect_stderr
 from importlib.metadata import version
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import pelsvae
 from simulation.errors import InputError
+from simulation.foreign_text import without_pictures
 from studies.report.wording import difference_unit
 from studies.tracking.runs import RunStore
 from studies.tuning.declaration import ALIAS, Declaration
@@ -53,15 +52,14 @@ def register_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
 
 
 def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
-    """Log the surrogate as a model of the trial's run, register it, and return its version."""
+    """Log the surrogate as a model of the trial's run, register it, and return its version.
+
+    Not in one call: with a name, `Model.log` prints what it has registered.
+    """
     import numpy as np
     import pandas as pd
 
-    with (
-        warnings.catch_warnings(),
-        redirect_stderr(StringIO()),  # MLflow prints what it has registered
-        tempfile.TemporaryDirectory(prefix="studies-model-") as scratch,
-    ):
+    with warnings.catch_warnings(), tempfile.TemporaryDirectory(prefix="studies-model-") as scratch:
         warnings.simplefilter("ignore")  # MLflow's own deprecations, at its import and below
         import mlflow.pyfunc
         from mlflow.models import Model, ModelSignature
@@ -74,7 +72,6 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
         logged = Model.log(
             None,
             mlflow.pyfunc,
-            spec.model_name,
             run_id=best.run_id,
             name=spec.model_name,
             model_type="PELS-VAE" if spec.surrogate != "pca-gp" else "PCA + GP",
@@ -87,8 +84,16 @@ def _register(runs: RunStore, spec: Declaration, best: "TrialView") -> int:
             input_example=pd.DataFrame([dict(zip(spec.parameter_names, middle, strict=True))]),
             metadata={"label": spec.label, "study": spec.name, "output_unit": spec.output_unit},
         )
-    unit = difference_unit(spec.output_unit)
+    unit, client = difference_unit(spec.output_unit), runs.client
     errors = ", ".join(f"{key} {value:.4g} {unit}" for key, value in best.metrics.items())
     said = ". ".join(part for part in (f"Trial {best.number} of {spec.name}", errors, spec.note) if part)
-    runs.client.update_model_version(spec.model_name, str(logged.registered_model_version), said)
-    return int(logged.registered_model_version)
+    if not client.search_registered_models(f"name = '{spec.model_name}'"):
+        client.create_registered_model(spec.model_name)
+    made = client.create_model_version(
+        spec.model_name,
+        source=f"models:/{logged.model_id}",
+        run_id=best.run_id,
+        model_id=logged.model_id,
+        description=without_pictures(said),
+    )
+    return int(made.version)

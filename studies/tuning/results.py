@@ -128,6 +128,7 @@ class TunedStudy:
             studies: where its PCA + GP is looked for: that of the same label and data sets.
         """
         spec, best = self.spec, self.best
+        is_registered = best is not None and not spec.is_baseline
         beside = next((o.best for o in studies if o.spec.is_baseline and o.spec.data == spec.data), None)
         errors = {} if best is None else dict(best.metrics)
         return TunedSize(
@@ -151,7 +152,7 @@ class TunedStudy:
             gain=self.gain,
             trial=None if best is None else best.number,
             run_id=None if best is None else best.run_id,
-            model_uri=spec.model_uri,
+            model_uri=spec.model_uri if is_registered else None,
             params={} if best is None else dict(best.params),
             mae=errors.get("test/mae"),
             p90=errors.get("test/p90"),

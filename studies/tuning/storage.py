@@ -9,6 +9,7 @@ import sqlite3
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from typing import Any
 
 import optuna
 from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
@@ -170,20 +171,29 @@ def claim_next(storage: RDBStorage, study: optuna.Study) -> int:
         The trial's place in the study.
     """
     trials = study.get_trials(deepcopy=False)
-    if not any(trial.state == TrialState.WAITING for trial in trials):
-        study.add_trial(optuna.create_trial(state=TrialState.WAITING))
-        trials = study.get_trials(deepcopy=False)
-    waiting = next(trial for trial in trials if trial.state == TrialState.WAITING)
-    set_owner(storage, study, waiting.number)
-    return place_of(waiting, trials)
+    waiting = next((trial for trial in trials if trial.state == TrialState.WAITING), None)
+    if waiting is not None:
+        set_owner(storage, study, waiting.number)
+        return place_of(waiting, trials)
+    study.add_trial(optuna.create_trial(state=TrialState.WAITING, user_attrs={OWNER: _owner(len(trials))}))
+    storage.record_heartbeat(_trial_id(storage, study, len(trials)))
+    return n_begun(trials)
 
 
 def set_owner(storage: RDBStorage, study: optuna.Study, number: int) -> None:
     """Note that this process works on a trial, and that it lives."""
-    study_id = storage.get_study_id_from_name(study.study_name)
-    trial_id = storage.get_trial_id_from_study_id_trial_number(study_id, number)
-    storage.set_trial_user_attr(trial_id, OWNER, {"trial": number, **this_process()})
+    trial_id = _trial_id(storage, study, number)
+    storage.set_trial_user_attr(trial_id, OWNER, _owner(number))
     storage.record_heartbeat(trial_id)
+
+
+def _owner(number: int) -> dict[str, Any]:
+    return {"trial": number, **this_process()}
+
+
+def _trial_id(storage: RDBStorage, study: optuna.Study, number: int) -> int:
+    study_id = storage.get_study_id_from_name(study.study_name)
+    return storage.get_trial_id_from_study_id_trial_number(study_id, number)
 
 
 def is_owned(trial: FrozenTrial) -> bool:

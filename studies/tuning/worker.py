@@ -117,12 +117,13 @@ class Worker:
             number: int | None = self._number
             if number is None:
                 raise
+            ended = self._study.get_trials()[number]
             with suppress(Exception):
-                self._end(self._study, self._study.get_trials()[number])
+                self._end(self._study, ended)
             if self._is_lost:  # this process stood still, so another one has ended the trial
                 return
             # A full disk or a Ctrl-C is no fault of the configuration.
-            run_again(self._study, self._study.get_trials()[number])
+            run_again(self._study, ended)
             raise
 
     def _train(self, trial: optuna.Trial, on_begun: Callable[[], None]) -> float:
