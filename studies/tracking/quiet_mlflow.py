@@ -19,6 +19,8 @@ for _name in ("alembic", "mlflow"):  # after the import, which sets levels of it
     logging.getLogger(_name).setLevel(logging.WARNING)
 # It prints tracebacks of errors that it raises as well; who catches them says one line.
 logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
+# MLflow writes rows that a server may already have, and goes on where it refuses them.
+logging.getLogger("psycopg").setLevel(logging.ERROR)
 
 __all__ = [
     "Dataset",
