@@ -27,15 +27,12 @@ def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
 
 def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, Any]:
     """Return what a program reads: where Optuna and MLflow keep everything, and the best of each size."""
+    best = [one.summary(project.studies) for found in _by_label(project, sizes).values() for one in found]
     return {
         "command": "best",
         "optuna_storage": hide_passwords(project.paths.optuna_url),
         "mlflow_tracking_uri": hide_passwords(project.paths.tracking_uri),
-        "sizes": [
-            asdict(one.summary(project.studies))
-            for found in _by_label(project, sizes).values()
-            for one in found
-        ],
+        "sizes": [asdict(one) for one in best],
         "calibrations": [asdict(one) for one in best_calibrations(project)],
     }
 
@@ -56,31 +53,25 @@ def _worth(found: Sequence[TunedStudy]) -> str:
     gains = [study.gain for study in found if study.gain is not None]
     if not gains:
         return "Whether tuning was worth it is unknown: no default configuration was trained to its end."
-    first = sum(study.default.wall_s for study in found if study.default)
-    times = (
-        f", at {sum(study.wall_s for study in found) / first:.1f} times its training time" if first else ""
-    )
-    n_better = sum(gain > 0.0 for gain in gains)
-    if not n_better:
-        return f"Tuning found nothing better than the default configuration (one seed each){times}."
+    spent = sum(one.wall_s for one in found)
+    default_s = sum(one.default.wall_s for one in found if one.default)
+    times = f", at {spent / default_s:.1f} times its training time" if default_s else ""
+    n_better, mean = sum(gain > 0.0 for gain in gains), percent(sum(gains) / len(gains))
     return (
         f"Tuning beat the default configuration at {n_better} of {count(len(gains), 'size')} (one seed "
-        f"each), by {percent(sum(gains) / len(gains))} of its validation error on average{times}."
+        f"each), by {mean} of its validation error on average{times}."
     )
 
 
 def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
     spec = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf).spec
     storage, tracking = hide_passwords(project.paths.optuna_url), hide_passwords(project.paths.tracking_uri)
-    return [
-        Said("In Python:"),
-        Said(
-            f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")\n'
-            f'  mlflow.set_tracking_uri("{tracking}")\n'
-            f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
-            "dim",
-        ),
-    ]
+    lines = (
+        f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
+        f'  mlflow.set_tracking_uri("{tracking}")',
+        f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
+    )
+    return [Said("In Python:"), Said("\n".join(lines), "dim")]
 
 
 def best_calibrations(project: Project) -> list[Calibration]:

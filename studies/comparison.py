@@ -50,14 +50,12 @@ def _leaves(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str,
 
 def _compared(name: str, recorded: Any, now: Any) -> Compared:
     was, is_now = np.asarray(recorded), np.asarray(now)
-    if not all(np.issubdtype(one.dtype, np.number) for one in (was, is_now)):
-        is_equal = bool(np.array_equal(was, is_now))
-        return Compared(name, _text(recorded), "the same" if is_equal and was.ndim else _text(now), is_equal)
-    if was.shape != is_now.shape:
-        return Compared(name, _text(recorded), _text(now), False)
+    are_numbers = all(np.issubdtype(one.dtype, np.number) for one in (was, is_now))
+    is_equal = bool(np.array_equal(was, is_now, equal_nan=are_numbers))
+    if is_equal or not are_numbers or was.shape != is_now.shape:
+        shown = "the same" if is_equal and was.ndim else _text(now)
+        return Compared(name, _text(recorded), shown, is_equal, 0.0 if is_equal and are_numbers else None)
     same = (was == is_now) | (np.isnan(was) & np.isnan(is_now))
-    if same.all():
-        return Compared(name, _text(recorded), "the same" if was.ndim else _text(now), True, 0.0)
     with np.errstate(all="ignore"):
         relative = float(np.nanmax(np.abs(is_now - was)) / max(np.nanmax(np.abs(was)), 1e-300))
     first = int(np.flatnonzero(~same.ravel())[0])

@@ -84,7 +84,9 @@ def _read(
     recipe, declared = numbers.get("recipe", {}), dict[str, Any]()
     with suppress(KeyError, TypeError, InputError):
         declared = parse_toml(recipe["case"]["text"], name)
-    outputs = declared.get("outputs", ())
+    outputs, theta = declared.get("outputs", ()), {k: float(v) for k, v in numbers["theta"].items()}
+    if not all(map(math.isfinite, theta.values())):
+        raise ValueError("a calibrated parameter is a finite number")
     label, mse = name.partition("/")[0], numbers.get("mse_polished", numbers.get("mse"))
     return Calibration(
         case=str(declared.get("name", label)),
@@ -95,7 +97,7 @@ def _read(
         n_calls_paper=int(numbers["ledger"]["total_paper"]),
         n_calls_all=int(numbers["ledger"]["total_honest"]),
         n_known=int(numbers.get("n_known", 0)),
-        theta={name: _finite(value) for name, value in numbers["theta"].items()},
+        theta=theta,
         units={str(one["name"]): str(one.get("unit", "1")) for one in declared.get("parameters", ())},
         fixed=[str(one) for one in numbers.get("restriction", {}).get("fixed", {})],
         reason=str(numbers.get("polish_stop_reason", numbers.get("stop_reason", ""))),
@@ -103,13 +105,6 @@ def _read(
         changed_since=_changed(paths, recipe),
         made_of=(str(numbers.get("case_sha256")), str(numbers.get("measurement_sha256"))),
     )
-
-
-def _finite(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError("a calibrated parameter is a finite number")
-    return number
 
 
 def _changed(paths: ProjectPaths, recipe: Mapping[str, Any]) -> list[str]:
@@ -120,11 +115,9 @@ def _changed(paths: ProjectPaths, recipe: Mapping[str, Any]) -> list[str]:
         if file is None:
             continue
         with suppress(OSError):
-            if "text_sha256" in one:  # the case file
-                is_same = text_digest(file.read_text("utf-8-sig", "replace")) == one["text_sha256"]
-            else:
-                is_same = file_digest(file) == one["sha256"]
-            changed += [] if is_same else [file.name]
+            is_text = "text_sha256" in one  # the case file
+            now = text_digest(file.read_text("utf-8-sig", "replace")) if is_text else file_digest(file)
+            changed += [file.name] if now != one["text_sha256" if is_text else "sha256"] else []
     return list(dict.fromkeys(changed))
 
 

@@ -28,16 +28,14 @@ def leaderboard(sizes: Sequence[TunedSize], title: str) -> Table:
     errors = {"MAE": "test/mae", "P90": "test/p90", "MAE val": "val/mae"}
     errors |= {name.removeprefix("test/").replace("_", " ", 1): name for name in outputs}
     headings = ["n_train", *names, *errors, "vs default", "PCA+GP MAE", "PCA+GP P90", "trials", "trial"]
+    beside = ("test/mae", "test/p90")
     rows = [
         [
             one.n_train,
             *(setting(one.params.get(name)) for name in names),
             *(significant(one.metrics[name]) for name in errors.values()),
             MISSING if one.gain is None else "±0 %" if one.gain <= 0.0 else percent(-one.gain),
-            *(
-                significant(one.baseline[name]) if one.baseline else MISSING
-                for name in ("test/mae", "test/p90")
-            ),
+            *(significant(one.baseline[name]) if one.baseline else MISSING for name in beside),
             one.n_trials,
             one.trial,
         ]

@@ -72,7 +72,7 @@ class TuningBudget:
             with more, what the sampler knows when it proposes depends on which trial ends first.
         max_trial_s: longest training; a trial that reaches it counts as pruned. [s]
         sampler: a sampler of `optuna.samplers` by its name, with its arguments.
-        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.pruner`), by its name,
+        pruner: a pruner of `optuna.pruners`, or "CatchUpPruner" (see `studies.tuning.sampler`), by its name,
             with its arguments.
         enqueue: configurations that are tried right after the surrogate's own.
         baseline: whether PCA + GP is also fitted, once per size, for comparison.

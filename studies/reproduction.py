@@ -38,6 +38,10 @@ LOOSE = ("wall", "recipe", "environment", "n_reused")
 """Numbers and records of a stage that are others each time."""
 
 
+class _LastEpochError(Exception):
+    """A pruned trial was trained as far as it was then."""
+
+
 def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) -> tuple[str, list[Compared]]:
     """Make the result of a run again.
 
@@ -127,15 +131,17 @@ def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_j
         InputError: the case, one of its files or a key of the profile is not as it was.
     """
     told = recipe["case"]
-    file = _case_file(paths, str(told["place"]))
+    file = paths.located(str(told["place"]))
+    if file is None:
+        raise InputError(f"the case file {told['place']!r} of this run is not in the project; put it there")
     case = load_case(file, window_d=tuple(recipe["window_d"]))
-    checks = (
-        (str(told["text_sha256"]), text_digest(file.read_text(encoding="utf-8-sig")), "the file itself"),
-        (str(told["digest"]), case.digest, "its FMU or its inputs"),
-        (str(told["measurement_digest"]), case.measurement.digest, "its measurement"),
-    )
-    for was, now, what in checks:
-        if was != now:
+    digests = {
+        "the file itself": ("text_sha256", text_digest(file.read_text(encoding="utf-8-sig"))),
+        "its FMU or its inputs": ("digest", case.digest),
+        "its measurement": ("measurement_digest", case.measurement.digest),
+    }
+    for what, (key, now) in digests.items():
+        if (was := str(told[key])) != now:
             place = paths.show(file)
             raise InputError(f"{place}: {what} changed since this was made; restore it ({was[:12]})")
     return Study(
@@ -147,18 +153,6 @@ def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_j
         label=str(recipe["label"]),
         command=str(recipe["command"]),
     )
-
-
-def _case_file(paths: ProjectPaths, place: str) -> Path:
-    """Return the case file of a record, which may lie in the project or among the embedded cases alone.
-
-    Raises:
-        InputError: it is not there, or the record names another place.
-    """
-    file = paths.located(place)
-    if file is None:
-        raise InputError(f"the case file {place!r} of this run is not in the project; put it there again")
-    return file
 
 
 def _say_differences(console: Console, was: Mapping[str, str]) -> None:
@@ -188,9 +182,6 @@ def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) 
     is_pruned = run.data.tags.get("pruned") == "True"
     seen: dict[str, dict[int, float]] = {name: {} for name in history}
 
-    class _LastEpochError(Exception):
-        pass
-
     def hear(report: Any) -> None:
         now = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
         for name, value in now.items():
@@ -203,11 +194,11 @@ def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) 
     with suppress(_LastEpochError):
         _, numbers = train(spec, config, record["seed"], data, on_epoch=hear, on_report=lambda *_: None)
     was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
-    return (was, _as_arrays(history)), (numbers, _as_arrays({name: seen[name] for name in history}))
-
-
-def _as_arrays(curves: Mapping[str, Mapping[int, float]]) -> dict[str, NDArray[Any]]:
-    return {name: np.array([curve[step] for step in sorted(curve)]) for name, curve in curves.items()}
+    curves, curves_now = (
+        {name: np.array([of[name][step] for step in sorted(of[name])]) for name in history}
+        for of in (history, seen)
+    )
+    return (was, curves), (numbers, curves_now)
 
 
 def _recorded(run: "Run", runs: RunStore, folder: Path) -> Result:

@@ -10,9 +10,7 @@ from studies.finished import FIRST_WORDS, Calibration, Project
 from studies.leaderboard import error
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import MISSING, count, quantity, setting, significant
-from studies.tuning.results import TrialView, TunedStudy
-
-_STATES = ("pruned", "failed", "running", "waiting")
+from studies.tuning.results import STATES, TrialView, TunedStudy
 
 
 def status_blocks(project: Project) -> list[Block]:
@@ -21,10 +19,7 @@ def status_blocks(project: Project) -> list[Block]:
     tuned = [one for one in project.sizes if not one.is_baseline]
     if tuned:
         blocks += [_studies(tuned), Said(_total(tuned))]
-    running = [
-        (study, trial) for study in project.studies for trial in study.trials if trial.state == "running"
-    ]
-    if running:
+    if running := [(one, t) for one in project.studies for t in one.trials if t.state == "running"]:
         blocks.append(_running(running))
     if project.calibrations:
         blocks.append(_calibrations(project.calibrations))
@@ -69,10 +64,9 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
 
 
 def _total(tuned: Sequence[TunedSize]) -> str:
-    n = {state: sum(getattr(one, f"n_{state}") for one in tuned) for state in ("trials", *_STATES)}
-    n_all = sum(one.n_all for one in tuned)
-    parts = [f"{count(n['trials'])} of {count(n_all, 'trial')} done"]
-    parts += [f"{count(n[state])} {state}" for state in _STATES if n[state]]
+    n = {of: sum(getattr(one, f"n_{of}") for one in tuned) for of in ("trials", "all", *STATES)}
+    parts = [f"{count(n['trials'])} of {count(n['all'], 'trial')} done"]
+    parts += [f"{count(n[state])} {state}" for state in STATES[1:] if n[state]]
     parts.append(f"{format_seconds(sum(one.wall_s for one in tuned))} of training")
     return f"{count(len(tuned), 'study', 'studies')}: {', '.join(parts)}"
 
@@ -96,7 +90,7 @@ def _calibrations(calibrations: Sequence[Calibration]) -> Table:
     columns = [Column("calibration"), Column("final MSE", True), Column("calls (paper)", True)]
     columns += [Column("calls (all)", True, 2), Column("ended because", spare=3), Column("finished", True, 1)]
     is_any_changed = any(one.changed_since for one in calibrations)
-    columns += [Column("changed since")] if is_any_changed else []
+    columns += [Column("changed since")] * is_any_changed
     least = {one.label: min(o.error for o in calibrations if o.label == one.label) for one in calibrations}
     rows = [
         [

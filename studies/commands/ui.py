@@ -20,7 +20,7 @@ Optuna has pages of its own: pip install optuna-dashboard, then optuna-dashboard
 
 examples:
   studies ui
-  studies ui office-quick --open           the page of that label, in the browser
+  studies ui office-quick                  the page of that label
   studies ui --port 8080
 """
 
@@ -36,7 +36,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--port", type=values.port, metavar="N", help="port; default: 5000 or the next free port"
     )
-    command.add_argument("--open", action="store_true", help="open the address in this machine's browser")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
@@ -50,5 +49,4 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         console,
         label=chosen.label,
         port=chosen.port,
-        browse=chosen.open,
     )

@@ -20,7 +20,7 @@ from studies.report.tables import Table
 from studies.report.wording import count, listed, significant
 from studies.search_space import SearchParameter
 from studies.stages.simulate import train_seed
-from studies.tuning.importance import importances
+from studies.tuning.results import importances
 
 COLUMNS = (
     ("n_train", "training simulations", ""),

@@ -186,7 +186,7 @@ def _progress(
     spec: Declaration, trials: "Sequence[FrozenTrial]", n_trials: int
 ) -> tuple[float, int, float | None]:
     """Return what is done of a study, what there is to do, and its best error so far."""
-    from studies.tuning.storage import places
+    from studies.tuning.attempts import places
 
     latest = places(trials)
     total = max(1 if spec.is_baseline else n_trials, len(latest))

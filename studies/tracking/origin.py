@@ -14,21 +14,18 @@ _CODE = Path(__file__).resolve().parents[2]
 
 def origin_tags() -> dict[str, str]:
     """Return who ran what, in the tags that MLflow's pages show."""
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a container's user may have no name
-        user = "unknown"
-    return {"mlflow.source.name": "studies", "mlflow.source.type": "LOCAL", "mlflow.user": user}
+    tags = {"mlflow.source.name": "studies", "mlflow.source.type": "LOCAL"}
+    with suppress(KeyError, OSError):  # a container's user may have no name
+        tags["mlflow.user"] = getpass.getuser()
+    return tags
 
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that decide numbers."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            continue
     return found
 
 
@@ -38,8 +35,8 @@ def environment(device: str = "cpu") -> dict[str, str]:
     Args:
         device: where a network was trained, "cpu" or "cuda".
     """
-    machine = {"platform": platform.platform(), "machine": platform.machine(), "cpu": _cpu()}
-    return {**_code_state(), **versions(), **machine, **_blas(), "device": device}
+    machine = {"platform": platform.platform(), "machine": platform.machine(), "device": device}
+    return {**_code_state(), **versions(), **machine, **_blas()}
 
 
 @lru_cache(maxsize=1)
@@ -54,22 +51,13 @@ def _code_state() -> dict[str, str]:
     return found
 
 
-def _cpu() -> str:
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or "unknown"
-
-
 def _blas() -> dict[str, str]:
     """Return the library below NumPy's linear algebra, its kernel for this CPU, and its threads now."""
     import numpy as np  # noqa: F401  (loads the library)
     from threadpoolctl import threadpool_info
 
-    for library in threadpool_info():
-        if library["user_api"] == "blas" and "numpy" in library["filepath"]:
-            kernel = library.get("architecture", "")
-            name = f"{library['internal_api']} {library['version']} {kernel}"
-            return {"blas": name.strip(), "n_threads": str(library["num_threads"])}
+    for one in threadpool_info():
+        if one["user_api"] == "blas" and "numpy" in one["filepath"]:
+            name = f"{one['internal_api']} {one['version']} {one.get('architecture', '')}".strip()
+            return {"blas": name, "n_threads": str(one["num_threads"])}
     return {}

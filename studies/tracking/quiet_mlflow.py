@@ -12,8 +12,7 @@ os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars a
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import mlflow
-    from mlflow import MlflowClient
-    from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, Param, Run, RunTag
+    from mlflow import entities
 
 for _name in ("alembic", "mlflow"):  # after the import, which sets levels of its own
     logging.getLogger(_name).setLevel(logging.WARNING)
@@ -22,28 +21,16 @@ logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 # MLflow writes rows that a server may already have, and goes on where it refuses them.
 logging.getLogger("psycopg").setLevel(logging.ERROR)
 
-__all__ = [
-    "Dataset",
-    "DatasetInput",
-    "InputTag",
-    "Metric",
-    "MlflowClient",
-    "Param",
-    "Run",
-    "RunTag",
-    "connect",
-    "make_database",
-    "mlflow",
-]
+__all__ = ["connect", "entities", "make_database", "mlflow"]
 
 
-def connect(uri: str) -> MlflowClient:
+def connect(uri: str) -> mlflow.MlflowClient:
     """Open the store at a URI for runs and models alike; an SQLite file gets its schema here (some 7 s)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # MLflow's registry asks clients of its own, which know the process's store alone.
         mlflow.set_tracking_uri(uri)
-        client = MlflowClient(tracking_uri=uri, registry_uri=uri)
+        client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
         client.search_registered_models(max_results=1)  # opens the registry's half too
         return client
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from studies.tuning.results import TrialView
 
 SURROGATE = "surrogate"
+"""Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""
 
 
 def load_surrogate(

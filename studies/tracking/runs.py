@@ -3,21 +3,20 @@
 The only module, with `registry`, that speaks to MLflow's client.
 """
 
-import json
 import math
-import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
 from simulation.foreign_text import without_pictures
 from studies.paths import ProjectPaths, cannot_open, folder_name
 from studies.tracking.origin import origin_tags
-from studies.tracking.quiet_mlflow import Metric, Param, Run, RunTag, connect, make_database, mlflow
+from studies.tracking.quiet_mlflow import connect, entities, make_database, mlflow
 
+Run: TypeAlias = entities.Run
 RunStatus = Literal["FINISHED", "FAILED", "KILLED", "RUNNING"]
 NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 CURVE = "curve/"
@@ -39,7 +38,8 @@ class RunStore:
 
     def __init__(self, paths: ProjectPaths) -> None:
         self._paths = paths
-        paths.artifacts.mkdir(parents=True, exist_ok=True)
+        self._artifacts = paths.artifacts.resolve()
+        self._artifacts.mkdir(parents=True, exist_ok=True)
         try:
             # Processes that make the database at the same moment would get in each other's way.
             with FileLock(paths.mlruns / ".mlflow.lock"):
@@ -56,15 +56,16 @@ class RunStore:
     def experiment(self, label: str) -> str:
         """Return the id of a label's experiment, a new one where there is none."""
         if label not in self._experiments:
+            # On a server there is no file that artifacts could lie beside: they lie in this project's folder.
+            folder = folder_name(label)
+            lies_beside = self._paths.storage is None
+            location = f"{SCHEME}:/{folder}" if lies_beside else (self._artifacts / folder).as_uri()
             with FileLock(self._paths.mlruns / ".mlflow.lock"):
-                found = self.client.get_experiment_by_name(label)
-                if found is None:
-                    made = self.client.create_experiment(label, self._location(label))
-                    self._experiments[label] = str(made)
-                else:
-                    if found.lifecycle_stage == "deleted":
-                        self.client.restore_experiment(found.experiment_id)
-                    self._experiments[label] = str(found.experiment_id)
+                known = self.client.get_experiment_by_name(label)
+                found = known.experiment_id if known else self.client.create_experiment(label, location)
+                if known and known.lifecycle_stage == "deleted":
+                    self.client.restore_experiment(found)
+            self._experiments[label] = str(found)
         return self._experiments[label]
 
     def describe(self, label: str, note: str) -> None:
@@ -103,22 +104,21 @@ class RunStore:
         now = round(1000.0 * time.time())
         self.client.log_batch(
             run_id,
-            metrics=[Metric(k, float(v), now, 0) for k, v in (metrics or {}).items() if math.isfinite(v)],
-            params=[Param(name, str(value)[:6000]) for name, value in (params or {}).items()],
-            tags=[RunTag(name, str(value)) for name, value in (tags or {}).items()],
+            metrics=[
+                entities.Metric(k, float(v), now, 0) for k, v in (metrics or {}).items() if math.isfinite(v)
+            ],
+            params=[entities.Param(name, str(value)[:6000]) for name, value in (params or {}).items()],
+            tags=[entities.RunTag(name, str(value)) for name, value in (tags or {}).items()],
         )
 
-    def log_points(self, run_id: str, points: Sequence[Metric]) -> None:
+    def log_points(self, run_id: str, points: Sequence[entities.Metric]) -> None:
         """Write points of curves."""
         for begin in range(0, len(points), MAX_METRICS):
             self.client.log_batch(run_id, metrics=points[begin : begin + MAX_METRICS])
 
     def log_json(self, run_id: str, content: Mapping[str, Any], name: str) -> None:
         """Write a JSON file among a run's artifacts."""
-        with tempfile.TemporaryDirectory(prefix="studies-run-") as scratch:
-            file = Path(scratch) / name
-            file.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-            self.client.log_artifact(run_id, str(file))
+        self.client.log_dict(run_id, dict(content), name)
 
     def log_files(self, run_id: str, files: Iterable[Path], folder: str | None = None) -> None:
         """Copy files among a run's artifacts."""
@@ -131,11 +131,9 @@ class RunStore:
         Raises:
             InputError: the run has none of that name, or it is out of this machine's reach.
         """
-        from mlflow.exceptions import MlflowException
-
         try:
             return Path(self.client.download_artifacts(run_id, name, str(folder)))
-        except (MlflowException, OSError) as error:
+        except (mlflow.MlflowException, OSError) as error:
             line = next(iter(str(error).splitlines()), "")
             raise InputError(f"MLflow's run {run_id} has no {name} that can be read here ({line})") from None
 
@@ -146,10 +144,3 @@ class RunStore:
     def wake(self, run_id: str) -> None:
         """Let a run that has ended run again."""
         self.client.update_run(run_id, status="RUNNING")
-
-    def _location(self, label: str) -> str:
-        # On a server there is no file that artifacts could lie beside: they lie in this project's folder.
-        folder = folder_name(label)
-        if self._paths.storage is None:
-            return f"{SCHEME}:/{folder}"
-        return (self._paths.artifacts.resolve() / folder).as_uri()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.paths import ProjectPaths
-from studies.tracking.quiet_mlflow import Metric
+from studies.tracking.quiet_mlflow import entities
 from studies.tracking.runs import NOTE, RunStore
 
 _REFUSED = re.compile(r"[^/\w.\- :]")
@@ -77,14 +77,9 @@ def log_stage(paths: ProjectPaths, stage: StageRun) -> None:
     run_id = runs.begin(stage.label, stage.name, tags, start_s=started_s)
     runs.log(run_id, params=stage.params, metrics=metrics)
     at = round(1000.0 * (started_s + stage.wall_s))
-    runs.log_points(
-        run_id,
-        [
-            Metric(metric_name(name), value, at, step)
-            for name, curve in stage.curves.items()
-            for step, value in curve
-        ],
-    )
+    curves = {metric_name(name): curve for name, curve in stage.curves.items()}
+    points = [entities.Metric(name, value, at, step) for name in curves for step, value in curves[name]]
+    runs.log_points(run_id, points)
     runs.log_files(run_id, stage.figures, "figures")
     runs.log_files(run_id, stage.artifacts)
     if stage.record:

@@ -1,5 +1,6 @@
 """A study as MLflow shows it: a run above those of its trials, its best surrogate in the registry."""
 
+import json
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -7,8 +8,7 @@ from typing import TYPE_CHECKING
 import optuna
 from mlflow.exceptions import MlflowException
 
-from studies.paths import ProjectPaths
-from studies.tracking.datasets import dataset_inputs
+from studies.tracking.quiet_mlflow import entities
 from studies.tracking.registry import register_best
 from studies.tracking.runs import RunStore
 from studies.tracking.trial_run import end_run
@@ -17,13 +17,12 @@ from studies.tuning.declaration import Declaration
 if TYPE_CHECKING:
     from studies.tuning.results import TrialView, TunedStudy
 
+_CONTEXTS = {"train": "training", "validation": "validation", "test": "testing"}
 BEST = "best"
 """Tag of the run of the best trial of a training-set size: `tags.best = 'yes'` is the leaderboard."""
 
 
-def open_study_run(
-    runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None, paths: ProjectPaths
-) -> str:
+def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str | None) -> str:
     """Open the run of a study, a new one or the one it has, and return its id."""
     if run_id is not None:
         with suppress(MlflowException):  # deleted by its user
@@ -34,21 +33,26 @@ def open_study_run(
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}
     tags |= {"case": spec.case_name, "case_sha256": spec.digests["case"]}
     made = runs.begin(spec.label, f"{spec.size} study", tags)
-    searched = {f"search.{name}": declared for name, declared in spec.search.items()}
-    runs.log(
-        made,
-        params={
-            "n_train": spec.n_train,
-            "n_trials": n_trials,
-            "seed": spec.seed,
-            "sampler": spec.sampler["name"],
-            "pruner": spec.pruner["name"],
-            **searched,
-        },
-    )
+    params = {"n_train": spec.n_train, "n_trials": n_trials, "seed": spec.seed}
+    params |= {"sampler": spec.sampler["name"], "pruner": spec.pruner["name"]}
+    runs.log(made, params=params | {f"search.{name}": one for name, one in spec.search.items()})
     with suppress(MlflowException):  # another machine writes the same data sets at this moment
-        runs.client.log_inputs(made, dataset_inputs(spec, paths))
+        runs.client.log_inputs(made, [_data_set(spec, name) for name in _CONTEXTS])
     return made
+
+
+def _data_set(spec: Declaration, name: str) -> entities.DatasetInput:
+    """Describe a set as MLflow shows it: its digest, its columns and where it lies."""
+    names = (*spec.parameter_names, *spec.output_names)
+    columns = [{"type": "double", "name": column, "required": True} for column in names]
+    described = entities.Dataset(
+        f"{spec.case_name} {name}" + (f" n={spec.n_train}" if name == "train" else ""),
+        spec.digests[name][:32],
+        "local",
+        json.dumps({"set": spec.files[name]}),
+        schema=json.dumps({"mlflow_colspec": columns}),
+    )
+    return entities.DatasetInput(described, [entities.InputTag("mlflow.data.context", _CONTEXTS[name])])
 
 
 def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> None:
@@ -64,14 +68,10 @@ def end_left_runs(runs: RunStore, study: optuna.Study, spec: Declaration) -> Non
             end_run(runs, run.info.run_id, trial)
 
 
-def close_study(
-    runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str, paths: ProjectPaths
-) -> None:
+def close_study(runs: RunStore, spec: Declaration, found: "TunedStudy", run_id: str) -> None:
     """Write what a study came to on its run, mark and register its best trial, and end the run."""
     best = found.best
-    numbers: dict[str, float] = {
-        f"n_{state}": found.count(state) for state in ("complete", "pruned", "failed")
-    }
+    numbers: dict[str, float] = {f"n_{one}": found.count(one) for one in ("complete", "pruned", "failed")}
     if best is not None:
         numbers |= {f"best/{name}": value for name, value in best.metrics.items()}
         numbers |= {f"best/{n}": v for n, v in best.params.items() if isinstance(v, int | float)}
@@ -90,5 +90,4 @@ def mark_best(runs: RunStore, spec: Declaration, best: "TrialView") -> None:
     for run in runs.find(spec.label, {BEST: kind, "n_train": str(spec.n_train)}):
         if run.info.run_id != best.run_id:
             runs.client.delete_tag(run.info.run_id, BEST)
-    if runs.client.get_run(best.run_id).data.tags.get(BEST) != kind:
-        runs.log(best.run_id, tags={BEST: kind})
+    runs.log(best.run_id, tags={BEST: kind})

@@ -11,18 +11,13 @@ from typing import Any
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.epochs import EpochReport
-from studies.tracking.quiet_mlflow import Metric
-from studies.tracking.runs import CURVE, PARENT, RunStatus, RunStore
+from studies.tracking.quiet_mlflow import entities
+from studies.tracking.runs import CURVE, PARENT, RunStore
+from studies.tuning.attempts import errors_of
 from studies.tuning.declaration import Declaration
-from studies.tuning.storage import errors_of
 
 FLUSH_S = 2.0
 """Points of curves are written this often: each call costs as much as many points."""
-STATUS: dict[TrialState, RunStatus] = {
-    TrialState.COMPLETE: "FINISHED",
-    TrialState.PRUNED: "FINISHED",
-    TrialState.FAIL: "FAILED",
-}
 
 
 class TrialRun:
@@ -33,9 +28,7 @@ class TrialRun:
         spec: the study.
         study_run: id of the study's run.
         trial: number of the trial.
-        params: its hyperparameters.
-        settings: all settings of its surrogate.
-        seed: seed of its training.
+        params: its hyperparameters and all that is to be seen beside them.
         record: what makes the trial again, kept as `provenance.json`.
     """
 
@@ -47,8 +40,6 @@ class TrialRun:
         *,
         trial: int,
         params: dict[str, Any],
-        settings: dict[str, Any],
-        seed: int,
         record: dict[str, Any],
     ) -> None:
         tags = {"role": "trial", "study": spec.name, "trial": trial, "n_train": spec.n_train}
@@ -56,20 +47,17 @@ class TrialRun:
             tags[PARENT] = study_run
         self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
         self._runs = runs
-        self._points: list[Metric] = []
+        self._points: list[entities.Metric] = []
         self._flushed_s = time.monotonic()
-        runs.log(self.id, params={"n_train": spec.n_train, "seed": seed, **settings, **params})
+        runs.log(self.id, params={"n_train": spec.n_train, **params})
         runs.log_json(self.id, record, "provenance.json")
 
     def hear(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""
         now = round(1000.0 * time.time())
         seen = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
-        self._points += [
-            Metric(f"{CURVE}{name}", value, now, report.epoch)
-            for name, value in seen.items()
-            if math.isfinite(value)
-        ]
+        finite = {name: value for name, value in seen.items() if math.isfinite(value)}
+        self._points += [entities.Metric(f"{CURVE}{k}", v, now, report.epoch) for k, v in finite.items()]
         if time.monotonic() - self._flushed_s >= FLUSH_S:
             self.flush()
 
@@ -89,9 +77,9 @@ def end_run(runs: RunStore, run_id: str, trial: FrozenTrial) -> None:
         trial: the trial; one that still runs or waits was given to another worker, so this run is over.
     """
     tags = {"trial_state": trial.state.name.lower(), "pruned": trial.state == TrialState.PRUNED}
-    reason = trial.user_attrs.get("reason") or ("" if trial.state.is_finished() else "its worker was stopped")
+    is_failed, is_over = trial.state == TrialState.FAIL, trial.state.is_finished()
+    usual = "its worker died" if is_failed else "" if is_over else "its worker was stopped"
+    reason = trial.user_attrs.get("reason") or usual
     errors = errors_of(trial) if trial.state == TrialState.COMPLETE else {}
-    if trial.state == TrialState.FAIL and not reason:
-        reason = "its worker died"
     runs.log(run_id, metrics=errors, tags=tags | ({"reason": reason} if reason else {}))
-    runs.end(run_id, STATUS.get(trial.state, "KILLED"))
+    runs.end(run_id, "FAILED" if is_failed else "FINISHED" if is_over else "KILLED")

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 import urllib.request
-import webbrowser
 from contextlib import suppress
 from urllib.parse import quote, urlencode
 
@@ -29,9 +28,7 @@ LEADERBOARD = urlencode(
 )
 
 
-def open_ui(
-    paths: ProjectPaths, console: Console, *, label: str | None, port: int | None, browse: bool
-) -> int:
+def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: int | None) -> int:
     """Start the interface and wait until the user stops it.
 
     Args:
@@ -39,7 +36,6 @@ def open_ui(
         console: prints the addresses.
         label: whose runs are shown; None for the one that was worked on last.
         port: port to listen on; None takes the first free one from 5000 on.
-        browse: also open the first address in this machine's browser.
 
     Returns:
         The exit code.
@@ -74,10 +70,7 @@ def open_ui(
                 for what, page in pages.items():
                     console.result(f"{what}: {address}{page}")
                 console.result("Ctrl-C stops it.")
-                first = f"{address}{next(iter(pages.values()))}"
-                console.document({"command": "ui", "url": first})
-                if browse:
-                    webbrowser.open(first)
+                console.document({"command": "ui", "url": f"{address}{next(iter(pages.values()))}"})
                 server.wait()
             raise MachineError(f"MLflow ended by itself; {paths.show(paths.mlruns / LOG_FILE)} says why")
         except KeyboardInterrupt:
@@ -85,15 +78,17 @@ def open_ui(
             console.say("ui: stopped")
             return 0
         finally:
-            _stop(server)
+            for how in (signal.SIGTERM, signal.SIGKILL):
+                with suppress(ProcessLookupError, subprocess.TimeoutExpired):
+                    os.killpg(server.pid, how)
+                    server.wait(STOP_LIMIT_S)
 
 
 def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
     """Return the addresses of a label's best trials, of all its runs, and of the registered models."""
     from studies.tracking.stage_run import run_store
 
-    latest = ["last_update_time DESC"]
-    experiments = run_store(paths).client.search_experiments(order_by=latest)
+    experiments = run_store(paths).client.search_experiments(order_by=["last_update_time DESC"])
     known = {one.name: one.experiment_id for one in experiments if one.name != "Default"}
     if label is not None and label not in known:
         raise InputError(f"MLflow has no experiment {label!r}; there are: {', '.join(known) or 'none'}")
@@ -101,11 +96,8 @@ def _pages(paths: ProjectPaths, label: str | None) -> dict[str, str]:
         return {"MLflow, without a run yet": ""}
     chosen = label or next(iter(known))
     runs = f"#/experiments/{known[chosen]}/runs?workflowType=machine_learning"
-    return {
-        f"All runs of {chosen}": runs,
-        f"Best trial per training-set size of {chosen}": f"{runs}&{LEADERBOARD}",
-        "Registered models": "#/models",
-    }
+    best = f"Best trial per training-set size of {chosen}"
+    return {f"All runs of {chosen}": runs, best: f"{runs}&{LEADERBOARD}", "Registered models": "#/models"}
 
 
 def _free_port(wanted: int | None) -> int:
@@ -125,10 +117,3 @@ def _is_up(server: "subprocess.Popen[bytes]", url: str) -> bool:
             return True
         time.sleep(0.2)
     return False
-
-
-def _stop(server: "subprocess.Popen[bytes]") -> None:
-    for how in (signal.SIGTERM, signal.SIGKILL):
-        with suppress(ProcessLookupError, subprocess.TimeoutExpired):
-            os.killpg(server.pid, how)
-            server.wait(STOP_LIMIT_S)

@@ -11,17 +11,13 @@ from optuna.trial import FrozenTrial, TrialState
 from studies.paths import ProjectPaths
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import difference_unit
+from studies.search_space import SearchSpace
+from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
-from studies.tuning.storage import (
-    CLOSED,
-    DECLARATION,
-    PLANNED,
-    RUN_ID,
-    declaration_of,
-    errors_of,
-    places,
-    storage_of,
-)
+from studies.tuning.storage import storage_of
+
+MIN_FOR_IMPORTANCE = 4
+STATES = ("complete", "pruned", "failed", "running", "waiting")
 
 
 @dataclass(frozen=True)
@@ -141,11 +137,7 @@ class TunedStudy:
             unit=difference_unit(spec.output_unit),
             n_planned=self.n_planned,
             n_trials=self.n_ended,
-            n_complete=self.count("complete"),
-            n_pruned=self.count("pruned"),
-            n_failed=self.count("failed"),
-            n_running=self.count("running"),
-            n_waiting=self.count("waiting"),
+            **{f"n_{state}": self.count(state) for state in STATES},
             n_proposed=self.n_proposed,
             wall_s=self.wall_s,
             to_go_s=self.to_go_s,
@@ -172,13 +164,13 @@ def read_study(study: optuna.Study) -> TunedStudy:
     Raises:
         InputError: it was made by another program or version.
     """
-    spec, attrs = declaration_of(study), study.user_attrs
-    trials = places(study.get_trials(deepcopy=False))
+    spec, attrs = attempts.declaration_of(study), study.user_attrs
+    trials = attempts.places(study.get_trials(deepcopy=False))
     return TunedStudy(
         spec=spec,
-        n_planned=int(attrs.get(PLANNED, 0)),
+        n_planned=int(attrs.get(attempts.PLANNED, 0)),
         trials=tuple(_view(spec, trial) for trial in trials),
-        n_closed=int(attrs.get(CLOSED, 0)),
+        n_closed=int(attrs.get(attempts.CLOSED, 0)),
     )
 
 
@@ -194,7 +186,7 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
     found = []
     with storage_of(paths) as storage:
         for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
-            declared = study.user_attrs.get(DECLARATION)
+            declared = study.user_attrs.get(attempts.DECLARATION)
             if isinstance(declared, dict) and label in (None, declared.get("label")):
                 found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
     return sorted(
@@ -212,9 +204,8 @@ def latest_studies(
         case_digest: only those of this physics.
     """
     mine = [s for s in studies if case_digest in (None, s.spec.digests.get("case"))]
-    return {
-        (one.spec.n_train, one.spec.is_baseline): one for one in sorted(mine, key=lambda one: one.began_s)
-    }
+    ordered = sorted(mine, key=lambda one: one.began_s)
+    return {(one.spec.n_train, one.spec.is_baseline): one for one in ordered}
 
 
 def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
@@ -232,8 +223,8 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         params=params,
         settings={**spec.settings, **known} if known or not spec.space else {},
         value=value,
-        metrics=errors_of(trial) if trial.state == TrialState.COMPLETE else {},
-        run_id=str(trial.user_attrs.get(RUN_ID, "")),
+        metrics=attempts.errors_of(trial) if trial.state == TrialState.COMPLETE else {},
+        run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),
         proposed_by=str(trial.user_attrs.get("proposed_by", usual)),
         reason=str(trial.user_attrs.get("reason", "")),
         wall_s=float(training.get("wall_s", max(ended - began, 0.0) if ended else 0.0)),
@@ -242,3 +233,33 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
         began_s=began,
         weights_sha256=str(training.get("weights_sha256", "")),
     )
+
+
+def importances(
+    points: Sequence[Mapping[str, Any]], values: Sequence[float], space: SearchSpace
+) -> dict[str, float]:
+    """Return the part of the importance that each hyperparameter has, by Optuna's own evaluator.
+
+    It is PED-ANOVA (Watanabe et al. 2023, arXiv:2304.10255). It compares where the best tenth of the points
+    lies with where all lie. So only the order of the values counts.
+
+    Args:
+        points: hyperparameters by name.
+        values: their errors, the least is the best; as many as points.
+        space: the search space.
+
+    Returns:
+        Parts by name, which sum to 1, the largest first; empty with fewer than four points. [1]
+    """
+    if len(points) < MIN_FOR_IMPORTANCE or not space:
+        return {}
+    study = optuna.create_study()
+    for point, value in zip(points, values, strict=True):
+        study.enqueue_trial(dict(point))
+        trial = study.ask()
+        for name, one in space.items():
+            if name in point:
+                one.suggest(trial, name)
+        study.tell(trial, value)
+    found = optuna.importance.get_param_importances(study)
+    return dict(sorted(((name, float(part)) for name, part in found.items()), key=lambda pair: -pair[1]))

@@ -7,12 +7,11 @@ from typing import Any
 import optuna
 from optuna.pruners import BasePruner
 from optuna.samplers import BaseSampler
+from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
 from studies.tuning.declaration import Declaration
-from studies.tuning.pruner import CatchUpPruner
 
-_OWN_PRUNERS = {"CatchUpPruner": CatchUpPruner}
 _ONE_SEQUENCE = ("QMCSampler", "GridSampler", "BruteForceSampler")
 """Samplers that go through one sequence: each trial takes the same seed, not one of its own."""
 
@@ -32,7 +31,7 @@ def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
     Raises:
         InputError: there is no such pruner, or it refuses the arguments.
     """
-    return _made("pruner", declared, vars(optuna.pruners) | _OWN_PRUNERS, BasePruner)  # type: ignore[no-any-return]
+    return _made("pruner", declared, vars(optuna.pruners) | {"CatchUpPruner": CatchUpPruner}, BasePruner)  # type: ignore[no-any-return]
 
 
 def _made(kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base: type, **more: Any) -> Any:
@@ -61,3 +60,40 @@ def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:
     """
     is_one_sequence = spec.sampler.get("name") in _ONE_SEQUENCE
     return make_sampler(spec.sampler, spec.trial_seed(0 if is_one_sequence else place, 0))
+
+
+class CatchUpPruner(BasePruner):
+    """Stops a trial that could not catch up with the best one any more.
+
+    It would miss the best completed trial even if its error fell from here on by a larger part than that of
+    any completed trial: the largest part seen, times 1 + caution / n with n completed trials. With a
+    one-cycle learning rate that part is large early in a training and nothing late, which a median ignores.
+
+    Args:
+        caution: how much more than any completed trial one may still gain, divided by their number.
+    """
+
+    def __init__(self, caution: float = 1.5) -> None:
+        self._caution = caution
+
+    def prune(self, study: optuna.Study, trial: FrozenTrial) -> bool:
+        """Say whether the trial is to be stopped, judged by what it has reported."""
+        step = trial.last_step
+        if step is None:
+            return False
+        complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        parts = [
+            other.value / least
+            for other in complete
+            if other.value is not None and (least := least_until(other, step)) is not None
+        ]
+        least = least_until(trial, step)
+        if not parts or least is None:
+            return False
+        gain = (1.0 - min(parts)) * (1.0 + self._caution / len(parts))
+        return least * (1.0 - gain) > min(other.value for other in complete if other.value is not None)
+
+
+def least_until(trial: FrozenTrial, step: int) -> float | None:
+    """Return the least value that a trial reported up to a step, None where it reported none."""
+    return min((value for at, value in trial.intermediate_values.items() if at <= step), default=None)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +20,8 @@ N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
 NORMAL_90 = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 
-_Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
-
-
-@dataclass(frozen=True)
-class StudyData:
-    """The data sets of a study without their failed rows: pairs of theta (n, p) and y (n, t, k)."""
-
-    train: _Pair
-    validation: _Pair
-    test: _Pair
+StudyData = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""The data sets of a study by name without their failed rows: pairs of theta (n, p) and y (n, t, k)."""
 
 
 def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
@@ -39,7 +30,7 @@ def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
     Raises:
         InputError: a set is not here, is not what the study was declared with, or has no two good rows.
     """
-    pairs = []
+    data: StudyData = {}
     for name in SETS:
         file = spec.file(paths, name)
         rows = RowSet.load(file).read(spec.n_train if name == "train" else None)
@@ -50,8 +41,8 @@ def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
             raise InputError(
                 f"{file} has {good.n} good simulations of {rows.n}; a surrogate needs at least 2"
             )
-        pairs.append((good.theta, good.y))
-    return StudyData(*pairs)
+        data[name] = good.theta, good.y
+    return data
 
 
 def report_epochs(max_epochs: int) -> list[int]:
@@ -96,8 +87,8 @@ def train(
             on_report(due[-1], report.validation_mae)
 
     fitted = fit(
-        *data.train,
-        data.validation,
+        *data["train"],
+        data["validation"],
         config=config,
         seed=seed,
         log_columns=np.array(spec.is_log),
@@ -114,16 +105,14 @@ def train(
 def judge(surrogate: Surrogate, spec: Declaration, data: StudyData) -> dict[str, float]:
     """Return the errors of a surrogate on the validation and the test set, by name. [output's unit]."""
     judged: dict[str, float] = {}
-    for name, (theta, y) in {"val": data.validation, "test": data.test}.items():
+    for name, (theta, y) in {"val": data["validation"], "test": data["test"]}.items():
         predicted = surrogate.predict(theta)
         error = errors(predicted, y, np.array(spec.output_scales))
         judged |= {f"{name}/mae": float(error.mae), f"{name}/p90": float(error.p90)}
         if len(spec.output_names) > 1:
             by_output = np.abs(predicted - y).mean(axis=(0, 1))
-            judged |= {
-                f"{name}/{output_metric(output)}": float(mae)
-                for output, mae in zip(spec.output_names, by_output, strict=True)
-            }
+            for output, mae in zip(spec.output_names, by_output, strict=True):
+                judged[f"{name}/{output_metric(output)}"] = float(mae)
         if name == "test" and surrogate.states_deviation:
             inside = np.abs(predicted - y) <= NORMAL_90 * surrogate.deviation(theta)
             judged["test/coverage90"] = float(inside.mean())

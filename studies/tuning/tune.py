@@ -5,8 +5,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import IO, Any
 
@@ -20,17 +20,10 @@ from studies.paths import ProjectPaths
 from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
+from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
 from studies.tuning.results import TunedStudy, latest_studies, read_studies, read_study
-from studies.tuning.storage import (
-    CLOSED,
-    is_unfinished,
-    make_study,
-    retry_lost,
-    storage_of,
-    study_locked,
-)
-from studies.tuning.worker import RECIPE, STUDY_RUN
+from studies.tuning.storage import storage_of, study_locked
 
 POLL_S = 0.5
 MAX_DEATHS = 3
@@ -50,14 +43,26 @@ class _Part:
     study: optuna.Study
     run_id: str
     n_planned: int
+    storage: RDBStorage
+    paths: ProjectPaths
+    runs: RunStore
 
     @property
     def trials(self) -> list[FrozenTrial]:
         return self.study.get_trials(deepcopy=False)
 
-    @property
-    def is_unfinished(self) -> bool:
-        return is_unfinished(self.trials, self.n_planned)
+    def give_back(self) -> None:
+        """Let the trials of dead workers be run again, and end the runs that they left open."""
+        with study_locked(self.storage, self.paths, self.spec.name):
+            attempts.retry_lost(self.study)
+        end_left_runs(self.runs, self.study, self.spec)
+
+    def close(self) -> TunedStudy:
+        """Register the best surrogate of a study and end its run."""
+        found = read_study(self.study)
+        close_study(self.runs, self.spec, found, self.run_id)
+        self.study.set_user_attr(attempts.CLOSED, len(found.trials))
+        return found
 
 
 @dataclass
@@ -72,7 +77,62 @@ class _Size:
 
     @property
     def is_unfinished(self) -> bool:
-        return any(part.is_unfinished for part in self.parts)
+        return any(attempts.is_unfinished(part.trials, part.n_planned) for part in self.parts)
+
+    def start_worker(self, paths: ProjectPaths, until_s: float | None) -> None:
+        names = [part.spec.name for part in self.parts]
+        command = [sys.executable, "-P", "-m", "studies.tuning.worker", *names, "--child"]
+        command += [] if until_s is None else ["--until", repr(until_s)]
+        environment = os.environ | THREADS
+        if paths.storage is not None:  # not among the arguments, which every user of a machine can read
+            environment[STORAGE_VARIABLE] = paths.storage
+        said = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its worker)
+        worker = subprocess.Popen(command, cwd=paths.root, env=environment, stdout=said, stderr=said)
+        self.workers[worker] = said
+
+    def look_after_workers(self) -> None:
+        """See which workers have ended, and why.
+
+        Raises:
+            InputError: a worker found the study unusable.
+            TuningError: a worker failed, or died again and again before it ended a trial.
+        """
+        for worker in [one for one in self.workers if one.poll() is not None]:
+            with self.workers.pop(worker) as messages:
+                messages.seek(0)
+                lines = messages.read().decode(errors="replace").strip().splitlines()
+            if worker.returncode == 0:
+                continue
+            for part in self.parts:
+                part.give_back()
+            said, name = lines[-1] if lines else "no message", self.parts[0].spec.name
+            if worker.returncode == 2:
+                raise InputError(said)
+            if worker.returncode > 0:
+                raise TuningError(f"a worker of {name} failed: {said}")
+            before, self.n_ended = (
+                self.n_ended,
+                sum(t.state.is_finished() for p in self.parts for t in p.trials),
+            )
+            self.n_deaths = self.n_deaths + 1 if self.n_ended <= before else 1
+            if self.n_deaths > MAX_DEATHS:
+                raise TuningError(
+                    f"a worker of {name} was killed by signal {-worker.returncode} {self.n_deaths} times "
+                    f"before it ended a trial ({said})"
+                )
+
+    def stop(self) -> None:
+        """Stop the workers and give their trials back."""
+        for worker in self.workers:
+            worker.kill()
+        for worker, messages in self.workers.items():
+            worker.wait()
+            messages.close()
+        # What cannot be done now, as where the storage is away, the next command does.
+        with suppress(Exception):
+            for part in self.parts:
+                part.give_back()
+                part.runs.end(part.run_id, "KILLED")
 
 
 OnTrials = Callable[[Declaration, Sequence[FrozenTrial]], None]
@@ -119,115 +179,44 @@ def tune(
         for spec, recipe in zip(specs, recipes or [{}] * len(specs), strict=True):
             planned = 1 if spec.is_baseline else n_trials
             with study_locked(storage, paths, spec.name):
-                study = make_study(storage, spec, n_trials=planned)
-            if recipe and study.user_attrs.get(RECIPE) != recipe:
-                study.set_user_attr(RECIPE, recipe)
-            run_id = open_study_run(runs, spec, planned, study.user_attrs.get(STUDY_RUN), paths)
-            if study.user_attrs.get(STUDY_RUN) != run_id:
-                study.set_user_attr(STUDY_RUN, run_id)
-            part = _Part(spec, study, run_id, planned)
-            _give_back(part, storage, paths, runs)
+                study = attempts.make_study(storage, spec, n_trials=planned)
+            run_id = open_study_run(runs, spec, planned, study.user_attrs.get(attempts.RUN_ID))
+            for name, value in {attempts.RECIPE: recipe, attempts.RUN_ID: run_id}.items():
+                if value and study.user_attrs.get(name) != value:
+                    study.set_user_attr(name, value)
+            part = _Part(spec, study, run_id, planned, storage, paths, runs)
+            part.give_back()
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
         largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
-        with _stopped_at_the_end(largest_first, storage, paths, runs):
+        try:
             while True:
                 for size in largest_first:
-                    _look_after(size, storage, paths, runs)
+                    size.look_after_workers()
                 is_late = until_s is not None and time.time() >= until_s
                 waiting = [] if is_late else [size for size in largest_first if size.is_unfinished]
                 for size in waiting:
                     n_free = n_jobs - sum(len(one.workers) for one in largest_first)
                     for _ in range(min(n_free, n_parallel - len(size.workers))):
-                        _start_worker(size, paths, until_s)
+                        size.start_worker(paths, until_s)
                 busy = [size for size in largest_first if size.workers]
                 for part in (part for size in busy for part in size.parts):
                     on_trials(part.spec, part.trials)
                 for size in largest_first:
                     if not size.workers and size not in waiting and not size.results:
-                        size.results = {part.spec.name: _close(part, runs, paths) for part in size.parts}
+                        size.results = {part.spec.name: part.close() for part in size.parts}
                 if not busy and not waiting:
                     break
                 time.sleep(POLL_S)
-        results = {name: one for size in largest_first for name, one in size.results.items()}
-        found = [results[spec.name] for spec in specs]
+        except BaseException:
+            for size in largest_first:
+                size.stop()
+            raise
         # The page shows all sizes of the label, those of other commands too.
         label, case = specs[0].label, specs[0].digests["case"]
         latest = latest_studies(read_studies(paths, label=label), case)
         sizes_now = [one.summary(latest.values()) for key, one in sorted(latest.items()) if not key[1]]
         runs.describe(label, leaderboard_note(sizes_now, specs[0].note))
-        return found
-
-
-def _start_worker(size: _Size, paths: ProjectPaths, until_s: float | None) -> None:
-    names = [part.spec.name for part in size.parts]
-    command = [sys.executable, "-P", "-m", "studies.tuning.worker", *names, "--child"]
-    command += [] if until_s is None else ["--until", repr(until_s)]
-    environment = os.environ | THREADS
-    if paths.storage is not None:  # not among the arguments, which every user of a machine can read
-        environment[STORAGE_VARIABLE] = paths.storage
-    messages = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its worker)
-    worker = subprocess.Popen(
-        command, cwd=paths.root, env=environment, stdin=subprocess.PIPE, stdout=messages, stderr=messages
-    )
-    size.workers[worker] = messages
-
-
-def _look_after(size: _Size, storage: RDBStorage, paths: ProjectPaths, runs: RunStore) -> None:
-    """See which workers have ended, and why.
-
-    Raises:
-        InputError: a worker found the study unusable.
-        TuningError: a worker failed, or died again and again before it ended a trial.
-    """
-    for worker in [one for one in size.workers if one.poll() is not None]:
-        with size.workers.pop(worker) as messages, worker:  # which closes its standard input
-            messages.seek(0)
-            lines = messages.read().decode(errors="replace").strip().splitlines()
-        if worker.returncode == 0:
-            continue
-        for part in size.parts:
-            _give_back(part, storage, paths, runs)
-        said, name = lines[-1] if lines else "no message", size.parts[0].spec.name
-        if worker.returncode == 2:
-            raise InputError(said)
-        if worker.returncode > 0:
-            raise TuningError(f"a worker of {name} failed: {said}")
-        n_ended = sum(trial.state.is_finished() for part in size.parts for trial in part.trials)
-        size.n_deaths, size.n_ended = size.n_deaths + 1 if n_ended <= size.n_ended else 1, n_ended
-        if size.n_deaths > MAX_DEATHS:
-            raise TuningError(
-                f"a worker of {name} was killed by signal {-worker.returncode} {size.n_deaths} times before "
-                f"it ended a trial ({said})"
-            )
-
-
-def _give_back(part: _Part, storage: RDBStorage, paths: ProjectPaths, runs: RunStore) -> None:
-    """Let the trials of dead workers be run again, and end the runs that they left open."""
-    with study_locked(storage, paths, part.spec.name):
-        retry_lost(part.study)
-    end_left_runs(runs, part.study, part.spec)
-
-
-@contextmanager
-def _stopped_at_the_end(
-    sizes: Sequence[_Size], storage: RDBStorage, paths: ProjectPaths, runs: RunStore
-) -> Iterator[None]:
-    """Stop the workers where anything goes wrong, and give their trials back."""
-    try:
-        yield
-    except BaseException:
-        workers = {worker: messages for size in sizes for worker, messages in size.workers.items()}
-        for worker in workers:
-            worker.kill()
-        for worker, messages in workers.items():
-            with messages, worker:  # waits for its end
-                pass
-        for part in (part for size in sizes for part in size.parts):
-            # What cannot be done now, as where the storage is away, the next command does.
-            with suppress(Exception):
-                _give_back(part, storage, paths, runs)
-                runs.end(part.run_id, "KILLED")
-        raise
+        return [sizes[spec.n_train].results[spec.name] for spec in specs]
 
 
 def closed_studies(
@@ -241,11 +230,3 @@ def closed_studies(
         for one in found
     )
     return found if are_closed else None
-
-
-def _close(part: _Part, runs: RunStore, paths: ProjectPaths) -> TunedStudy:
-    """Register the best surrogate of a study and end its run."""
-    found = read_study(part.study)
-    close_study(runs, part.spec, found, part.run_id, paths)
-    part.study.set_user_attr(CLOSED, len(found.trials))
-    return found

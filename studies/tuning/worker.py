@@ -1,15 +1,14 @@
 """A worker process: runs trials of studies, one after the other, until they have as many as planned.
 
 `python -P -m studies.tuning.worker STUDY ...`, in the project's folder, on any machine with the same storage.
-Started by `studies tune`, it ends with it: it holds the other end of the pipe that is its standard input.
+Started by `studies tune`, it ends with it.
 """
 
 import argparse
-import os
+import math
 import signal
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,38 +22,19 @@ from optuna.trial import FrozenTrial, TrialState
 from pelsvae.device import resolve_device
 from pelsvae.epochs import EpochReport
 from simulation.errors import InputError
+from simulation.workers.family import end_with_parent
 from studies.paths import ProjectPaths, find_project
 from studies.recipe import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
 from studies.storage_url import hide_passwords
 from studies.tracking.origin import environment
+from studies.tracking.registry import SURROGATE
 from studies.tracking.runs import RunStore
 from studies.tracking.trial_run import TrialRun, end_run
-from studies.tuning.declaration import Declaration
+from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
-from studies.tuning.storage import (
-    PLANNED,
-    PROPOSED_BY,
-    RUN_ID,
-    SEED,
-    claim_next,
-    declaration_of,
-    is_owned,
-    is_unfinished,
-    open_storage,
-    place_of,
-    retry_lost,
-    run_again,
-    set_owner,
-    study_locked,
-)
+from studies.tuning.storage import open_storage, study_locked
 from studies.tuning.training import load_data, train
-
-SURROGATE = "surrogate"
-"""Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""
-STUDY_RUN, RECIPE = "mlflow_run_id", "recipe"
-TIME_LIMIT = "reached its limit of"
-_NO_MEMORY = ("out of memory", "can't allocate memory", "cannot allocate memory")
 
 
 class TrialFailedError(Exception):
@@ -76,10 +56,8 @@ class Worker:
             study = optuna.load_study(study_name=name, storage=self._storage)
         except KeyError:
             raise InputError(f"there is no study {name!r}; type: studies status") from None
-        self._study, self._spec = study, declaration_of(study)
+        self._study, self._spec = study, attempts.declaration_of(study)
         study.pruner = make_pruner(self._spec.pruner)
-        self._number: int | None = None
-        self._is_lost = False
         self._data = load_data(self._spec, paths)
         self._runs = RunStore(paths)
         self._environment = environment(resolve_device(self._spec.base_config.device).type)
@@ -92,17 +70,18 @@ class Worker:
         """
         while until_s is None or time.time() < until_s:
             with study_locked(self._storage, self._paths, self._spec.name) as release:
-                retry_lost(self._study)
-                planned = int(self._study.user_attrs.get(PLANNED, 0))
-                if not is_unfinished(self._study.get_trials(deepcopy=False), planned):
+                attempts.retry_lost(self._study)
+                planned = int(self._study.user_attrs.get(attempts.PLANNED, 0))
+                if not attempts.is_unfinished(self._study.get_trials(deepcopy=False), planned):
                     return
-                place = claim_next(self._storage, self._study)
+                place = attempts.claim_next(self._storage, self._study)
                 self._study.sampler = sampler_of_place(self._spec, place)
                 self._run_trial(release)
 
     def _run_trial(self, on_begun: Callable[[], None]) -> None:
         """Let Optuna run one trial; a trial that this process could not end is run again."""
-        self._number, self._is_lost = None, False
+        self._number: int | None = None
+        self._is_lost = False
 
         def objective(trial: optuna.Trial) -> float:
             self._number = trial.number
@@ -123,40 +102,32 @@ class Worker:
             if self._is_lost:  # this process stood still, so another one has ended the trial
                 return
             # A full disk or a Ctrl-C is no fault of the configuration.
-            run_again(self._study, ended)
+            attempts.run_again(self._study, ended)
             raise
 
     def _train(self, trial: optuna.Trial, on_begun: Callable[[], None]) -> float:
         spec = self._spec
         trials = self._study.get_trials(deepcopy=False)
-        if not is_owned(trials[trial.number]):  # somebody else took the claimed trial at that very moment
-            set_owner(self._storage, self._study, trial.number)
+        # Another program may have taken the claimed trial at that very moment.
+        if not attempts.is_owned(trials[trial.number]):
+            attempts.set_owner(self._storage, self._study, trial.number)
         on_begun()
-        if trial.relative_params and PROPOSED_BY not in trial.user_attrs:
-            trial.set_user_attr(PROPOSED_BY, spec.sampler["name"])
+        if trial.relative_params and attempts.PROPOSED_BY not in trial.user_attrs:
+            trial.set_user_attr(attempts.PROPOSED_BY, spec.sampler["name"])
         params = suggested(trial, spec.space, spec.base_config)
-        place = place_of(trials[trial.number], trials)
+        place = attempts.place_of(trials[trial.number], trials)
         seed = spec.trial_seed(place, 1)
         config = spec.config(params)
-        run = TrialRun(
-            self._runs,
-            spec,
-            str(self._study.user_attrs.get(STUDY_RUN, "")),
-            trial=trial.number,
-            params=params,
-            settings=shown_settings(spec, config.to_dict()),
-            seed=seed,
-            record={
-                "kind": "training",
-                "recipe": self._study.user_attrs.get(RECIPE, {}),
-                "declaration": spec.to_dict(),
-                "params": params,
-                "seed": seed,
-                "environment": self._environment,
-            },
-        )
-        trial.set_user_attr(RUN_ID, run.id)
-        trial.set_user_attr(SEED, seed)
+        record = {"kind": "training", "recipe": self._study.user_attrs.get(attempts.RECIPE, {})}
+        record |= {"declaration": spec.to_dict(), "params": params, "seed": seed}
+        record |= {"environment": self._environment}
+        # What has an effect on this form of surrogate.
+        known = OF_PCA_GP if spec.surrogate == "pca-gp" else OF_NETWORKS
+        shown = {"seed": seed, **{name: getattr(config, name) for name in known}, **params}
+        study_run = str(self._study.user_attrs.get(attempts.RUN_ID, ""))
+        run = TrialRun(self._runs, spec, study_run, trial=trial.number, params=shown, record=record)
+        trial.set_user_attr(attempts.RUN_ID, run.id)
+        trial.set_user_attr(attempts.SEED, seed)
         began = time.perf_counter()
         epoch = 0
 
@@ -166,7 +137,7 @@ class Worker:
             epoch = report.epoch
             if spec.max_trial_s is not None and time.perf_counter() - began >= spec.max_trial_s:
                 trial.report(report.validation_mae, epoch)
-                stop(f"{TIME_LIMIT} {spec.max_trial_s:g} s at epoch {epoch}")
+                stop(f"reached its limit of {spec.max_trial_s:g} s at epoch {epoch}")
 
         def compare(step: int, value: float) -> None:
             trial.report(value, step)
@@ -180,8 +151,8 @@ class Worker:
         def note(reason: str, **more: Any) -> None:
             run.flush()
             trial.set_user_attr("reason", reason)
-            ended = {"n_epochs": epoch, "wall_s": time.perf_counter() - began, **more}
-            trial.set_user_attr("training", ended)
+            wall_s = time.perf_counter() - began
+            trial.set_user_attr("training", {"n_epochs": epoch, "wall_s": wall_s, **more})
 
         try:
             fitted, metrics = train(spec, config, seed, self._data, on_epoch=hear, on_report=compare)
@@ -189,60 +160,31 @@ class Worker:
             raise  # a full disk is no fault of a configuration
         except Exception as error:
             # Whatever else a configuration provokes (divergence, memory) is its result.
-            note(failure_reason(error))
-            raise TrialFailedError(failure_reason(error)) from error
+            said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+            note(reason := f"{type(error).__name__}: {said}")
+            raise TrialFailedError(reason) from error
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
             fitted.surrogate.save(folder)
             weights = file_digest(folder / "weights.npz")
             if metrics["val/mae"] < self._best():
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
-        for name, value in metrics.items():
-            if name != "val/mae":  # Optuna has it as the trial's value
-                trial.set_user_attr(name, value)
-        note(
-            fitted.stop_reason,
-            n_epochs=fitted.n_epochs,
-            best_epoch=fitted.best_epoch,
-            weights_sha256=weights,
-        )
-        return metrics["val/mae"]
+        value = metrics.pop("val/mae")
+        for name, one in metrics.items():
+            trial.set_user_attr(name, one)
+        epoch = fitted.n_epochs
+        note(fitted.stop_reason, best_epoch=fitted.best_epoch, weights_sha256=weights)
+        return value
 
     def _best(self) -> float:
         complete = self._study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-        ours = [trial.value for trial in complete if trial.value is not None and RUN_ID in trial.user_attrs]
-        return min(ours, default=float("inf"))
+        ours = (one.value for one in complete if attempts.RUN_ID in one.user_attrs)
+        return min((value for value in ours if value is not None), default=math.inf)
 
     def _end(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        run_id = trial.user_attrs.get(RUN_ID)
+        run_id = trial.user_attrs.get(attempts.RUN_ID)
         if run_id:
             end_run(self._runs, run_id, trial)
-
-
-def shown_settings(spec: Declaration, settings: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings that have an effect on a surrogate's form, for people and MLflow."""
-    known = OF_PCA_GP if spec.surrogate == "pca-gp" else OF_NETWORKS
-    return {name: settings[name] for name in known}
-
-
-def failure_reason(error: BaseException) -> str:
-    """Say in a line why a training failed."""
-    said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-    if isinstance(error, MemoryError) or any(sign in said.lower() for sign in _NO_MEMORY):
-        return f"out of memory ({said or type(error).__name__})"
-    return f"{type(error).__name__}: {said}"
-
-
-def _end_with_parent() -> None:
-    """End this process once whoever started it is gone: nobody holds the other end of its input then."""
-
-    def wait() -> None:
-        # Not sys.stdin.read(): a thread inside it makes the interpreter abort at its own end.
-        while os.read(0, 1024):
-            pass
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 def main() -> int:
@@ -253,7 +195,7 @@ def main() -> int:
     parser.add_argument("--child", action="store_true", help="end with the process that started this one")
     chosen = parser.parse_args()
     if chosen.child:
-        _end_with_parent()
+        end_with_parent()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which stops its workers
     try:
         for name in chosen.studies:

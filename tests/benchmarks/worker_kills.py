@@ -23,7 +23,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from studies.paths import ProjectPaths  # noqa: E402
 from studies.tracking.runs import RunStore  # noqa: E402
-from studies.tuning.storage import OWNER, place_of, places, storage_of  # noqa: E402
+from studies.tuning.attempts import OWNER, place_of, places  # noqa: E402
+from studies.tuning.storage import storage_of  # noqa: E402
 
 
 def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str | None) -> bool:

@@ -11,8 +11,9 @@ from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.config import VARIANTS
 from studies.paths import ProjectPaths
+from studies.tuning.attempts import DECLARATION, PLANNED, RUN_ID
 from studies.tuning.declaration import Declaration
-from studies.tuning.storage import DECLARATION, PLANNED, RUN_ID, open_storage
+from studies.tuning.storage import open_storage
 
 MAX_EPOCHS = 400
 WALL_S = 60.0

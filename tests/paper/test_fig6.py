@@ -17,7 +17,7 @@ from studies.paper.fig6_shown import shown
 from studies.paper.fig6_sizes import Origin, SizeTrials, Trial, Tuning, read_sizes, write_sizes
 from studies.report.wording import count, percent, setting, significant
 from studies.search_space import SearchParameter
-from studies.tuning.importance import importances
+from studies.tuning.results import importances
 
 SEARCH: dict[str, dict[str, Any]] = {
     "n_latent": {"kind": "int", "low": 8, "high": 256, "log": True},

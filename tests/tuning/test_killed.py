@@ -29,7 +29,7 @@ from toy_study_for_tests import (
 )
 
 from studies.paths import ProjectPaths
-from studies.tuning.storage import places
+from studies.tuning.attempts import places
 from studies.tuning.tune import tune
 from studies.tuning.worker import Worker
 

@@ -10,7 +10,8 @@ from toy_study_for_tests import assert_mlflow_agrees, states, toy_study, workers
 
 from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths
-from studies.tuning.storage import open_storage, places
+from studies.tuning.attempts import places
+from studies.tuning.storage import open_storage
 from studies.tuning.tune import tune
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ from simulation.store.store import SimulationStore
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
-from studies.tracking.quiet_mlflow import Run, connect
+from studies.tracking.quiet_mlflow import connect, entities
+from studies.tuning.attempts import places
 from studies.tuning.declaration import SETS, Declaration
-from studies.tuning.storage import places
 
 N_TUNED = 12
 """Trials of the studies that are tuned once for all tests."""
@@ -157,7 +157,7 @@ def essence(study: optuna.Study) -> list[tuple[Any, ...]]:
     ]
 
 
-def runs_of(paths: ProjectPaths, label: str, **tags: str) -> list[Run]:
+def runs_of(paths: ProjectPaths, label: str, **tags: str) -> list[entities.Run]:
     """Return the runs of a label that have some tags, the earliest first."""
     client = connect(paths.tracking_uri)
     experiment = client.get_experiment_by_name(label)
@@ -185,7 +185,7 @@ def assert_mlflow_agrees(paths: ProjectPaths, label: str = LABEL, *names: str) -
     """Check that each place of the studies has one run, which says what Optuna says, and no run is open."""
     runs = runs_of(paths, label)
     assert not [run.info.run_name for run in runs if run.info.status == "RUNNING"]
-    by_id: Mapping[str, Run] = {run.info.run_id: run for run in runs}
+    by_id: Mapping[str, entities.Run] = {run.info.run_id: run for run in runs}
     told = set()
     for name in names:
         for trial in places(plain_study(paths, name).get_trials()):

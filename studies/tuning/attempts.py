@@ -1,0 +1,180 @@
+"""The trials of a study in Optuna's storage: whose they are, and what follows where their worker died.
+
+A place is a trial and the retries of it: a study of 20 trials has 20 places, however often a worker died.
+"""
+
+import copy
+import socket
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import optuna
+import psutil
+from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
+from optuna.trial import FrozenTrial, TrialState
+
+from simulation.errors import InputError
+from studies.tuning.declaration import Declaration
+
+MAX_RETRIES = 5
+"""Of a trial whose worker dies; a trial that kills its worker again and again fails."""
+RUN_ID, OWNER = "mlflow_run_id", "owner"
+DECLARATION, PLANNED, RECIPE, CLOSED = "declaration", "n_trials", "recipe", "closed"
+"""Attributes of a study; `closed` says how many trials it had when its best surrogate was registered."""
+PROPOSED_BY, SEED = "proposed_by", "seed"
+"""Attribute of a trial whose hyperparameters are all chosen."""
+_SAME_START_S = 1.0  # the start of a process is derived from a clock that may be set meanwhile
+
+
+def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optuna.Study:
+    """Make the study of a declaration, or find it; its first configurations wait in it."""
+    study = optuna.create_study(storage=storage, study_name=spec.name, load_if_exists=True)
+    if study.user_attrs.get(DECLARATION) != spec.to_dict():
+        study.set_user_attr(DECLARATION, spec.to_dict())
+    if study.user_attrs.get(PLANNED, 0) < n_trials:
+        study.set_user_attr(PLANNED, n_trials)
+    for place, params in enumerate(spec.first_points):
+        if not study.get_trials(deepcopy=False) or place:
+            origin = "default" if place == 0 else "profile"
+            study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
+    return study
+
+
+def claim_next(storage: RDBStorage, study: optuna.Study) -> int:
+    """Note on the next trial who works on it while it still waits; call it while the study is locked.
+
+    A worker that is killed while its trial begins so leaves no running trial without an owner. Optuna's own
+    heartbeat begins with the objective, so the first one is recorded here.
+
+    Returns:
+        The trial's place in the study.
+    """
+    trials = study.get_trials(deepcopy=False)
+    waiting = next((trial for trial in trials if trial.state == TrialState.WAITING), None)
+    if waiting is not None:
+        set_owner(storage, study, waiting.number)
+        return place_of(waiting, trials)
+    study.add_trial(optuna.create_trial(state=TrialState.WAITING, user_attrs={OWNER: _owner(len(trials))}))
+    storage.record_heartbeat(_trial_id(storage, study, len(trials)))
+    return n_begun(trials)
+
+
+def set_owner(storage: RDBStorage, study: optuna.Study, number: int) -> None:
+    """Note that this process works on a trial, and that it lives."""
+    trial_id = _trial_id(storage, study, number)
+    storage.set_trial_user_attr(trial_id, OWNER, _owner(number))
+    storage.record_heartbeat(trial_id)
+
+
+def _owner(number: int) -> dict[str, Any]:
+    me = psutil.Process()
+    return {"trial": number, "machine": this_machine(), "pid": me.pid, "started_s": me.create_time()}
+
+
+def _trial_id(storage: RDBStorage, study: optuna.Study, number: int) -> int:
+    study_id = storage.get_study_id_from_name(study.study_name)
+    return storage.get_trial_id_from_study_id_trial_number(study_id, number)
+
+
+def is_owned(trial: FrozenTrial) -> bool:
+    """Say whether a worker of this program began the trial; a retry has inherited another one's owner."""
+    owner = trial.user_attrs.get(OWNER)
+    return isinstance(owner, dict) and owner.get("trial") == trial.number
+
+
+def declaration_of(study: optuna.Study) -> Declaration:
+    """Return what a study was declared with.
+
+    Raises:
+        InputError: it was made by another program or version.
+    """
+    declared = study.user_attrs.get(DECLARATION)
+    if not isinstance(declared, dict):
+        raise InputError(f"the Optuna study {study.study_name!r} was not made by this program")
+    return Declaration.from_dict(declared)
+
+
+def first_number(trial: FrozenTrial) -> int:
+    """Return the number of the first attempt at a trial's place: another one's where it is a retry."""
+    first = RetryHeartbeatStaleTrialCallback.retried_trial_number(trial)
+    return trial.number if first is None else first
+
+
+def place_of(trial: FrozenTrial, trials: Sequence[FrozenTrial]) -> int:
+    """Return a trial's place in its study; a retry has the place of the trial it repeats."""
+    return n_begun(trials[: first_number(trial)])
+
+
+def places(trials: Sequence[FrozenTrial]) -> list[FrozenTrial]:
+    """Return the latest attempt at each place of a study, in order."""
+    latest = {first_number(trial): trial for trial in trials}
+    return [latest[number] for number in sorted(latest)]
+
+
+def is_unfinished(trials: Sequence[FrozenTrial], n_trials: int) -> bool:
+    """Say whether there is a trial to begin: one that waits, or fewer places than planned."""
+    return any(trial.state == TrialState.WAITING for trial in trials) or n_begun(trials) < n_trials
+
+
+def n_begun(trials: Sequence[FrozenTrial]) -> int:
+    """Return the number of places that a study has."""
+    return sum(first_number(trial) == trial.number for trial in trials)
+
+
+def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
+    """Let a trial be run again by whoever comes next, `MAX_RETRIES` times at most."""
+    trial = copy.deepcopy(trial)  # Optuna adds to its history
+    trial.user_attrs.pop(RUN_ID, None)  # the retry gets a run of its own
+    if SEED not in trial.user_attrs:
+        # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
+        trial.distributions, trial.params = {}, {}
+    RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
+
+
+def retry_lost(study: optuna.Study) -> list[int]:
+    """Fail the running trials whose worker on this machine has died, and let each be run again.
+
+    Call it while the study is locked. The retry is made before the trial is failed: a kill between the two
+    leaves a trial that is found again, not one that is lost.
+
+    Returns:
+        The numbers of these trials.
+    """
+    trials = study.get_trials(deepcopy=False)
+    repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
+    lost = [
+        trial
+        for trial in trials
+        if trial.state == TrialState.RUNNING and is_owned(trial) and is_dead(trial.user_attrs[OWNER])
+    ]
+    for trial in lost:
+        if trial.number not in repeated:
+            run_again(study, trial)
+        study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
+    return [trial.number for trial in lost]
+
+
+def errors_of(trial: FrozenTrial) -> dict[str, float]:
+    """Return a trial's errors by name, as `val/mae` and `test/p90`."""
+    found = {name: float(v) for name, v in trial.user_attrs.items() if name.startswith(("val/", "test/"))}
+    return found if trial.value is None else {"val/mae": float(trial.value), **found}
+
+
+@cache
+def this_machine() -> str:
+    """Name the set of processes that this one can see: a boot of a machine, or a container on it."""
+    return f"{socket.gethostname()}/{Path('/proc/self/ns/pid').readlink()}"
+
+
+def is_dead(owner: Mapping[str, Any]) -> bool:
+    """Say whether a process of this machine has ended; of other machines Optuna's heartbeat tells."""
+    if owner.get("machine") != this_machine():
+        return False
+    try:
+        process = psutil.Process(int(owner["pid"]))
+        is_same = abs(process.create_time() - float(owner["started_s"])) < _SAME_START_S
+        return not is_same or bool(process.status() == psutil.STATUS_ZOMBIE)
+    except (psutil.Error, KeyError, ValueError, TypeError):
+        return True
