@@ -54,6 +54,6 @@ def unit_for(span_s: float) -> TimeUnit:
     return next((unit for unit in (HOURS, MINUTES) if span_s >= 2.0 * unit.seconds), SECONDS)
 
 
-def told_period(days: tuple[float, float]) -> str:
+def period_text(days: tuple[float, float]) -> str:
     """Say a period in the unit that suits its end: days 8 to 8.5, or 0 to 10 s."""
     return unit_for(days[1] * DAY_S).period(days)

@@ -10,7 +10,7 @@ from simulation.case import Case
 from simulation.case_data import GAP_STEPS
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.parameters import ParameterSpace
-from simulation.time_unit import DAY_S, told_period, unit_for
+from simulation.time_unit import DAY_S, period_text, unit_for
 from studies.calibration.prior import Prior
 from studies.doctor.finding import Finding
 from studies.report.wording import count, difference_unit, quantity, squared
@@ -50,7 +50,7 @@ def look_at_data(case: Case) -> Iterator[Finding]:
     yield Finding(
         "data",
         "warn" if remedies else "ok",
-        f"{'; '.join(partly[:LONGEST]) or f'{told_period(case.window_d)} are covered'}: "
+        f"{'; '.join(partly[:LONGEST]) or f'{period_text(case.window_d)} are covered'}: "
         f"{count(n_samples, 'measured value')}, communication step {case.communication_step_s:g} s",
         "; ".join(remedies),
     )

@@ -9,12 +9,12 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.circumstances import RestartModel
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 from simulation.workers.execution import ExecutionPolicy
 from simulation.workers.parallel import ParallelModel
+from studies.circumstances import RestartModel
 from studies.console import Console, format_seconds
 from studies.doctor.answers import (
     N_CORNERS,

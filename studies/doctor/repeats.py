@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import psutil
 
-from simulation.circumstances import WAYS
 from simulation.trajectories import Trajectories
+from studies.circumstances import WAYS
 from studies.doctor.answers import SAME
 from studies.doctor.finding import Finding
 from studies.doctor.keeping import MORE_TIME, STOPPED

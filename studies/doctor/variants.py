@@ -6,9 +6,9 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.circumstances import CircumstanceModel
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.trajectories import Trajectories
+from studies.circumstances import CircumstanceModel
 from studies.doctor.answers import Estimates, with_unit
 from studies.doctor.finding import Finding
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.report import captions
 from studies.report.contents import Contents, Picture, contents_of
 from studies.report.data import ReportData
@@ -132,7 +132,7 @@ def _cards(data: ReportData) -> list[Card]:
         ]
     validation = data.validation_of(c)
     if validation is not None:
-        meaning = f"MSE on {told_period(validation.period_d)}, which the calibration did not see"
+        meaning = f"MSE on {period_text(validation.period_d)}, which the calibration did not see"
         cards.append(Card(quantity(validation.points[-1].mse, mse_unit), meaning))
     known = [r for r in data.references if not r.is_target and r.mse > 0]
     if known:

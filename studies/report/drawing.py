@@ -259,7 +259,7 @@ def line_with_gaps(axes: Axes, time: Floats, values: Floats, **style: Any) -> No
 def time_axis(axes: Axes, time: Floats) -> TimeUnit:
     """Fit the horizontal axis to times, label it in the unit that suits their end, and return the unit.
 
-    Periods are told in the same one (`told_period`).
+    Periods are told in the same one (`period_text`).
 
     Args:
         axes: Whose axis.

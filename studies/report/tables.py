@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.report.data import ReportData
 from studies.report.findings import mean_over_time, ranking
 from studies.report.records import CalibrationRecord
@@ -239,7 +239,7 @@ def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -
             )  # fmt: skip
         if not point.fits:
             rows.append((point.name, *errors, "failed", "", None, None, None, None, None, None))
-    title = f"Validation on {told_period(record.period_d)} (bias: simulated minus measured)"
+    title = f"Validation on {period_text(record.period_d)} (bias: simulated minus measured)"
     return Table(f"validation-{calibration.name}", title, columns, tuple(rows))
 
 

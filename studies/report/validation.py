@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.report.guideline14 import Judged, guideline_sentence, judged
 from studies.report.records import CalibrationRecord, Floats, MeasuredSeries, require_shape
 from studies.report.wording import count, difference_unit, percent, quantity, squared
@@ -103,7 +103,7 @@ class ValidationRecord:
     def sentence(self) -> str:
         """Say what the calibrated parameters do on the period."""
         unit = squared(difference_unit(self.measurement.units[0]))
-        days = told_period(self.period_d)
+        days = period_text(self.period_d)
         final = self.points[-1]
         if not math.isfinite(final.mse):
             return (

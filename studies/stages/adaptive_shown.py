@@ -1,6 +1,6 @@
 """What the terminal says of an adaptive calibration."""
 
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.calibration.doubt import DOUBT
 from studies.calibration.recorder import History
 from studies.console import format_seconds
@@ -130,4 +130,4 @@ def _fit(study: Study, found: Summary) -> str:
             sensor = f"±{fit['uncertainty']:g} {unit}".strip()
             part += f", {percent(fit['share_within'])} of it within the sensor's {sensor}"
         parts.append(part)
-    return f"On {told_period(study.case.window_d)} {'; '.join(parts)}"
+    return f"On {period_text(study.case.window_d)} {'; '.join(parts)}"

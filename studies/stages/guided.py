@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from simulation.case import Case
-from simulation.partly_fixed import PartlyFixedModel
 from simulation.states import StateSignals, why_unwatched
 from simulation.store.stored_model import StoredModel
 from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_guide import StateGuide
+from studies.partly_fixed import PartlyFixedModel
 from studies.report.wording import count, listed
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
 from studies.stages.pipeline import Study
 
@@ -52,4 +52,4 @@ def show_guideline(study: Study, periods: Periods) -> None:
         return
     for name, found in periods.items():
         if found:
-            study.console.result(f"On {told_period(days[name])} ({name}): {guideline_sentence(found)}")
+            study.console.result(f"On {period_text(days[name])} ({name}): {guideline_sentence(found)}")

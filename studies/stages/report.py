@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.profile import Profile, changed_words
 from studies.report import Provenance, Reference, ReportData, build
 from studies.report.uncertainty import uncertainty_record
@@ -145,7 +145,7 @@ def _provenance(study: Study) -> Provenance:
         settings=(
             ("profile", profile.name),
             ("seed", str(profile.seed)),
-            ("window", told_period(case.window_d)),
+            ("window", period_text(case.window_d)),
             ("communication step", f"{case.communication_step_s:g} s"),
             *(_surrogate_settings(profile) if has_surrogates else ()),
             *((one.name, _told(one.numbers["settings"])) for one in stored if one.is_adaptive),

@@ -11,7 +11,7 @@ from simulation.case import Case
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
-from simulation.partly_fixed import PartlyFixedModel
+from studies.partly_fixed import PartlyFixedModel
 from studies.physical_model import open_physical_model
 from studies.recipe import file_digest
 from studies.report.restriction_told import condition_sentence

@@ -13,7 +13,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.console import Column
 from studies.physical_model import open_physical_model
 from studies.report.guideline14 import relative
@@ -208,7 +208,7 @@ def show_validation(study: Study, outcomes: list[Outcome]) -> None:
                 ]
             )
     study.console.table(
-        f"{study.label}: validation on {told_period(validation.window_d)} (MSE in {unit}; its simulations "
+        f"{study.label}: validation on {period_text(validation.window_d)} (MSE in {unit}; its simulations "
         "are in no count of calls)",
         columns,
         rows,

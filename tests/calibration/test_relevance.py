@@ -10,13 +10,13 @@ from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.parameters import Belief, Parameter, ParameterSpace
-from simulation.partly_fixed import PartlyFixedModel
 from simulation.toy import IshigamiToy
 from simulation.trajectories import Trajectories
 from studies.calibration.freeing import freeing
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
+from studies.partly_fixed import PartlyFixedModel
 from studies.relevance import Relevance, morris_design, morris_relevance, sobol_relevance
 from studies.sensitivity import sobol_indices
 

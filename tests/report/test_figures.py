@@ -30,7 +30,7 @@ from records_for_tests import (
 )
 
 from simulation.measurement import Samples
-from simulation.time_unit import told_period
+from simulation.time_unit import period_text
 from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
 from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart, time_axis
 from studies.report.figures_calibration import calibration_figure, polish_figure
@@ -316,7 +316,7 @@ def test_a_late_period_has_the_unit_in_which_it_is_told() -> None:
     axes = Figure().add_subplot()
     hour_s = 3600.0
     unit = time_axis(axes, np.array([4.0, 5.0, 5.5]) * hour_s)
-    assert unit.symbol in told_period((4.0 / 24.0, 5.5 / 24.0))
+    assert unit.symbol in period_text((4.0 / 24.0, 5.5 / 24.0))
     assert axes.get_xlabel() == "time [h]"
     assert axes.get_xlim() == (4.0, 5.5)
 

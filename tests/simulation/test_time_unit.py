@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulation.time_unit import DAYS, HOURS, MINUTES, SECONDS, UNITS, TimeUnit, told_period, unit_for
+from simulation.time_unit import DAYS, HOURS, MINUTES, SECONDS, UNITS, TimeUnit, period_text, unit_for
 
 
 @pytest.mark.parametrize(
@@ -16,9 +16,9 @@ def test_the_largest_unit_that_reads_well_is_chosen(span_s: float, unit: TimeUni
 
 
 def test_periods_and_moments_are_said_in_their_unit():
-    assert told_period((0.0, 10.0)) == "days 0 to 10"
-    assert told_period((0.0, SECONDS.to_days(10))) == "0 to 10 s"
-    assert told_period((0.125, 0.375)) == "3 to 9 h"
+    assert period_text((0.0, 10.0)) == "days 0 to 10"
+    assert period_text((0.0, SECONDS.to_days(10))) == "0 to 10 s"
+    assert period_text((0.125, 0.375)) == "3 to 9 h"
     assert (DAYS.moment(8.0), HOURS.moment(0.5)) == ("day 8", "12 h")
 
 
