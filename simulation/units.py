@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Final
 
@@ -17,35 +17,15 @@ _TOKEN = re.compile(r"(?P<sign>[./()])|(?P<name>[^\W\d_]+|%)(?P<power>-?\d{1,2})
 _MOST_POWER: Final = 100  # of a number with thousands of digits no unit is made
 _RADIAN: Final = Fraction(math.pi) / 180
 
-# Units by name: exponents in SI base units, and the names of that kind with their size.
-_ENERGY, _POWER, _PRESSURE = "kg.m2.s-2", "kg.m2.s-3", "kg.m-1.s-2"
-_KINDS: Final = (
-    ("", {"1": "1", "%": "0.01", "ppm": "1e-6"}),
-    ("rad", {"rad": "1"}),
-    ("m", {"m": "1"}),
-    ("m2", {"ha": "10000"}),
-    ("m3", {"l": "0.001", "L": "0.001"}),
-    ("kg", {"g": "0.001", "t": "1000"}),
-    ("s", {"s": "1", "min": "60", "h": "3600", "d": "86400"}),
-    ("s-1", {"Hz": "1"}),
-    ("K", {"K": "1"}),
-    ("mol", {"mol": "1"}),
-    ("cd", {"cd": "1", "lm": "1"}),
-    ("cd.m-2", {"lx": "1"}),
-    ("kg.m.s-2", {"N": "1"}),
-    (_PRESSURE, {"Pa": "1", "bar": "1e5", "atm": "101325"}),
-    (_ENERGY, {"J": "1", "Wh": "3600", "cal": "4.184"}),
-    (_POWER, {"W": "1", "VA": "1", "var": "1"}),
-    ("A", {"A": "1"}),
-    ("A.s", {"Ah": "3600"}),
-    ("kg.m2.s-3.A-1", {"V": "1"}),
-    ("kg.m2.s-3.A-2", {"Ohm": "1"}),
-    ("kg-1.m-2.s3.A2", {"S": "1"}),
-    ("kg-1.m-2.s4.A2", {"F": "1"}),
-    ("kg.m2.s-2.A-2", {"H": "1"}),
-    ("kg.s-2.A-1", {"T": "1"}),
-)
-_NO_PREFIX: Final = frozenset({"1", "%", "ppm", "rad", "ha", "min", "h", "d", "cd", "atm"})
+# Units by name, in others.
+_DEFINED: Final = {
+    "%": "0.01 1", "ppm": "1e-6 1", "ha": "10000 m2", "l": "0.001 m3", "L": "0.001 m3", "g": "0.001 kg",
+    "t": "1000 kg", "min": "60 s", "h": "3600 s", "d": "86400 s", "Hz": "1 s-1", "lm": "1 cd",
+    "lx": "1 cd.m-2", "N": "1 kg.m.s-2", "Pa": "1 N.m-2", "bar": "1e5 Pa", "atm": "101325 Pa", "J": "1 N.m",
+    "Wh": "3600 J", "cal": "4.184 J", "W": "1 J.s-1", "VA": "1 W", "var": "1 W", "Ah": "3600 A.s",
+    "V": "1 W.A-1", "Ohm": "1 V.A-1", "S": "1 A.V-1", "F": "1 A.s.V-1", "H": "1 V.s.A-1", "T": "1 V.s.m-2",
+}  # fmt: skip
+_NO_PREFIX: Final = {"%", "ppm", "kg", "rad", "cd", "ha", "min", "h", "d", "atm"}
 _PREFIXES: Final = {
     "G": "1e9", "M": "1e6", "k": "1e3", "h": "100", "d": "0.1", "c": "0.01", "m": "0.001", "u": "1e-6",
     "µ": "1e-6", "μ": "1e-6", "n": "1e-9",
@@ -223,18 +203,17 @@ def in_si(text: str, definitions: Mapping[str, UnitDefinition] | None = None) ->
 def _named(name: str) -> Unit | None:
     unit = _DEGREES.get(name) or _without_prefix(name)
     prefix, rest = name[:1], name[1:]
-    if unit is None and prefix in _PREFIXES and rest not in _NO_PREFIX:
-        unit = _without_prefix(rest)
-        unit = unit and Unit(unit.factor * Fraction(_PREFIXES[prefix]), unit.offset, unit.exponents)
+    if unit is None and prefix in _PREFIXES and rest not in _NO_PREFIX and (unit := _without_prefix(rest)):
+        unit = replace(unit, factor=unit.factor * Fraction(_PREFIXES[prefix]))
     return unit
 
 
 def _without_prefix(name: str) -> Unit | None:
-    for exponents, sizes in _KINDS:
-        if name in sizes:
-            powers = _normal(exponents)
-            return Unit(Fraction(sizes[name]), Fraction(0), powers if isinstance(powers, tuple) else ())
-    return None
+    if name in BASE_UNITS:
+        return Unit(Fraction(1), Fraction(0), ((name, 1),))
+    size, _, others = _DEFINED.get(name, "").partition(" ")
+    unit = in_si(others) if size else None
+    return unit and replace(unit, factor=unit.factor * Fraction(size))
 
 
 def _same(first: str, second: str) -> bool:
