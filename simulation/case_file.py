@@ -1,13 +1,22 @@
-"""The case file's schema: every key a case.toml may hold, and nothing else."""
+"""The case file's schema: every key a case.toml may hold, and what its keys alone may contradict."""
 
+import difflib
+from collections.abc import Sequence
 from datetime import date
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from simulation.case_parameter import ParameterTable
-from simulation.case_table import Finite, Line, Name, Pair, Positive, Table
+from simulation.foreign_text import has_control, shortened
+from simulation.parameters import Belief, Parameter
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
+
+
+def _without_control(name: str) -> str:
+    if has_control(name):
+        raise ValueError("holds a control character or an end of a line; write it without")
+    return name
 
 
 def _as_text(value: object) -> object:
@@ -15,7 +24,67 @@ def _as_text(value: object) -> object:
     return value.isoformat() if isinstance(value, date) else value
 
 
-class TimeTable(Table):
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Line = Annotated[str, AfterValidator(_without_control)]
+Name = Annotated[Line, Field(min_length=1)]
+# TOML arrays arrive as lists; strict mode would take no list for a tuple.
+Pair = Annotated[tuple[Finite, Finite], Field(strict=False)]
+# A float where it is larger than any integer of an FMU.
+_Whole = Annotated[int, Field(ge=-(2**63), lt=2**64)]
+
+
+class Table(BaseModel):
+    """A table of a case file: no unknown key, no silent conversion."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _only_known_keys(cls, content: Any) -> Any:
+        """Refuse an unknown key before others are missed: it may be one of them, misspelt."""
+        known = [field.alias or name for name, field in cls.model_fields.items()]
+        for key in content if isinstance(content, dict) else ():
+            if key not in known:
+                close = difflib.get_close_matches(key, known, n=1)
+                hint = f"did you mean {close[0]}?" if close else f"known: {shortened(', '.join(known), 1000)}"
+                raise PydanticCustomError("unknown_key", "unknown", {"key": key, "hint": hint})
+        return content
+
+
+class _WindowTable(Table):
+    """What has a window, in days or in seconds."""
+
+    window_d: Pair | None = None
+    window_s: Pair | None = None
+
+    @model_validator(mode="after")
+    def _one_window(self) -> Self:
+        if (self.window_d is None) == (self.window_s is None):
+            what = "both window_d and window_s are given" if self.window_d else "key window_d is missing"
+            raise ValueError(
+                f"{what}; give one: window_d = [0, 10] in days, or window_s = [0, 10] in seconds"
+            )
+        return self
+
+    @property
+    def unit(self) -> TimeUnit:
+        """Unit of the window and what is beside it."""
+        return DAYS if self.window_s is None else SECONDS
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """The window. [d]."""
+        return _in_days(self.window_d, self.window_s) or (0.0, 0.0)
+
+
+def _in_days(
+    days: tuple[float, float] | None, seconds: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    return days if seconds is None else (SECONDS.to_days(seconds[0]), SECONDS.to_days(seconds[1]))
+
+
+class TimeTable(_WindowTable):
     """Key [time]: periods in days or, all of them, in seconds; steps in seconds.
 
     They count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
@@ -23,8 +92,6 @@ class TimeTable(Table):
     `shared_warmup` the part before the window is simulated once. `validation_d` is not calibrated.
     """
 
-    window_d: Pair | None = None
-    window_s: Pair | None = None
     start_d: Finite | None = None
     start_s: Finite | None = None
     validation_d: Pair | None = None
@@ -35,9 +102,8 @@ class TimeTable(Table):
     output_step_s: Positive
 
     @model_validator(mode="after")
-    def _one_unit(self) -> "TimeTable":
-        _one_window(self.window_d, self.window_s)
-        other = "s" if self.window_s is None else "d"
+    def _one_unit(self) -> Self:
+        other = "s" if self.unit is DAYS else "d"
         for key in ("start", "validation"):
             if getattr(self, f"{key}_{other}") is not None:
                 raise ValueError(
@@ -45,16 +111,6 @@ class TimeTable(Table):
                     "_d counts days, _s seconds, one of them throughout"
                 )
         return self
-
-    @property
-    def unit(self) -> TimeUnit:
-        """Unit of the periods."""
-        return DAYS if self.window_s is None else SECONDS
-
-    @property
-    def window(self) -> tuple[float, float]:
-        """The part that is compared. [d]."""
-        return _in_days(self.window_d, self.window_s) or (0.0, 0.0)
 
     @property
     def validation(self) -> tuple[float, float] | None:
@@ -65,18 +121,6 @@ class TimeTable(Table):
     def start(self) -> float | None:
         """Start of the simulation, None for that of the window. [d]."""
         return self.start_d if self.start_s is None else SECONDS.to_days(self.start_s)
-
-
-def _one_window(window_d: tuple[float, float] | None, window_s: tuple[float, float] | None) -> None:
-    if (window_d is None) == (window_s is None):
-        what = "both window_d and window_s are given" if window_d else "key window_d is missing"
-        raise ValueError(f"{what}; give one: window_d = [0, 10] in days, or window_s = [0, 10] in seconds")
-
-
-def _in_days(
-    days: tuple[float, float] | None, seconds: tuple[float, float] | None
-) -> tuple[float, float] | None:
-    return days if seconds is None else (SECONDS.to_days(seconds[0]), SECONDS.to_days(seconds[1]))
 
 
 class InputTable(Table):
@@ -95,7 +139,7 @@ class InputTable(Table):
     max_gap_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_source(self) -> "InputTable":
+    def _one_source(self) -> Self:
         if (self.column is None) == (not self.sum):
             raise ValueError("give either column or sum, not both and not neither")
         return self
@@ -124,6 +168,68 @@ class OutputTable(Table):
     weight: Positive = 1.0
     accepted: Pair | None = None
 
+    @model_validator(mode="after")
+    def _accepts_something(self) -> Self:
+        if self.accepted is not None and not self.accepted[0] < self.accepted[1]:
+            low, high = self.accepted
+            raise ValueError(f"accepted = [{low:g}, {high:g}] holds nothing; give the lower value first")
+        return self
+
+
+class PriorTable(Table):
+    """Key prior of a parameter: where it is expected (`about`, else its estimate), and how surely.
+
+    Two thirds of the probability lie `within` around it for a linear scale, in the parameter's unit, or a
+    factor of `within_factor` around it for a logarithmic one.
+    """
+
+    about: Finite | None = None
+    within: Positive | None = None
+    within_factor: Positive | None = None
+
+
+class ParameterTable(Table):
+    """Key [[parameters]]: a parameter to calibrate, and what is known about it beforehand."""
+
+    name: Name
+    estimate: Finite | None = None
+    lower: Finite
+    upper: Finite
+    unit: str = "1"
+    scale: Literal["linear", "log"] = "linear"
+    description: str = ""
+    prior: PriorTable | None = None
+
+    @model_validator(mode="after")
+    def _prior_fits(self) -> Self:
+        if self.prior is None:
+            return self
+        within, factor = self.prior.within, self.prior.within_factor
+        right, wrong, needed = (within, factor, "within, in its unit, and no within_factor")
+        if self.scale == "log":
+            right, wrong, needed = (factor, within, "within_factor, like 1.5, and no within")
+        if right is None or wrong is not None:
+            raise ValueError(f'scale = "{self.scale}", so its prior needs {needed}')
+        if self.prior.about is None and self.estimate is None:
+            raise ValueError("prior has neither about nor an estimate to lie around; add about = ...")
+        return self
+
+    def to_parameter(self) -> Parameter:
+        """Return the parameter.
+
+        Raises:
+            InputError: If its numbers contradict each other.
+        """
+        belief = None
+        if self.prior is not None:
+            # One of each is there, which was seen to.
+            centre = next(value for value in (self.prior.about, self.estimate) if value is not None)
+            width = next(
+                value for value in (self.prior.within, self.prior.within_factor) if value is not None
+            )
+            belief = Belief(centre, width)
+        return Parameter(**self.model_dump(exclude={"prior"}), prior=belief)
+
 
 class FirstMeasured(Table):
     """Value of [fixed]: the measured value of an output at the start of the simulation."""
@@ -138,8 +244,6 @@ class ValueWithUnit(Table):
     unit: Name
 
 
-# A float where it is larger than any integer of an FMU.
-_Whole = Annotated[int, Field(ge=-(2**63), lt=2**64)]
 FixedValue = bool | _Whole | Finite | str | FirstMeasured | ValueWithUnit
 
 
@@ -152,24 +256,12 @@ class SimulationTable(Table):
     max_workers: Annotated[int, Field(ge=1)] | None = None
 
 
-class ReferenceTable(Table):
+class ReferenceTable(_WindowTable):
     """Key [[references]]: a mean squared error that is known for a window, to judge results by."""
 
     label: Name
-    window_d: Pair | None = None
-    window_s: Pair | None = None
     mse: Positive
     target: bool = False
-
-    @model_validator(mode="after")
-    def _one_unit(self) -> "ReferenceTable":
-        _one_window(self.window_d, self.window_s)
-        return self
-
-    @property
-    def window(self) -> tuple[float, float] | None:
-        """The window. [d]."""
-        return _in_days(self.window_d, self.window_s)
 
 
 class CaseFile(Table):
@@ -194,3 +286,19 @@ class CaseFile(Table):
     fixed: dict[str, FixedValue] = Field(default_factory=dict)
     simulation: SimulationTable = SimulationTable()
     references: list[ReferenceTable] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        named: dict[str, Sequence[InputTable | OutputTable | ParameterTable]] = {
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+            "parameters": self.parameters,
+        }
+        for key, tables in named.items():
+            names = [table.name for table in tables]
+            for name in names:
+                if names.count(name) > 1:
+                    raise ValueError(f"{key}[{name}] is declared {names.count(name)} times; keep one")
+                if name in self.fixed and key != "outputs":
+                    raise ValueError(f"fixed.{name}: {name} is also under [[{key}]]; drop one of the two")
+        return self

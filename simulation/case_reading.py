@@ -1,23 +1,11 @@
 """Reading a case file, and what to say of one that is wrong: one line with key, value and remedy."""
 
-import difflib
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from simulation.case_file import (
-    CaseFile,
-    FirstMeasured,
-    InputTable,
-    OutputTable,
-    ReferenceTable,
-    SimulationTable,
-    TimeTable,
-    ValueWithUnit,
-)
-from simulation.case_parameter import ParameterTable, PriorTable
-from simulation.case_table import Table
+from simulation.case_file import CaseFile, FirstMeasured, ValueWithUnit
 from simulation.errors import InputError
 from simulation.foreign_file import CASE, parse_toml, read_text
 from simulation.foreign_text import MOST_QUOTED, quoted, shortened
@@ -47,24 +35,25 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     """Say the first fault as key, value and remedy; an unknown key may be a missing one, misspelt."""
     faults = error.errors(include_url=False)
     # Of a union (number or table) each branch tells its own, which says nothing of the key.
-    unknown = (one for one in faults if one["type"] == "extra_forbidden" and one["loc"][:1] != ("fixed",))
+    unknown = (one for one in faults if one["type"] == "unknown_key" and one["loc"][:1] != ("fixed",))
     fault = next(unknown, faults[0])
-    location = fault["loc"]
+    location, kind, value = fault["loc"], fault["type"], fault["input"]
     if location[:1] == ("fixed",) and len(location) > 1:
         name = str(location[1])
         value = content["fixed"][name]
         return f"fixed.{shortened(name)} = {quoted(value)}: {_quoted(name, value) or _FIXED_REMEDY}"
+    if kind == "unknown_key":
+        key = _key((*location, fault["ctx"]["key"]), content)
+        return f"unknown key {key} ({fault['ctx']['hint']}); remove or correct it"
     key = _key(location, content)
-    if fault["type"] == "extra_forbidden":
-        return f"unknown key {key}{_suggestion(location)}; remove or correct it"
-    if fault["type"] == "missing":
+    if kind == "missing":
         return f"key {key} is missing; add it"
-    if fault["type"] == "model_type" and location[-1:] == ("prior",):
-        remedy = _prior_remedy(fault["input"], content["parameters"][location[1]])
-        return f"{key} = {quoted(fault['input'])}: {remedy}"
-    value = "" if isinstance(fault["input"], dict | list) else f" = {quoted(fault['input'])}"
-    told = _PLAIN.get(fault["type"], shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED))
-    return f"{key}{value}: {told}" + ("" if "; " in told else "; correct it")
+    told = _PLAIN.get(kind, shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED))
+    if kind == "model_type" and location[-1:] == ("prior",):
+        told = _prior_remedy(value, content["parameters"][location[1]])
+    if not isinstance(value, dict | list):
+        key += f" = {quoted(value)}"
+    return (f"{key}: " if key else "") + told + ("" if "; " in told else "; correct it")
 
 
 _PLAIN = {
@@ -109,21 +98,4 @@ def _key(location: tuple[int | str, ...], content: Any) -> str:
             words += f"[{name}]" if isinstance(name, str) else f"[{part}]"
         else:
             words += f".{part}" if words else part
-    return shortened(words) or "the file"
-
-
-def _suggestion(location: tuple[int | str, ...]) -> str:
-    tables: dict[str, type[Table]] = {
-        "time": TimeTable,
-        "inputs": InputTable,
-        "outputs": OutputTable,
-        "parameters": ParameterTable,
-        "simulation": SimulationTable,
-        "references": ReferenceTable,
-    }
-    table = tables.get(str(location[0]), CaseFile) if len(location) > 1 else CaseFile
-    if "prior" in location[:-1]:
-        table = PriorTable
-    known = [field.alias or name for name, field in table.model_fields.items()]
-    close = difflib.get_close_matches(str(location[-1]), known, n=1)
-    return f" (did you mean {close[0]}?)" if close else f" (known: {shortened(', '.join(known), 1000)})"
+    return shortened(words)

@@ -142,7 +142,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "parameter twice": (
         toml('name = "mode"', 'name = "k"\nunit = "1/s"'),
-        r"parameter k is declared 2 times",
+        r"parameters\[k\] is declared 2 times",
     ),
     "output twice": (
         toml(
