@@ -1,6 +1,5 @@
 """Cases: a case file read, checked against its FMU and its recordings, and ready to be opened."""
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -11,22 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray
-from simulation.case_data import CaseData, read_data
-from simulation.case_file import CaseFile
+from simulation.arrays import FloatArray, digest_of
+from simulation.case_data import CaseData, on_one_axis, read_recordings
+from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.case_parts import (
     Value,
-    accepted_bands,
     check_inputs,
+    conversions,
     fixed_values,
     input_values,
-    output_conversions,
-    parameter_conversions,
-    parameter_space,
+    with_units,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
 from simulation.case_reading import read_case_file
-from simulation.case_units import said_units, with_units
+from simulation.errors import errors_at
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.measurement import Measurement
@@ -115,16 +112,6 @@ class Case:
     validation: "Case | None" = None
 
     @property
-    def fmu_path(self) -> Path:
-        """The FMU's file."""
-        return self.fmu.path
-
-    @property
-    def fmu_sha256(self) -> str:
-        """SHA-256 of the FMU's bytes, in hexadecimal."""
-        return self.fmu.sha256
-
-    @property
     def interface(self) -> str:
         """How the FMU is run."""
         return self.settings.interface
@@ -140,24 +127,17 @@ class Case:
 
         What was simulated under one model digest holds for every case that has the same.
         """
-        content = hashlib.sha256(
-            _json(
-                self._named | {"output_every": self.scenario.output_every, "n_warmup": self.scenario.n_warmup}
-            )
-        )
-        for array in (self.scenario.time_communication, self.scenario.inputs):
-            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return content.hexdigest()
+        scenario = self.scenario
+        grid = {"output_every": scenario.output_every, "n_warmup": scenario.n_warmup}
+        return digest_of(_json(self._named | grid), scenario.time_communication, scenario.inputs)
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all that decides what the model answers in its box: not of titles or estimates."""
-        space = self.parameter_space
+        space, scenario = self.parameter_space, self.scenario
         steps_s = (self.communication_step_s, self.output_step_s)
-        content = hashlib.sha256(_json(self._named | {"window_d": self.window_d, "steps_s": steps_s}))
-        for array in (space.lower, space.upper, self.scenario.time_communication, self.scenario.inputs):
-            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return content.hexdigest()
+        named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s})
+        return digest_of(named, space.lower, space.upper, scenario.time_communication, scenario.inputs)
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -173,7 +153,7 @@ class Case:
             "said_units": dict(self.said_units) or None,
         }
         return {
-            "fmu": self.fmu_sha256,
+            "fmu": self.fmu.sha256,
             "interface": settings.interface,
             "parameters": list(self.parameter_space.names),
             "fixed": sorted(self.fixed.items()),
@@ -187,7 +167,7 @@ class Case:
 
     @property
     def make_model(self) -> Callable[[], FmuModel]:
-        """A picklable recipe for the model, to hand to worker processes."""
+        """A picklable factory of the model, to hand to worker processes."""
         return self.settings.open
 
     def open_model(self) -> FmuModel:
@@ -221,48 +201,57 @@ def load_case(
     path = Path(path)
     if path.is_dir():
         path = path / "case.toml"
-    file = declared = read_case_file(path)
-    if communication_step_s is not None:
-        step = {"communication_step_s": communication_step_s}
-        file = file.model_copy(update={"time": file.time.model_copy(update=step)})
-    fmu = with_units(read_description(Path(os.path.realpath(path.parent / file.fmu))), said_units(file), path)
+    file = read_case_file(path)
+    fmu = read_description(Path(os.path.realpath(path.parent / file.fmu)))
     fmu.interface(file.interface, str(path))
-    data = read_data(path, file)
-    window = file.time.window if window_d is None else window_d
-    plain = plain_period(path, declared, window, is_overridden=window_d is not None)
-    case = _compared_over(path, file, fmu, data, plain)
-    period = validation_period(path, declared, window, is_overridden=window_d is not None)
-    if period is None:
-        return case
-    return replace(case, validation=_compared_over(path, file, fmu, data, period))
+    recordings = read_recordings(path, file)
+    with errors_at(path):
+        fmu = with_units(fmu, _said_units(file))
+        data = on_one_axis(file, recordings)
+        plain = plain_period(file, window_d)
+        stepped = file
+        if communication_step_s is not None:
+            step = {"communication_step_s": communication_step_s}
+            stepped = file.model_copy(update={"time": file.time.model_copy(update=step)})
+        case = _compared_over(path, stepped, fmu, data, plain)
+        later = validation_period(file, plain, may_be_left_out=window_d is not None)
+        if later is not None:
+            case = replace(case, validation=_compared_over(path, stepped, fmu, data, later))
+    return case
+
+
+def _said_units(file: CaseFile) -> dict[str, str]:
+    tables: list[InputTable | OutputTable] = [*file.inputs, *file.outputs]
+    return {one.name: one.fmu_unit for one in tables if one.fmu_unit is not None}
 
 
 def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, period: Period) -> Case:
     """Build the case whose measurement is that of a period."""
-    space = parameter_space(path, file)
-    parameters = parameter_conversions(path, file, fmu)
-    check_inputs(path, file, fmu)
-    outputs = output_conversions(path, file, fmu)
-    edges, output_every, n_warmup = time_grid(path, file, data, period)
+    space = ParameterSpace(tuple(table.to_parameter() for table in file.parameters))
+    parameters = conversions(fmu, "parameter", file.parameters)
+    inputs = conversions(fmu, "input", file.inputs)
+    check_inputs(file, fmu)
+    outputs = [change.inverse for change in conversions(fmu, "output", file.outputs)]
+    edges, output_every, n_warmup = time_grid(file, data, period)
     scenario = Scenario(
         time_communication=edges,
-        inputs=input_values(path, file, fmu, data, edges),
+        inputs=input_values(file, fmu, data, inputs, edges),
         input_names=tuple(table.name for table in file.inputs),
         output_every=output_every,
         n_warmup=n_warmup,
     )
-    accepted = accepted_bands(path, file.outputs)
     measurement = measured(file, data, scenario.time, period)
+    bands = [table.accepted or (-np.inf, np.inf) for table in file.outputs]
     settings = FmuSettings(
         path=fmu.path,
         parameter_space=space,
         scenario=scenario,
         output_names=measurement.output_names,
         output_offsets=np.array([one.offset for one in outputs]),
-        fixed=fixed_values(path, file, fmu, data, float(edges[0])),
+        fixed=fixed_values(file, fmu, data, float(edges[0])),
         interface=file.interface,
         relative_tolerance=file.relative_tolerance,
-        accepted=accepted,
+        accepted=np.array(bands) if any(table.accepted for table in file.outputs) else None,
         shared_warmup=file.time.shared_warmup,
         warmup_theta=space.expected if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
@@ -287,7 +276,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         output_step_s=file.time.output_step_s,
         settings=settings,
         policy=ExecutionPolicy(**file.simulation.model_dump(), opening_s=file.simulation.timeout_s),
-        said_units=said_units(file),
+        said_units=_said_units(file),
         references=tuple(
             KnownError(table.label, table.mse, table.target)
             for table in file.references
@@ -301,5 +290,5 @@ def _unless(usual: float, values: list[float]) -> FloatArray | None:
     return None if all(value == usual for value in values) else np.array(values)
 
 
-def _json(content: dict[str, Any]) -> bytes:
-    return json.dumps(content, sort_keys=True).encode()
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, sort_keys=True)

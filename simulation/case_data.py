@@ -9,15 +9,18 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.errors import InputError
-from simulation.measurement import Samples
 from simulation.recording import FIRST_LINE, Recording, read_recording
 from simulation.scenario import covers
-from simulation.time_unit import DAYS, HOURS, TimeUnit
+from simulation.time_unit import HOURS
 from simulation.timestamps import zero_of, zone_named
-from simulation.wording import noun_of
 
 # Samples further apart than this many usual steps have a gap between them.
 GAP_STEPS = 1.5
+_CLOCKS = {
+    "seconds": "counts seconds",
+    "local": "has timestamps without an offset from UTC",
+    "utc": "has timestamps with an offset from UTC",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,47 +28,14 @@ class CaseData:
     """All recordings of a case.
 
     Attributes:
-        path: The case file.
         recordings: By their names in the case file, on one time axis.
         day_zero_s: Model time at which the days of the case file begin to count. [s]
-        unit: Unit in which the case file gives its periods.
     """
 
-    path: Path
     recordings: dict[str, Recording]
     day_zero_s: float
-    unit: TimeUnit
 
-    def samples(self, table: OutputTable, begin_s: float, end_s: float, seen_s: float) -> Samples:
-        """Return what was measured of an output in a period; gaps have no sample.
-
-        Args:
-            table: The output.
-            begin_s: Begin of the period. [s]
-            end_s: Its end. [s]
-            seen_s: A moment whose sample is left out, NaN for none. [s]
-
-        Raises:
-            InputError: If there are less than two.
-        """
-        recording = self.recordings[table.file]
-        values = recording.columns[table.column]
-        slack = 1e-6 * recording.step_s
-        inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
-        inside &= ~(np.abs(recording.time - seen_s) <= slack)
-        n_samples = int(np.count_nonzero(inside))
-        if n_samples < 2:
-            held = f"{n_samples} {noun_of(n_samples, 'value')}"
-            begin_d, end_d = ((time - self.day_zero_s) / DAYS.seconds for time in (begin_s, end_s))
-            raise InputError(
-                f"{self.path}: outputs[{table.name}]: {recording.path} has {held} of {table.column} "
-                f"over {self.unit.period((begin_d, end_d))}, 2 are needed; choose another "
-                "window, or correct the file"
-            )
-        # A sample that a rounding puts outside belongs to the first or last output time.
-        return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside])
-
-    def first_measured(self, table: OutputTable, start_s: float, where: str) -> float:
+    def first_measured(self, table: OutputTable, start_s: float) -> float:
         """Return the measured value of an output at the start of the simulation: the nearest in time.
 
         Raises:
@@ -78,12 +48,12 @@ class CaseData:
             if abs(recording.time[row] - start_s) <= recording.step_s * (1.0 + 1e-6):
                 return float(recording.columns[table.column][row])
         raise InputError(
-            f"{where}: {recording.path} has no value of {table.column} near the start, {start_s:.12g} s; "
-            f"give a number, or choose a start_{self.unit.symbol} with a measured value"
+            f"{recording.path} has no value of {table.column} near the start, {start_s:.12g} s; "
+            "give a number, or choose a start_d (start_s) with a measured value"
         )
 
     def input_series(
-        self, table: InputTable, column: str, edges: FloatArray, where: str
+        self, table: InputTable, column: str, edges: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the samples of a column that drives an input, checked to have no gap where it is needed.
 
@@ -91,7 +61,6 @@ class CaseData:
             table: The input.
             column: The column.
             edges: Edges of the communication steps. Shape (s + 1,). [s]
-            where: Key of the case file, for messages.
 
         Returns:
             Times [s] and values. Shape (m,) each.
@@ -108,8 +77,7 @@ class CaseData:
             if len(time) and (time[0] > edges[-1] or time[-1] < edges[0]):
                 remedy = "no moment is in both; correct the times of this file or of the first output's"
             raise InputError(
-                f"{where}: {recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; "
-                f"{remedy}"
+                f"{recording.path} {held}, the window needs {edges[0]:.12g} to {edges[-1]:.12g} s; {remedy}"
             )
         longest = GAP_STEPS * recording.step_s if table.max_gap_s is None else table.max_gap_s
         # A held value is needed until the window ends, the others as far as the next sample.
@@ -137,30 +105,27 @@ def _clock_hint(recording: Recording, gap_s: float) -> str:
     return "; if this clock is never set forward or back, leave timezone out of the case instead"
 
 
-def read_data(path: Path, file: CaseFile) -> CaseData:
-    """Read every file that the case names, each once, and put them on one time axis.
+def read_recordings(path: Path, file: CaseFile) -> dict[str, Recording]:
+    """Read every recording that a case names, each once, with the columns in use.
 
     Args:
         path: The case file.
         file: Its content.
 
     Returns:
-        The recordings.
+        The recordings by their names in the case file.
 
     Raises:
-        InputError: If one cannot be read, or their times do not belong together.
+        InputError: If one cannot be read.
     """
     columns: dict[str, list[str]] = {}
-    for table in file.outputs:
-        columns.setdefault(table.file, []).append(table.column)
+    for output in file.outputs:
+        columns.setdefault(output.file, []).append(output.column)
     for source in file.inputs:
         columns.setdefault(source.file, []).extend(source.weights)
-    if file.timezone is not None:
-        zone_named(file.timezone, str(path))
-    folder = path.parent / file.data
-    recordings = {
+    return {
         name: read_recording(
-            Path(os.path.realpath(folder / name)),
+            Path(os.path.realpath(path.parent / file.data / name)),
             list(dict.fromkeys(wanted)),
             time_column=file.time_column,
             timezone=file.timezone,
@@ -168,28 +133,30 @@ def read_data(path: Path, file: CaseFile) -> CaseData:
         )
         for name, wanted in columns.items()
     }
+
+
+def on_one_axis(file: CaseFile, recordings: dict[str, Recording]) -> CaseData:
+    """Put recordings on one time axis.
+
+    Raises:
+        InputError: If their times do not belong together.
+    """
     used = list(dict.fromkeys(recording.time_column for recording in recordings.values()))
     if file.time_column is not None and file.time_column not in used:
         raise InputError(
-            f'{path}: time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
+            f'time_column = "{file.time_column}" is in none of {", ".join(recordings)}, whose times '
             f"stand in {', '.join(used)}; correct it, or drop the key"
         )
     first = recordings[file.outputs[0].file]
     for recording in recordings.values():
         if recording.clock != first.clock:
-            words = {
-                "seconds": "counts seconds",
-                "local": "has timestamps without an offset from UTC",
-                "utc": "has timestamps with an offset from UTC",
-            }
             raise InputError(
-                f"{path}: {recording.path} {words[recording.clock]} and {first.path} "
-                f"{words[first.clock]}; write the times of all files alike"
+                f"{recording.path} {_CLOCKS[recording.clock]} and {first.path} {_CLOCKS[first.clock]}; "
+                "write the times of all files alike"
             )
+    zero_s = float(first.time[0])
     if file.time.zero is not None:
-        zero_s = zero_of(file.time.zero, first.clock, file.timezone, f"{path}: time.zero")
+        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone))
     elif first.clock == "seconds":
-        return CaseData(path, recordings, float(first.time[0]), file.time.unit)
-    else:
-        zero_s = float(first.time[0])
-    return CaseData(path, {name: one.since(zero_s) for name, one in recordings.items()}, 0.0, file.time.unit)
+        return CaseData(recordings, zero_s)
+    return CaseData({name: one.since(zero_s) for name, one in recordings.items()}, 0.0)

@@ -11,6 +11,7 @@ from pydantic_core import PydanticCustomError
 from simulation.foreign_text import has_control, shortened
 from simulation.parameters import Belief, Parameter
 from simulation.time_unit import DAYS, SECONDS, TimeUnit
+from simulation.timestamps import zone_named
 
 
 def _without_control(name: str) -> str:
@@ -288,7 +289,8 @@ class CaseFile(Table):
     references: list[ReferenceTable] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _each_once(self) -> Self:
+    def _agrees_with_itself(self) -> Self:
+        zone_named(self.timezone)
         named: dict[str, Sequence[InputTable | OutputTable | ParameterTable]] = {
             "inputs": self.inputs,
             "outputs": self.outputs,

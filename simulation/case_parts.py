@@ -1,100 +1,122 @@
 """From the tables of a case file to parts that agree with the FMU; every contradiction is found here."""
 
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case_data import CaseData
-from simulation.case_file import CaseFile, FirstMeasured, FixedValue, OutputTable, ValueWithUnit
-from simulation.errors import InputError
+from simulation.case_file import (
+    CaseFile,
+    FirstMeasured,
+    FixedValue,
+    InputTable,
+    OutputTable,
+    ParameterTable,
+    ValueWithUnit,
+)
+from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.foreign_text import shortened
-from simulation.parameters import ParameterSpace
 from simulation.scenario import values_over_steps
 from simulation.units import Conversion, conversion
 
 Value = float | int | bool | str
 
 
-def parameter_space(path: Path, file: CaseFile) -> ParameterSpace:
-    """Return the box of the parameters, in the units of the case file."""
-    try:
-        return ParameterSpace(tuple(table.to_parameter() for table in file.parameters))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+def with_units(fmu: FmuDescription, units: Mapping[str, str]) -> FmuDescription:
+    """Return the description with units for variables that it declares none for, as many tools do.
+
+    Args:
+        fmu: The description.
+        units: Units by variable; of names that there are not, is said elsewhere.
+
+    Raises:
+        InputError: If the FMU declares another one.
+    """
+    changed = {}
+    for name in units.keys() & fmu.variables.keys():
+        variable = fmu.variables[name]
+        if variable.unit and variable.unit != units[name]:
+            raise InputError(
+                f'{name}: fmu_unit = "{units[name]}" contradicts the FMU\'s "{variable.unit}"; drop it, and '
+                "give in unit what the CSV file holds"
+            )
+        changed[name] = replace(variable, unit=units[name])
+    return replace(fmu, variables={**fmu.variables, **changed}) if changed else fmu
 
 
-def parameter_conversions(path: Path, file: CaseFile, fmu: FmuDescription) -> list[Conversion]:
-    """Check the parameters against the FMU and return how each gets into the FMU's unit."""
+def conversions(
+    fmu: FmuDescription, causality: str, tables: Sequence[InputTable | OutputTable | ParameterTable]
+) -> list[Conversion]:
+    """Find what tables name in the FMU, and return how each gets from its unit into the FMU's.
+
+    Args:
+        fmu: What the FMU says of itself.
+        causality: "parameter", "input" or "output".
+        tables: The tables.
+
+    Raises:
+        InputError: If the FMU has no such variable, or its unit is of another kind.
+    """
     found = []
-    for table in file.parameters:
-        where = f"{path}: parameters[{table.name}]"
-        found.append(into(fmu, fmu.require(table.name, "parameter", where), table.unit, where))
+    for table in tables:
+        where = f"{causality}s[{table.name}]"
+        found.append(_into(fmu, fmu.require(table.name, causality, where), table.unit, where))
     return found
 
 
-def output_conversions(path: Path, file: CaseFile, fmu: FmuDescription) -> list[Conversion]:
-    """Check the outputs against the FMU and return how each gets from its unit into the declared one."""
-    found = []
-    for table in file.outputs:
-        where = f"{path}: outputs[{table.name}]"
-        found.append(into(fmu, fmu.require(table.name, "output", where), table.unit, where).inverse)
-    return found
-
-
-def into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> Conversion:
-    """Return the conversion from a declared unit into that of a variable."""
+def _into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> Conversion:
     return conversion(unit, variable.unit, where, definitions=fmu.units, is_difference=variable.is_difference)
 
 
-def check_inputs(path: Path, file: CaseFile, fmu: FmuDescription) -> None:
-    """Check that every input of the FMU has one source: a recording, or a value that it is held at."""
-    names = [table.name for table in file.inputs]
-    for name in names:
-        fmu.require(name, "input", f"{path}: inputs[{name}]")
-        if names.count(name) > 1:
-            raise InputError(f"{path}: inputs[{name}] is declared {names.count(name)} times; keep one")
-        if name in file.fixed:
-            raise InputError(f"{path}: inputs[{name}] is also under [fixed]; drop one of the two")
+def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
+    """Check that every input of the FMU has a source: a recording, or a value that it is held at."""
+    driven = {table.name for table in file.inputs} | file.fixed.keys()
     for name in fmu.names("input"):
         # What nothing can set must not stand in the way of the others; the doctor tells of it.
-        if name not in names and name not in file.fixed and not fmu.variables[name].is_out_of_reach:
+        if name not in driven and not fmu.variables[name].is_out_of_reach:
             raise InputError(
-                f"{path}: the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
+                f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
                 "start; or hold it at a value under [fixed]"
             )
 
 
 def input_values(
-    path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, edges: FloatArray
+    file: CaseFile, fmu: FmuDescription, data: CaseData, changes: Sequence[Conversion], edges: FloatArray
 ) -> FloatArray:
-    """Return every input over every step. Shape (m, n_inputs). [FMU's units]."""
+    """Return every input over every step. Shape (m, n_inputs). [FMU's units].
+
+    Args:
+        file: The case file's content.
+        fmu: What the FMU says of itself.
+        data: The recordings.
+        changes: How each input gets into the FMU's unit.
+        edges: Edges of the steps. Shape (m + 1,). [s]
+    """
     inputs = np.zeros((len(edges) - 1, len(file.inputs)))
-    for index, table in enumerate(file.inputs):
-        where = f"{path}: inputs[{table.name}]"
-        variable = fmu.variables[table.name]
-        change = into(fmu, variable, table.unit, where)
-        if variable.kind not in REAL_KINDS and table.interpolation != "held":
-            raise InputError(
-                f'{where}: interpolation = "{table.interpolation}", but the FMU\'s {table.name} is of type '
-                f'{variable.kind} and knows nothing in between; write interpolation = "held"'
-            )
-        for column, weight in table.weights.items():
-            time, values = data.input_series(table, column, edges, where)
-            inputs[:, index] += weight * values_over_steps(
-                time, values, edges, interpolation=table.interpolation
-            )
-        if change.factor != 1.0:
-            inputs[:, index] *= change.factor
-        inputs[:, index] += change.offset
-        if variable.kind not in REAL_KINDS:
-            _check_whole(variable, inputs[:, index], edges, f"{where}: {' + '.join(table.weights)}")
+    for table, change, over_steps in zip(file.inputs, changes, inputs.T, strict=True):
+        with errors_at(f"inputs[{table.name}]"):
+            variable = fmu.variables[table.name]
+            if variable.kind not in REAL_KINDS and table.interpolation != "held":
+                raise InputError(
+                    f'interpolation = "{table.interpolation}", but the FMU\'s {table.name} is of type '
+                    f'{variable.kind} and knows nothing in between; write interpolation = "held"'
+                )
+            for column, weight in table.weights.items():
+                time, values = data.input_series(table, column, edges)
+                over_steps += weight * values_over_steps(
+                    time, values, edges, interpolation=table.interpolation
+                )
+            over_steps[:] = change.factor * over_steps + change.offset
+            if variable.kind not in REAL_KINDS:
+                _check_whole(variable, over_steps, edges, " + ".join(table.weights))
     return inputs
 
 
-def _check_whole(variable: FmuVariable, values: FloatArray, edges: FloatArray, where: str) -> None:
+def _check_whole(variable: FmuVariable, values: FloatArray, edges: FloatArray, source: str) -> None:
     """Check the values of an input that is no real number: whole, and known to its type."""
     words, known = "whole numbers", values == np.rint(values)
     if variable.kind == "Boolean":
@@ -104,103 +126,76 @@ def _check_whole(variable: FmuVariable, values: FloatArray, edges: FloatArray, w
         known = np.isin(values, list(variable.items.values()))
     for step in np.flatnonzero(~known)[:1]:
         raise InputError(
-            f"{where} is {values[step]:g} at {edges[step]:.12g} s, and the FMU's {variable.name} is of type "
+            f"{source} is {values[step]:g} at {edges[step]:.12g} s, and the FMU's {variable.name} is of type "
             f"{variable.kind}; give {words}"
         )
 
 
-def fixed_values(
-    path: Path, file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float
-) -> dict[str, Value]:
+def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float) -> dict[str, Value]:
     """Return the parameters held at a value. [FMU's units].
 
     Args:
-        path: The case file.
-        file: Its content.
+        file: The case file's content.
         fmu: What the FMU says of itself.
         data: The recordings, for first measured values.
         start_s: Start of the simulation. [s]
     """
-    values = {}
+    values: dict[str, Value] = {}
     for name, value in file.fixed.items():
-        where = f"{path}: fixed.{name}"
+        where = f"fixed.{name}"
         variable = fmu.find(name, "parameter", where, may_be_input=True)
-        if any(table.name == name for table in file.parameters):
-            raise InputError(f"{where}: {name} is also under [[parameters]]; drop one of the two")
-        values[name] = (
-            _real(file, fmu, variable, value, data, start_s, where)
-            if variable.kind in REAL_KINDS
-            else _not_real(variable, value, where)
-        )
+        if variable.kind not in REAL_KINDS:
+            values[name] = _not_real(variable, value, where)
+        elif isinstance(value, bool | str):
+            raise InputError(f"{where} = {_as_toml(value)}: {name} is a number; give one")
+        elif isinstance(value, int | float):
+            values[name] = float(value)
+        else:
+            number, unit = _with_unit(file, data, value, start_s, where)
+            change = _into(fmu, variable, unit, where)
+            values[name] = number * change.factor + change.offset
     return values
 
 
-def _real(
-    file: CaseFile,
-    fmu: FmuDescription,
-    variable: FmuVariable,
-    value: FixedValue,
-    data: CaseData,
-    start_s: float,
-    where: str,
-) -> float:
-    if isinstance(value, FirstMeasured):
-        names = [table.name for table in file.outputs]
-        if value.first_measured not in names:
-            raise InputError(
-                f'{where}: first_measured = "{value.first_measured}" is no output of the case; '
-                f"choose one of: {shortened(', '.join(names), 1000)}"
-            )
-        table = file.outputs[names.index(value.first_measured)]
-        change, number = into(fmu, variable, table.unit, where), data.first_measured(table, start_s, where)
-    elif isinstance(value, ValueWithUnit):
-        change, number = into(fmu, variable, value.unit, where), value.value
-    elif isinstance(value, bool | str):
-        raise InputError(f"{where} = {_as_toml(value)}: {variable.name} is a number; give one")
-    else:
-        return float(value)
-    return number * change.factor + change.offset
+def _with_unit(
+    file: CaseFile, data: CaseData, value: FirstMeasured | ValueWithUnit, start_s: float, where: str
+) -> tuple[float, str]:
+    if isinstance(value, ValueWithUnit):
+        return value.value, value.unit
+    outputs = {table.name: table for table in file.outputs}
+    table = outputs.get(value.first_measured)
+    if table is None:
+        raise InputError(
+            f'{where}: first_measured = "{value.first_measured}" is no output of the case; '
+            f"choose one of: {shortened(', '.join(outputs), 1000)}"
+        )
+    with errors_at(where):
+        return data.first_measured(table, start_s), table.unit
 
 
 def _not_real(variable: FmuVariable, value: FixedValue, where: str) -> Value:
     """Check a value against the kind of its variable, which is not a real number."""
-    kind = variable.kind
+    kind, items = variable.kind, variable.items
     if isinstance(value, FirstMeasured | ValueWithUnit):
         raise InputError(
             f"{where}: {variable.name} is of type {kind}, which has no unit; give the value alone"
         )
+    chosen: Value | None = value
     if kind == "Enumeration" and isinstance(value, str):
-        if value not in variable.items:
-            raise InputError(
-                f'{where} = "{value}": {variable.name} has no such item; choose one of: '
-                f"{shortened(', '.join(variable.items), 1000) or 'its numbers'}"
-            )
-        return variable.items[value]
-    wanted = {"Boolean": ("true or false", bool), "String": ('a text in "quotes"', str)}
-    words, python_type = wanted.get(kind, ("a whole number", int))
-    if not isinstance(value, python_type) or (python_type is int and isinstance(value, bool)):
-        raise InputError(f"{where} = {_as_toml(value)}: {variable.name} is of type {kind}; give {words}")
-    if variable.items and value not in variable.items.values():
+        chosen, said = items.get(value), f'"{value}"'
+    else:
+        wanted = {"Boolean": ("true or false", bool), "String": ('a text in "quotes"', str)}
+        words, python_type = wanted.get(kind, ("a whole number", int))
+        if type(value) is not python_type:
+            raise InputError(f"{where} = {_as_toml(value)}: {variable.name} is of type {kind}; give {words}")
+        said = f"{value}"
+    if chosen is None or (items and chosen not in items.values()):
         raise InputError(
-            f"{where} = {value}: {variable.name} has no such item; choose one of: "
-            f"{shortened(', '.join(variable.items), 1000)}"
+            f"{where} = {said}: {variable.name} has no such item; choose one of: "
+            f"{shortened(', '.join(items), 1000) or 'its numbers'}"
         )
-    return value
+    return chosen
 
 
 def _as_toml(value: Value) -> str:
     return str(value).lower() if isinstance(value, bool) else repr(value)
-
-
-def accepted_bands(path: Path, outputs: list[OutputTable]) -> FloatArray | None:
-    """Return the band of each output outside of which a row fails, None without any. Shape (k, 2)."""
-    for table in outputs:
-        if table.accepted is not None and not table.accepted[0] < table.accepted[1]:
-            low, high = table.accepted
-            raise InputError(
-                f"{path}: outputs[{table.name}]: accepted = [{low:g}, {high:g}] holds nothing; "
-                "give the lower value first"
-            )
-    if all(table.accepted is None for table in outputs):
-        return None
-    return np.array([table.accepted or (-np.inf, np.inf) for table in outputs])

@@ -2,15 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case_data import CaseData
 from simulation.case_file import CaseFile
-from simulation.errors import InputError
-from simulation.measurement import Measurement
+from simulation.errors import InputError, errors_at
+from simulation.measurement import Measurement, Samples
+from simulation.recording import Recording
 from simulation.time_unit import DAY_S, TimeUnit
 
 MOST_STEPS = 10_000_000
@@ -22,7 +22,7 @@ class Period:
     """Which days are simulated, reported and compared.
 
     Attributes:
-        said: How messages name it: the case file with its key, or with the days where the caller named them.
+        said: How messages name it: with its key, or with the days where the caller named them.
         start_d: Start of the simulation. [d]
         reported_d: Part whose outputs are reported; before it lies the warm-up. [d]
         compared_d: Part that is compared with the measurement, at the end of the reported one. [d]
@@ -36,63 +36,54 @@ class Period:
     seen_d: float | None = None
 
 
-def plain_period(path: Path, file: CaseFile, window_d: tuple[float, float], *, is_overridden: bool) -> Period:
+def plain_period(file: CaseFile, chosen_d: tuple[float, float] | None) -> Period:
     """Return the period that is calibrated.
 
     Args:
-        path: The case file.
-        file: Its content.
-        window_d: The window. [d]
-        is_overridden: Whether the window is the caller's.
+        file: The case file's content.
+        chosen_d: The caller's window, None for the file's. [d]
 
     Raises:
         InputError: If window and start contradict each other, or there are too many steps.
     """
     unit = file.time.unit
-    begin_d, end_d = _rising(path, "window", window_d, unit)
+    window = begin_d, end_d = _rising("window", chosen_d or file.time.window, unit)
     start_d = begin_d if file.time.start is None else file.time.start
     if not 0.0 <= start_d <= begin_d:
         raise InputError(
-            f"{path}: time.start_{unit.symbol} = {unit.of_days(start_d):g} does not lie between "
+            f"time.start_{unit.symbol} = {unit.of_days(start_d):g} does not lie between "
             f"{unit.moment(0.0)} and the window's start, {unit.of_days(begin_d):g}; correct it"
         )
     if file.time.shared_warmup and start_d == begin_d:
         raise InputError(
-            f"{path}: time.shared_warmup = true, but the simulation starts with the window, "
+            f"time.shared_warmup = true, but the simulation starts with the window, "
             f"{unit.moment(begin_d)}; set an earlier start_{unit.symbol}, or drop shared_warmup"
         )
-    _check_n_steps(path, file, start_d, end_d)
-    window = (begin_d, end_d)
-    said = unit.period(window) if is_overridden else _told("window", window, unit)
-    return Period(f"{path}: {said}", start_d, window, window)
+    _check_n_steps(file, start_d, end_d)
+    said = _as_key("window", window, unit) if chosen_d is None else unit.period(window)
+    return Period(said, start_d, window, window)
 
 
-def validation_period(
-    path: Path, file: CaseFile, window_d: tuple[float, float], *, is_overridden: bool
-) -> Period | None:
+def validation_period(file: CaseFile, plain: Period, *, may_be_left_out: bool) -> Period | None:
     """Return the period on which calibrated parameters are validated, None without one.
 
     Its simulations start where those of the window do, because that is where initial states belong.
 
     Args:
-        path: The case file.
-        file: Its content.
-        window_d: The window that is calibrated. [d]
-        is_overridden: Whether the window is the caller's; a validation period that does not go with it is
-            left out then.
+        file: The case file's content.
+        plain: The period that is calibrated.
+        may_be_left_out: Whether one that does not go with it is left out, as where the caller chose that.
 
     Raises:
         InputError: If it overlaps with the window, begins before the simulation, or has too many steps.
     """
     if file.time.validation is None:
         return None
-    unit = file.time.unit
-    begin_d, end_d = _rising(path, "time.validation", file.time.validation, unit)
-    where = f"{path}: {_told('time.validation', (begin_d, end_d), unit)}"
-    start_d = window_d[0] if file.time.start is None else file.time.start
-    wrong = ""
+    unit, window_d, start_d = file.time.unit, plain.compared_d, plain.start_d
+    period = begin_d, end_d = _rising("time.validation", file.time.validation, unit)
+    said, wrong = _as_key("time.validation", period, unit), ""
     if begin_d < window_d[1] and window_d[0] < end_d:
-        wrong = f"overlaps with {_told('window', window_d, unit)}; choose a part that was not seen"
+        wrong = f"overlaps with {_as_key('window', window_d, unit)}; choose a part that was not seen"
     elif begin_d < start_d:
         wrong = (
             f"begins before the simulation, {unit.moment(start_d)}; choose a later part or an earlier "
@@ -100,22 +91,20 @@ def validation_period(
         )
     elif begin_d < window_d[0] and file.time.shared_warmup:
         wrong = "lies in the warm-up, which is shared; choose a part after the window or drop shared_warmup"
-    if wrong and is_overridden:
+    if wrong and may_be_left_out:
         return None
     if wrong:
-        raise InputError(f"{where} {wrong}")
-    _check_n_steps(path, file, start_d, end_d)
-    reported = (min(window_d[0], begin_d), end_d)
-    seen_d = next((day for day in (begin_d, end_d) if day in window_d), None)
-    return Period(where, start_d, reported, (begin_d, end_d), seen_d)
+        raise InputError(f"{said} {wrong}")
+    _check_n_steps(file, start_d, end_d)
+    seen_d = next((day for day in period if day in window_d), None)
+    return Period(said, start_d, (min(window_d[0], begin_d), end_d), period, seen_d)
 
 
-def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArray, int, int]:
+def time_grid(file: CaseFile, data: CaseData, period: Period) -> tuple[FloatArray, int, int]:
     """Lay out the communication steps from the start of the simulation to the end of a period.
 
     Args:
-        path: The case file.
-        file: Its content.
+        file: The case file's content.
         data: The recordings.
         period: The period.
 
@@ -125,21 +114,19 @@ def time_grid(path: Path, file: CaseFile, data: CaseData, period: Period) -> tup
     Raises:
         InputError: If the steps do not fit into it, or the recordings end before.
     """
-    (begin_d, end_d), start_d = period.reported_d, period.start_d
-    unit = file.time.unit
+    (begin_d, end_d), start_d, unit = period.reported_d, period.start_d, file.time.unit
     step, output_step = file.time.communication_step_s, file.time.output_step_s
     if not step > 0:
-        raise InputError(f"{path}: communication_step_s = {step:g} is not above 0; correct it")
+        raise InputError(f"communication_step_s = {step:g} is not above 0; correct it")
     output_every = round(output_step / step)
     if output_every < 1 or not math.isclose(output_every * step, output_step, rel_tol=1e-9):
         raise InputError(
-            f"{path}: time.output_step_s = {output_step:g} is no multiple of "
+            f"time.output_step_s = {output_step:g} is no multiple of "
             f"communication_step_s = {step:g}; choose steps that fit"
         )
     n_reported = _whole_steps(end_d - begin_d, output_step, period.said)
-    n_warmup = _whole_steps(
-        begin_d - start_d, output_step, f"{path}: time.start_{unit.symbol} = {unit.of_days(start_d):g}"
-    )
+    start_said = f"time.start_{unit.symbol} = {unit.of_days(start_d):g}"
+    n_warmup = _whole_steps(begin_d - start_d, output_step, start_said)
     longest = max(
         (data.recordings[table.file] for table in file.outputs), key=lambda one: float(one.time[-1])
     )
@@ -165,63 +152,82 @@ def measured(file: CaseFile, data: CaseData, time: FloatArray, period: Period) -
         period: The period.
 
     Raises:
-        InputError: If an output is declared twice, has less than two samples, or one outside its own band.
+        InputError: If an output has less than two samples, or one outside its own band.
     """
-    names = tuple(table.name for table in file.outputs)
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{data.path}: outputs[{name}] is declared {names.count(name)} times; keep one")
     begin_s = float(time[0]) + (period.compared_d[0] - period.reported_d[0]) * DAY_S
     seen_s = math.nan if period.seen_d is None else begin_s + (period.seen_d - period.compared_d[0]) * DAY_S
-    samples = tuple(data.samples(table, begin_s, float(time[-1]), seen_s) for table in file.outputs)
-    for table, one in zip(file.outputs, samples, strict=True):
-        low, high = table.accepted or (-math.inf, math.inf)
-        for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
-            raise InputError(
-                f"{data.path}: outputs[{table.name}]: accepted = [{low:g}, {high:g}] leaves out the measured "
-                f"{one.values[row]:g} at {one.time[row]:.12g} s; widen it, or empty that cell"
-            )
+    samples = []
+    for table in file.outputs:
+        with errors_at(f"outputs[{table.name}]"):
+            recording = data.recordings[table.file]
+            said = file.time.unit.period(period.compared_d)
+            one = _samples(recording, table.column, (begin_s, float(time[-1])), seen_s, said)
+            low, high = table.accepted or (-math.inf, math.inf)
+            for row in np.flatnonzero((one.values < low) | (one.values > high))[:1]:
+                raise InputError(
+                    f"accepted = [{low:g}, {high:g}] leaves out the measured {one.values[row]:g} at "
+                    f"{one.time[row]:.12g} s; widen it, or empty that cell"
+                )
+            samples.append(one)
     return Measurement(
         time,
-        samples,
-        names,
+        tuple(samples),
+        tuple(table.name for table in file.outputs),
         uncertainty=np.array([table.uncertainty for table in file.outputs]),
         weights=np.array([table.weight for table in file.outputs]),
         lasts_s=np.array([table.error_lasts_s or 0.0 for table in file.outputs]),
     )
 
 
-def _told(key: str, days: tuple[float, float], unit: TimeUnit) -> str:
-    """Say a period as the case file writes it."""
+def _samples(
+    recording: Recording, column: str, period_s: tuple[float, float], seen_s: float, said: str
+) -> Samples:
+    """Return what was measured in a period [s], but for a moment seen already [s]; gaps have no sample."""
+    values, slack = recording.columns[column], 1e-6 * recording.step_s
+    begin_s, end_s = period_s
+    inside = (recording.time >= begin_s - slack) & (recording.time <= end_s + slack) & ~np.isnan(values)
+    inside &= ~(np.abs(recording.time - seen_s) <= slack)
+    n_samples = np.count_nonzero(inside)
+    if n_samples < 2:
+        raise InputError(
+            f"{recording.path} has {n_samples} {'value' if n_samples else 'values'} of {column} over {said}, "
+            "2 are needed; choose another window, or correct the file"
+        )
+    # A sample that a rounding puts outside belongs to the first or last output time.
+    return Samples(np.clip(recording.time[inside], begin_s, end_s), values[inside])
+
+
+def _as_key(key: str, days: tuple[float, float], unit: TimeUnit) -> str:
+    """Write a period as the case file does."""
     return f"{key}_{unit.symbol} = [{unit.of_days(days[0]):g}, {unit.of_days(days[1]):g}]"
 
 
-def _rising(path: Path, key: str, days: tuple[float, float], unit: TimeUnit) -> tuple[float, float]:
+def _rising(key: str, days: tuple[float, float], unit: TimeUnit) -> tuple[float, float]:
     begin_d, end_d = float(days[0]), float(days[1])
     if not (math.isfinite(begin_d) and math.isfinite(end_d) and 0.0 <= begin_d < end_d):
         raise InputError(
-            f"{path}: {_told(key, days, unit)}: the end must lie after the start and neither before "
+            f"{_as_key(key, days, unit)}: the end must lie after the start and neither before "
             f"{unit.moment(0.0)}; correct it"
         )
     return begin_d, end_d
 
 
-def _check_n_steps(path: Path, file: CaseFile, start_d: float, end_d: float) -> None:
+def _check_n_steps(file: CaseFile, start_d: float, end_d: float) -> None:
     """Check that the steps of a simulation [d] fit into memory."""
     span_s, step, unit = (end_d - start_d) * DAY_S, file.time.communication_step_s, file.time.unit
     if span_s / step > MOST_STEPS:
         raise InputError(
-            f"{path}: time.communication_step_s = {step:g} makes {span_s / step:.3g} steps from "
+            f"time.communication_step_s = {step:g} makes {span_s / step:.3g} steps from "
             f"{unit.moment(start_d)} to {unit.moment(end_d)}, and {MOST_STEPS:g} is the most; "
             f"write at least {1.01 * span_s / MOST_STEPS:.3g}, or shorten the simulation"
         )
 
 
-def _whole_steps(span_d: float, output_step: float, where: str) -> int:
+def _whole_steps(span_d: float, output_step: float, said: str) -> int:
     """Return how many output steps [s] a span [d] holds."""
     n_steps = round(span_d * DAY_S / output_step)
     if not math.isclose(n_steps * output_step, span_d * DAY_S, rel_tol=1e-9):
         raise InputError(
-            f"{where}: not a whole number of output steps of {output_step:g} s; choose times that fit"
+            f"{said}: not a whole number of output steps of {output_step:g} s; choose times that fit"
         )
     return n_steps

@@ -1,5 +1,8 @@
 """What a user is told in one line: their own files and options are wrong, or the machine is in the way."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class InputError(ValueError):
     """Something the user gave is wrong; the message is one line that says what, where and what to do."""
@@ -7,3 +10,12 @@ class InputError(ValueError):
 
 class MachineError(InputError):
     """The machine is in the way: told as well, but once it is put right, the same words will do."""
+
+
+@contextmanager
+def errors_at(place: object) -> Iterator[None]:
+    """Begin the message of any InputError of the block with a place, as the path of a file."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{place}: {error}") from None

@@ -1,12 +1,11 @@
 """What was measured, when, and how simulated outputs are compared with it."""
 
-import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import FloatArray, IntArray, digest_of
 
 # A sample this close to an output time, as a share of the output step, lies on it.
 _ON_GRID = 1e-6
@@ -217,16 +216,13 @@ class Measurement:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the content, in hexadecimal."""
-        content = hashlib.sha256(repr((self.output_names, self.y.shape)).encode())
         arrays = [self.time, self.y, self.uncertainty]
         if np.any(self.weights != 1.0):
             arrays.append(self.weights)
         # Samples on the output times are in y.
         if any((place.share % 1.0).any() for place in self._places):
             arrays += [array for one in self.samples for array in (one.time, one.values)]
-        for array in arrays:
-            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return content.hexdigest()
+        return digest_of(repr((self.output_names, self.y.shape)), *arrays)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ import io
 import math
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
+from simulation.errors import InputError, errors_at
 from simulation.foreign_file import RECORDING, read_limited
 from simulation.foreign_text import quoted, shortened
 from simulation.time_unit import UNITS
-from simulation.timestamps import Clock, Timestamps
+from simulation.timestamps import Clock, read_timestamps, zone_named
 
 TIME_COLUMN: Final = "time_s"
 STAMP_COLUMN: Final = "time"
@@ -98,73 +98,60 @@ def read_recording(
     Raises:
         InputError: If the file or a column is missing, a cell is no number, or the times do not rise.
     """
+    needed = shortened(", ".join([time_column or TIME_COLUMN, *column_names]))
     remedy = if_missing or "put the recording there or correct `data` and `file`"
-    needed = ", ".join([time_column or TIME_COLUMN, *column_names])
-    content = read_limited(path, RECORDING, if_missing=f"it needs the columns {shortened(needed)}; {remedy}")
-    rows, delimiter = _rows(path, content)
-    if not rows or not any(cell.strip() for cell in rows[0]):
-        raise InputError(f"{path}: the file is empty; the first line names the columns")
-    # An umlaut may be one character or two.
-    header = [_composed(cell.strip()) for cell in rows[0]]
-    asked = {name: _composed(name) for name in column_names}
-    time_name = _time_column(path, header, time_column and _composed(time_column))
-    for name in (time_name, *asked.values()):
-        if name not in header:
-            raise InputError(
-                f"{path}: column {name} is missing; correct column in the case file; there are "
-                f"{shortened(', '.join(header))}"
+    content = read_limited(path, RECORDING, if_missing=f"it needs the columns {needed}; {remedy}")
+    with errors_at(path):
+        rows, delimiter = _rows(content)
+        # An umlaut may be one character or two.
+        header = [_composed(cell) for cell in rows[0]]
+        asked = {name: _composed(name) for name in column_names}
+        time_name = _time_column(header, time_column and _composed(time_column))
+        cells = _cells(rows, header, [time_name, *asked.values()], delimiter)
+        unit_s = next((length for end, length in _DURATIONS.items() if time_name.endswith(end)), None)
+        numbers = {name: cells[name] for name in cells if unit_s is not None or name != time_name}
+        has_commas = delimiter != "," and _has_decimal_commas(numbers)
+        clock: Clock = "seconds"
+        if unit_s is not None:
+            time = unit_s * _numbers(time_name, cells[time_name], has_commas=has_commas)
+            for row in np.flatnonzero(np.isnan(time))[:1]:
+                raise InputError(f"{_place(row, time_name)}: the time is missing; add it")
+        else:
+            time, clock = read_timestamps(
+                cells[time_name], zone_named(timezone), lambda row: _place(row, time_name)
             )
-        if header.count(name) > 1:
-            raise InputError(
-                f"{path}: column {name} stands {header.count(name)} times in the header; keep one"
-            )
-    # A blank line at the end is no row; anywhere else its time is missing.
-    while len(rows) > 1 and not any(cell.strip() for cell in rows[-1]):
-        rows.pop()
-    if len(rows) < 3:
-        n_rows = "one row" if len(rows) == 2 else "no row"
-        raise InputError(f"{path}: {n_rows} of data; a recording has at least two")
-    n_used = 1 + max(header.index(name) for name in (time_name, *asked.values()))
-    _check_lengths(path, rows, n_used, delimiter)
-    cells = {name: _cells(rows, header.index(name)) for name in (time_name, *asked.values())}
-    unit_s = next((length for end, length in _DURATIONS.items() if time_name.endswith(end)), None)
-    numbers = {name: cells[name] for name in cells if unit_s is not None or name != time_name}
-    has_commas = delimiter != "," and _has_decimal_commas(path, numbers)
-    clock: Clock = "seconds"
-    if unit_s is not None:
-        time = unit_s * _numbers(path, time_name, cells[time_name], has_commas=has_commas)
-        for row in np.flatnonzero(np.isnan(time))[:1]:
-            raise InputError(
-                f"{path}: line {row + FIRST_LINE}, column {time_name}: the time is missing; add it"
-            )
-    else:
-        stamps = Timestamps(path, time_name, timezone)
-        time, clock = stamps.read(cells[time_name], first_line=FIRST_LINE)
-    _check_rising(path, time_name, time, cells[time_name], timezone)
-    columns = {
-        name: _numbers(path, column, cells[column], has_commas=has_commas) for name, column in asked.items()
-    }
+        _check_rising(time_name, time, cells[time_name], timezone, stamps=unit_s is None)
+        columns = {
+            name: _numbers(column, cells[column], has_commas=has_commas) for name, column in asked.items()
+        }
     return Recording(path, time, columns, clock, time_name)
 
 
-def _rows(path: Path, content: bytes) -> tuple[list[list[str]], str]:
-    """Return the cells of all lines, and what separates them."""
+def _place(row: int, column: str) -> str:
+    return f"line {row + FIRST_LINE}, column {column}"
+
+
+def _rows(content: bytes) -> tuple[list[list[str]], str]:
+    """Return the cells of all lines, without blanks around them, and what separates them."""
+    if content.startswith(b"PK\x03\x04"):
+        raise InputError("is a workbook, no CSV file; save its sheet as CSV")
     try:
-        if content.startswith(b"PK\x03\x04"):
-            raise InputError(f"{path}: is a workbook, no CSV file; save its sheet as CSV")
         text = _decoded(content)
         first = text.partition("\n")[0]
+        if first.startswith("sep="):
+            raise InputError(f"line 1, {quoted(first.strip())}, is for a spreadsheet alone; remove it")
         bare = re.sub('"[^"]*"', "", first)
         delimiter = next((sign for sign in ";\t" if sign in bare), ",")
-        if first.startswith("sep="):
-            raise InputError(
-                f"{path}: line 1, {quoted(first.strip())}, is for a spreadsheet alone; remove it"
-            )
-        return list(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)), delimiter
+        lines = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        rows = [[cell.strip() for cell in line] for line in lines]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(
-            f"{path}: not a readable CSV file ({error}); give a comma-separated text file"
-        ) from None
+        raise InputError(f"not a readable CSV file ({error}); give a comma-separated text file") from None
+    if not rows or not any(rows[0]):
+        raise InputError("the file is empty; the first line names the columns")
+    # A blank line at the end is no row; anywhere else its time is missing.
+    while not any(rows[-1]):
+        rows.pop()
+    return rows, delimiter
 
 
 def _composed(name: str) -> str:
@@ -181,46 +168,52 @@ def _decoded(content: bytes) -> str:
         return content.decode("cp1252")
 
 
-def _time_column(path: Path, header: list[str], asked: str | None) -> str:
-    if asked is not None and asked in header:
-        return asked
-    for name in (TIME_COLUMN, STAMP_COLUMN):
-        if name in header:
-            return name
+def _time_column(header: list[str], asked: str | None) -> str:
+    found = next((name for name in (asked, TIME_COLUMN, STAMP_COLUMN) if name in header), None)
+    if found is not None:
+        return found
     wanted = (
         f"time column {asked} is missing" if asked else f"no column {TIME_COLUMN} or {STAMP_COLUMN} is there"
     )
     raise InputError(
-        f"{path}: {wanted}; found {shortened(', '.join(header))}; name it with time_column in the case file"
+        f"{wanted}; found {shortened(', '.join(header))}; name it with time_column in the case file"
     )
 
 
-def _check_lengths(path: Path, rows: list[list[str]], n_used: int, delimiter: str) -> None:
-    """Refuse lines whose values may stand in other columns than those that they are of.
+def _cells(
+    rows: list[list[str]], header: list[str], names: list[str], delimiter: str
+) -> dict[str, list[str]]:
+    """Return the cells of columns, and refuse lines whose values may stand in other columns.
 
     That is values beyond the last column, as of decimal commas between commas, and cells that are missing up
     to the last column in use; beyond it, spreadsheets may leave out separators of empty cells.
     """
-    n = len(rows[0])
-    for line, row in enumerate(rows, start=1):
-        if len(row) > n and any(cell.strip() for cell in row[n:]):
-            hint = "; decimal commas need semicolons between the columns" if delimiter == "," else ""
+    for name in names:
+        if name not in header:
             raise InputError(
-                f"{path}: line {line} has {len(row)} cells, the header {n}; correct one of them{hint}"
+                f"column {name} is missing; correct column in the case file; there are "
+                f"{shortened(', '.join(header))}"
             )
+        if header.count(name) > 1:
+            raise InputError(f"column {name} stands {header.count(name)} times in the header; keep one")
+    if len(rows) < 3:
+        raise InputError(f"{('no', 'one')[len(rows) - 1]} row of data; a recording has at least two")
+    n, places = len(header), [header.index(name) for name in names]
+    n_used = 1 + max(places)
+    for line, row in enumerate(rows, start=1):
+        if any(row[n:]):
+            hint = "; decimal commas need semicolons between the columns" if delimiter == "," else ""
+            raise InputError(f"line {line} has {len(row)} cells, the header {n}; correct one of them{hint}")
         if len(row) < n_used:
             raise InputError(
-                f"{path}: line {line} has {len(row)} of the {n_used} cells up to column "
-                f"{shortened(rows[0][n_used - 1].strip())}; remove it, or complete it with an empty cell for "
-                "each value that is not known"
+                f"line {line} has {len(row)} of the {n_used} cells up to column "
+                f"{shortened(header[n_used - 1])}; remove it, or complete it with an empty cell for each "
+                "value that is not known"
             )
+    return {name: [row[place] for row in rows[1:]] for name, place in zip(names, places, strict=True)}
 
 
-def _cells(rows: list[list[str]], index: int) -> list[str]:
-    return [row[index].strip() for row in rows[1:]]
-
-
-def _numbers(path: Path, name: str, cells: list[str], *, has_commas: bool) -> FloatArray:
+def _numbers(name: str, cells: list[str], *, has_commas: bool) -> FloatArray:
     """Return the cells as numbers, NaN where one is empty."""
     values = np.empty(len(cells))
     for row, cell in enumerate(cells):
@@ -231,59 +224,50 @@ def _numbers(path: Path, name: str, cells: list[str], *, has_commas: bool) -> Fl
         except ValueError:
             if cell.casefold() not in _WORDS:
                 raise InputError(
-                    f"{path}: line {row + FIRST_LINE}, column {name}: {quoted(cell)} is not a number; "
-                    "correct it, or leave the cell empty"
+                    f"{_place(row, name)}: {quoted(cell)} is not a number; correct it, or leave the cell "
+                    "empty"
                 ) from None
             values[row] = _WORDS[cell.casefold()]
         if abs(values[row]) > _MOST:
             raise InputError(
-                f"{path}: line {row + FIRST_LINE}, column {name}: {shortened(cell)} is no measured value; "
-                "leave the cell empty"
+                f"{_place(row, name)}: {shortened(cell)} is no measured value; leave the cell empty"
             )
     return values
 
 
-def _has_decimal_commas(path: Path, cells: Mapping[str, list[str]]) -> bool:
+def _has_decimal_commas(cells: Mapping[str, list[str]]) -> bool:
     """Say whether a file has decimal commas; where it has points as well, one of them may mean thousands."""
-    commas, points = (
-        next(
-            (
-                (name, row)
-                for name, column in cells.items()
-                for row, cell in enumerate(column)
-                if is_one(cell)
-            ),
-            None,
-        )
-        for is_one in (_DECIMAL_COMMA.fullmatch, lambda cell: "." in cell)
-    )
-    if commas and points:
-        (comma, row_of_comma), (point, row_of_point) = commas, points
-        where = "" if point == comma else f" in column {point}"
+
+    def first(has_one: Callable[[str], object]) -> tuple[str, int, str] | None:
+        every = ((name, row, cell) for name in cells for row, cell in enumerate(cells[name]))
+        return next((one for one in every if has_one(one[2])), None)
+
+    comma, point = first(_DECIMAL_COMMA.fullmatch), first(lambda cell: "." in cell)
+    if comma and point:
+        where = "" if point[0] == comma[0] else f" in column {point[0]}"
         raise InputError(
-            f"{path}: column {comma} has a comma in {quoted(cells[comma][row_of_comma])} (line "
-            f"{row_of_comma + FIRST_LINE}) and there is a point in {quoted(cells[point][row_of_point])} "
-            f"(line {row_of_point + FIRST_LINE}{where}); write all numbers alike, without thousands signs"
+            f"column {comma[0]} has a comma in {quoted(comma[2])} (line {comma[1] + FIRST_LINE}) and there "
+            f"is a point in {quoted(point[2])} (line {point[1] + FIRST_LINE}{where}); write all numbers "
+            "alike, without thousands signs"
         )
-    return commas is not None
+    return comma is not None
 
 
-def _check_rising(path: Path, name: str, time: FloatArray, cells: list[str], timezone: str | None) -> None:
+def _check_rising(
+    name: str, time: FloatArray, cells: list[str], timezone: str | None, *, stamps: bool
+) -> None:
     for row in np.flatnonzero(np.diff(time) <= 0)[:1]:
+        before, cell = cells[row], cells[row + 1]
         said = "repeats" if time[row + 1] == time[row] else "comes before"
-        stamps = name if name == TIME_COLUMN else f"column {name}"
         hint = ""
-        if not name.endswith(tuple(_DURATIONS)) and 0 <= time[row] - time[row + 1] <= 3600.0:
-            never_set = (
-                f"; if this clock is never set forward or back, remove timezone = {timezone!r} from the case"
-            )
-            hint = (
+        if stamps and time[row] - time[row + 1] <= 3600.0:
+            hint = "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
+            if timezone:
                 # Of a clock in a time zone, the same time twice is a row twice.
-                never_set * (cells[row] != cells[row + 1])
-                if timezone
-                else "; if clocks were set back there, write the offset from UTC, or give the case a timezone"
-            )
+                never_set = "; if this clock is never set forward or back, remove timezone = "
+                hint = f"{never_set}{timezone!r} from the case" if before != cell else ""
+        column = name if name == TIME_COLUMN else f"column {name}"
         raise InputError(
-            f"{path}: line {row + FIRST_LINE + 1}: {stamps} = {shortened(cells[row + 1])} {said} the line "
-            f"above ({shortened(cells[row])}); sort the rows and drop duplicates{hint}"
+            f"line {row + FIRST_LINE + 1}: {column} = {shortened(cell)} {said} the line above "
+            f"({shortened(before)}); sort the rows and drop duplicates{hint}"
         )

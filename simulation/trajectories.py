@@ -1,6 +1,5 @@
 """Simulated series with the parameters that made them."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import BoolArray, FloatArray, digest_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +100,9 @@ class Trajectories:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the content (names, time, parameters, outputs, reasons), in hexadecimal."""
-        content = hashlib.sha256()
-        for names in (self.parameter_names, self.output_names, self.failures):
-            content.update(repr(names).encode())
-        for array in (self.time, self.theta, self.y):
-            content.update(repr(array.shape).encode())
-            content.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return content.hexdigest()
+        names = [repr(one) for one in (self.parameter_names, self.output_names, self.failures)]
+        arrays = (self.time, self.theta, self.y)
+        return digest_of(*names, *(part for array in arrays for part in (repr(array.shape), array)))
 
     def take(self, indices: npt.ArrayLike) -> "Trajectories":
         """Select rows.

@@ -170,7 +170,7 @@ def _names(case: Case) -> Finding:
         "names, units, bounds",
         "ok",
         f"{count(case.parameter_space.n_parameters, 'parameter')}, {count(n_inputs, 'input')} and "
-        f"{count(len(case.outputs), 'output')} are in {case.fmu_path.name}, units agree",
+        f"{count(len(case.outputs), 'output')} are in {case.fmu.path.name}, units agree",
     )
 
 

@@ -240,4 +240,4 @@ def _timed(model: ForwardModel, row: FloatArray) -> tuple[Trajectories, float]:
 
 
 def _in_short(error: InputError, case: Case) -> str:
-    return " ".join(str(error).split()).removeprefix(f"{case.fmu_path}: ")
+    return " ".join(str(error).split()).removeprefix(f"{case.fmu.path}: ")

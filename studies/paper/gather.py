@@ -62,7 +62,7 @@ def build_page(plan: Plan) -> Path:
                 ("seed", str(study.profile.seed)),
                 ("items there", f"{len(there)} of {len(ITEMS)}"),
             ),
-            digests=(("case", study.case.digest), ("FMU", study.case.fmu_sha256)),
+            digests=(("case", study.case.digest), ("FMU", study.case.fmu.sha256)),
             versions=tuple(versions().items()),
         ),
     )

@@ -131,7 +131,7 @@ def declarations(study: Study, simulated: Summary) -> list[Declaration]:
             "files": {name: study.paths.relative(files[name]) for name in SETS},
             "digests": {
                 "case": study.case.digest,
-                "fmu": study.case.fmu_sha256,
+                "fmu": study.case.fmu.sha256,
                 "train": sets["train"].take(np.arange(n_train)).digest,
                 "validation": sets["validation"].digest,
                 "test": sets["test"].digest,

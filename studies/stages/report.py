@@ -152,7 +152,7 @@ def _provenance(study: Study) -> Provenance:
         ),
         digests=(
             ("case", case.digest),
-            ("FMU", case.fmu_sha256),
+            ("FMU", case.fmu.sha256),
             ("measurement", case.measurement.digest),
         ),
         versions=tuple(versions().items()),

@@ -16,7 +16,7 @@ def test_a_case_holds_what_its_file_says(decay_case: Path):
     case = load_case(decay_case)
     assert (case.name, case.title, case.note, case.interface) == ("decay", "One state", "", "co-simulation")
     assert case.path == decay_case / "case.toml"
-    assert case.fmu_path == decay_case / "decay.fmu"
+    assert case.fmu.path == decay_case / "decay.fmu"
     assert case.window_d == (0.25, 0.75)
     assert (case.communication_step_s, case.output_step_s) == (600, 1800)
     assert case.parameter_space.names == ("k", "mode")

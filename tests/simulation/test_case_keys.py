@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulation.case import load_case
-from simulation.case_units import with_units
+from simulation.case_parts import with_units
 from simulation.errors import InputError
 from simulation.workers.execution import ExecutionPolicy
 
@@ -384,5 +384,5 @@ def test_the_case_says_the_unit_that_the_fmu_does_not(decay_case: Path):
     assert said.model_digest != plain.model_digest
     silent = replace(plain.fmu.variables["y"], unit="")
     bare = replace(plain.fmu, variables={**plain.fmu.variables, "y": silent})
-    assert with_units(bare, {"y": "K"}, decay_case).variables["y"].unit == "K"
-    assert with_units(bare, {"z": "K"}, decay_case) is bare
+    assert with_units(bare, {"y": "K"}).variables["y"].unit == "K"
+    assert with_units(bare, {"z": "K"}) is bare

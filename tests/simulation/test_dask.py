@@ -68,7 +68,7 @@ def test_the_fmu_travels_by_its_content(cluster: Any, decay_case: Path):
     with dask_executor(cluster.scheduler_address) as executor:
         model = ExecutorModel(case.make_model, executor)
         # The other machines have another file under this name, or none.
-        hidden = case.fmu_path.with_suffix(".away")
-        shutil.move(case.fmu_path, hidden)
+        hidden = case.fmu.path.with_suffix(".away")
+        shutil.move(case.fmu.path, hidden)
         assert model.simulate(rows).digest == expected.digest
         assert model.simulate(rows[::-1]).digest == expected.take(np.arange(30)[::-1]).digest
