@@ -31,6 +31,9 @@ from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.workers.execution import ExecutionPolicy
 
+_CHOSEN = ("relative_tolerance", "accepted", "warmup_theta", "parameter_factors", "parameter_offsets")
+"""Settings that decide what a model answers; None is as usual."""
+
 
 @dataclass(frozen=True)
 class Output:
@@ -142,28 +145,16 @@ class Case:
     @property
     def _named(self) -> dict[str, Any]:
         """What decides answers and has a name; what the case leaves as usual is left out."""
-        settings = self.settings
-        chosen = {
-            "relative_tolerance": settings.relative_tolerance,
-            "accepted": settings.accepted,
-            "warmup_theta": settings.warmup_theta if settings.shared_warmup else None,
-            "parameter_factors": settings.parameter_factors,
-            "parameter_offsets": settings.parameter_offsets,
-            "watched": list(self.watched) or None,
-            "said_units": dict(self.said_units) or None,
-        }
+        chosen = {name: getattr(self.settings, name) for name in _CHOSEN}
+        chosen |= {"watched": list(self.watched) or None, "said_units": dict(self.said_units) or None}
         return {
             "fmu": self.fmu.sha256,
-            "interface": settings.interface,
+            "interface": self.interface,
             "parameters": list(self.parameter_space.names),
             "fixed": sorted(self.fixed.items()),
             "inputs": list(self.scenario.input_names),
             "outputs": [(output.name, output.unit) for output in self.outputs],
-        } | {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in chosen.items()
-            if value is not None
-        }
+        } | {name: value for name, value in chosen.items() if value is not None}
 
     @property
     def make_model(self) -> Callable[[], FmuModel]:
@@ -291,4 +282,4 @@ def _unless(usual: float, values: list[float]) -> FloatArray | None:
 
 
 def _json(content: dict[str, Any]) -> str:
-    return json.dumps(content, sort_keys=True)
+    return json.dumps(content, sort_keys=True, default=np.ndarray.tolist)

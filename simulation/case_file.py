@@ -301,6 +301,8 @@ class CaseFile(Table):
             for name in names:
                 if names.count(name) > 1:
                     raise ValueError(f"{key}[{name}] is declared {names.count(name)} times; keep one")
-                if name in self.fixed and key != "outputs":
-                    raise ValueError(f"fixed.{name}: {name} is also under [[{key}]]; drop one of the two")
+                if name in self.fixed and key == "parameters":
+                    raise ValueError(
+                        f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two"
+                    )
         return self

@@ -73,11 +73,13 @@ def _into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> 
 
 
 def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
-    """Check that every input of the FMU has a source: a recording, or a value that it is held at."""
-    driven = {table.name for table in file.inputs} | file.fixed.keys()
+    """Check that every input of the FMU has one source: a recording, or a value that it is held at."""
+    driven = {table.name for table in file.inputs}
+    for name in driven & file.fixed.keys():
+        raise InputError(f"inputs[{name}] is also under [fixed]; drop one of the two")
     for name in fmu.names("input"):
         # What nothing can set must not stand in the way of the others; the doctor tells of it.
-        if name not in driven and not fmu.variables[name].is_out_of_reach:
+        if not (name in driven or name in file.fixed or fmu.variables[name].is_out_of_reach):
             raise InputError(
                 f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
                 "start; or hold it at a value under [fixed]"

@@ -5,7 +5,6 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.trajectories import Trajectories
-from simulation.wording import noun_of
 
 
 class BudgetExceeded(RuntimeError):  # noqa: N818 - the end of a budget is an event, not a mistake
@@ -65,4 +64,4 @@ class CountingModel(WrappedModel):
         left = budget - self._n_calls
         if left:
             return f"the next step takes {n} calls and the budget of {budget} has only {left} left"
-        return f"the budget of {budget} {noun_of(budget, 'call')} is spent"
+        return f"the budget of {budget} {'call' if budget == 1 else 'calls'} is spent"

@@ -23,13 +23,8 @@ LIMITS_VARIABLE: Final = "STUDIES_LIMITS"
 _MB: Final = 1_000_000
 _DEEPEST: Final = 64
 _DOTTED = re.compile(rf"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST},}}+")
-_KINDS: Final = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
+# By the letter that `ls -l` writes for it.
+_KINDS: Final = {"d": "a folder", "p": "a pipe", "s": "a socket", "c": "a device", "b": "a device"}
 
 
 @dataclass(frozen=True)
@@ -185,7 +180,7 @@ def check_members(members: Sequence[zipfile.ZipInfo], where: str) -> None:
 
 def _check_kind(path: Path, found: os.stat_result, limit: Limit) -> None:
     if not stat.S_ISREG(found.st_mode):
-        what = next((name for is_one, name in _KINDS if is_one(found.st_mode)), "no regular file")
+        what = _KINDS.get(stat.filemode(found.st_mode)[0], "no regular file")
         raise InputError(f"{path}: is {what}; give {limit.what} as a regular file")
     limit.check(found.st_size / _MB, str(path))
 

@@ -43,12 +43,7 @@ class Scenario:
     @cached_property
     def time(self) -> FloatArray:
         """Times of the reported outputs; without a warm-up the first edge is one. Shape (t,). [s]."""
-        return self.time_simulated[self.n_warmup :].copy()
-
-    @property
-    def time_simulated(self) -> FloatArray:
-        """Times of all outputs, the warm-up's included. Shape (n_warmup + t,). [s]."""
-        return self.time_communication[:: self.output_every]
+        return self.time_communication[self.n_warmup * self.output_every :: self.output_every].copy()
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:

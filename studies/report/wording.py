@@ -6,11 +6,20 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from simulation.wording import noun_of
-
 MISSING = "–"
 AT_BOUND = 0.01
 """Closer to a bound than this share of the range is at the bound."""
+
+
+def noun_of(n: int, noun: str, several: str = "") -> str:
+    """Return the noun for so many things: call, calls.
+
+    Args:
+        n: How many there are.
+        noun: What one of them is called.
+        several: What several are called where an s is not enough.
+    """
+    return noun if n == 1 else several or f"{noun}s"
 
 
 def significant(value: float, digits: int = 3) -> str:

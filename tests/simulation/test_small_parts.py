@@ -15,7 +15,7 @@ from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
 from simulation.toy import IshigamiToy, ProductToy, ToyRC
-from simulation.wording import noun_of
+from studies.report.wording import noun_of
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
