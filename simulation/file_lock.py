@@ -36,7 +36,8 @@ class FileLock:
         Raises:
             MachineError: If there are no locks where the file lies.
         """
-        self._file.parent.mkdir(parents=True, exist_ok=True)
+        if not self._file.parent.is_dir():
+            self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if self._shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
@@ -49,6 +50,11 @@ class FileLock:
             ) from error
         self._descriptor = descriptor
         return True
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it is held here."""
+        return self._descriptor is not None
 
     def acquire(self) -> None:
         """Wait until the lock is held."""

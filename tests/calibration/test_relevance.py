@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 from problems_for_tests import Diary, FailsInBand, problem_on
+from toys_for_tests import IshigamiToy
 
 from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
 from simulation.parameters import Belief, Parameter, ParameterSpace
-from simulation.toy import IshigamiToy
 from simulation.trajectories import Trajectories
 from studies.calibration.freeing import freeing
 from studies.calibration.polish import LeastSquaresTRF

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toys_for_tests import IshigamiToy, ProductToy
 
 from simulation.case import load_case
 from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.toy import IshigamiToy, ProductToy, ToyRC
+from simulation.toy import ToyRC
 from simulation.workers.parallel import ParallelModel
 
 MODELS = [

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toys_for_tests import IshigamiToy, ProductToy
 
 from simulation.counting import BudgetExceeded, CountingModel
 from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
-from simulation.toy import IshigamiToy, ProductToy, ToyRC
+from simulation.toy import ToyRC
 from studies.report.wording import noun_of
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])

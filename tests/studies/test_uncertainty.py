@@ -5,13 +5,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from toys_for_tests import ProductToy
 
 from simulation.counting import CountingModel
 from simulation.errors import InputError
 from simulation.forward_model import WrappedModel
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.toy import ProductToy
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.prior import Prior
