@@ -15,6 +15,10 @@ class CountingModel(WrappedModel):
     """A model that counts the rows it is asked for and refuses to exceed a budget.
 
     Optimizers are never trusted to count: SciPy leaves finite differences out of `nfev`, for one.
+
+    Attributes:
+        budget: Most rows that may ever be asked for; None for no limit.
+        n_calls: Rows asked for so far, failed ones included.
     """
 
     def __init__(self, model: ForwardModel, budget: int | None = None) -> None:
@@ -27,18 +31,8 @@ class CountingModel(WrappedModel):
         if budget is not None and budget < 0:
             raise ValueError(f"budget is {budget}; give a number of rows, at least 0")
         super().__init__(model)
-        self._budget = budget
-        self._n_calls = 0
-
-    @property
-    def n_calls(self) -> int:
-        """Rows asked for so far, failed ones included."""
-        return self._n_calls
-
-    @property
-    def budget(self) -> int | None:
-        """Most rows that may ever be asked for; None for no limit."""
-        return self._budget
+        self.budget = budget
+        self.n_calls = 0
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Count the rows and simulate them.
@@ -53,15 +47,15 @@ class CountingModel(WrappedModel):
             BudgetExceeded: If the rows would exceed the budget; nothing is simulated or counted then.
         """
         n = len(np.asarray(theta))
-        if self._budget is not None and self._n_calls + n > self._budget:
+        if self.budget is not None and self.n_calls + n > self.budget:
             raise BudgetExceeded(self._why_no_more(n))
-        self._n_calls += n
+        self.n_calls += n
         return self._model.simulate(theta)
 
     def _why_no_more(self, n: int) -> str:
         """Say how so many rows do not fit into the budget, as the reason why a search ends."""
-        budget = self._budget or 0
-        left = budget - self._n_calls
+        budget = self.budget or 0
+        left = budget - self.n_calls
         if left:
             return f"the next step takes {n} calls and the budget of {budget} has only {left} left"
         return f"the budget of {budget} {'call' if budget == 1 else 'calls'} is spent"

@@ -1,7 +1,7 @@
 """Simulated series with the parameters that made them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,9 +66,9 @@ class Trajectories:
         """
         theta = np.array(theta, dtype=np.float64)
         y = np.asarray(y, dtype=np.float64)
-        reasons = list(failures) if failures is not None else [""] * len(theta)
+        reasons = [""] * len(theta) if failures is None else list(failures)
         for row in np.flatnonzero(~np.isfinite(theta).all(axis=1)):
-            column = int(np.flatnonzero(~np.isfinite(theta[row]))[0])
+            column = int(np.argmin(np.isfinite(theta[row])))
             reasons[row] = reasons[row] or f"parameter {parameter_names[column]} is {theta[row, column]}"
         for row in np.flatnonzero(~np.isfinite(y).all(axis=(1, 2))):
             step, column = np.argwhere(~np.isfinite(y[row]))[0]
@@ -78,14 +78,8 @@ class Trajectories:
         failed = np.array([reason != "" for reason in reasons], dtype=np.bool_)
         if failed.any():
             y = np.where(failed[:, None, None], np.nan, y)
-        return cls(
-            theta=theta,
-            y=y,
-            time=np.asarray(time, dtype=np.float64),
-            parameter_names=tuple(parameter_names),
-            output_names=tuple(output_names),
-            failures=tuple(reasons),
-        )
+        time = np.asarray(time, dtype=np.float64)
+        return cls(theta, y, time, tuple(parameter_names), tuple(output_names), tuple(reasons))
 
     @property
     def n(self) -> int:
@@ -116,14 +110,8 @@ class Trajectories:
         chosen = np.asarray(indices)
         # An empty list comes as floats.
         rows = np.arange(self.n)[chosen if chosen.size else chosen.astype(np.intp)]
-        return Trajectories(
-            theta=self.theta[rows],
-            y=self.y[rows],
-            time=self.time,
-            parameter_names=self.parameter_names,
-            output_names=self.output_names,
-            failures=tuple(self.failures[row] for row in rows),
-        )
+        failures = tuple(self.failures[row] for row in rows)
+        return replace(self, theta=self.theta[rows], y=self.y[rows], failures=failures)
 
     @classmethod
     def concatenate(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
@@ -140,19 +128,17 @@ class Trajectories:
         """
         if not parts:
             raise ValueError("there is nothing to concatenate")
-        first = parts[0]
-        for part in parts[1:]:
-            same_names = (part.parameter_names, part.output_names) == (
+        first, *others = parts
+        for part in others:
+            has_same_names = (part.parameter_names, part.output_names) == (
                 first.parameter_names,
                 first.output_names,
             )
-            if not (same_names and np.array_equal(part.time, first.time)):
+            if not (has_same_names and np.array_equal(part.time, first.time)):
                 raise ValueError("trajectories of different models or time grids cannot be concatenated")
-        return cls(
+        return replace(
+            first,
             theta=np.concatenate([part.theta for part in parts]),
             y=np.concatenate([part.y for part in parts]),
-            time=first.time,
-            parameter_names=first.parameter_names,
-            output_names=first.output_names,
             failures=tuple(reason for part in parts for reason in part.failures),
         )
