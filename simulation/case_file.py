@@ -1,7 +1,7 @@
 """The case file's schema: every key a case.toml may hold, and what its keys alone may contradict."""
 
 import difflib
-from collections.abc import Sequence
+from collections import Counter
 from datetime import date
 from typing import Annotated, Any, Literal, Self
 
@@ -291,18 +291,13 @@ class CaseFile(Table):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         zone_named(self.timezone)
-        named: dict[str, Sequence[InputTable | OutputTable | ParameterTable]] = {
-            "inputs": self.inputs,
-            "outputs": self.outputs,
-            "parameters": self.parameters,
-        }
-        for key, tables in named.items():
-            names = [table.name for table in tables]
-            for name in names:
-                if names.count(name) > 1:
-                    raise ValueError(f"{key}[{name}] is declared {names.count(name)} times; keep one")
-                if name in self.fixed and key == "parameters":
-                    raise ValueError(
-                        f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two"
-                    )
+        inputs = Counter(f"inputs[{table.name}]" for table in self.inputs)
+        outputs = Counter(f"outputs[{table.name}]" for table in self.outputs)
+        parameters = Counter(f"parameters[{table.name}]" for table in self.parameters)
+        for key, n in (inputs | outputs | parameters).items():
+            if n > 1:
+                raise ValueError(f"{key} is declared {n} times; keep one")
+        for name in self.fixed:
+            if f"parameters[{name}]" in parameters:
+                raise ValueError(f"fixed.{name}: {name} is also under [[parameters]]; drop one of the two")
         return self

@@ -37,14 +37,16 @@ def with_units(fmu: FmuDescription, units: Mapping[str, str]) -> FmuDescription:
         InputError: If the FMU declares another one.
     """
     changed = {}
-    for name in units.keys() & fmu.variables.keys():
-        variable = fmu.variables[name]
-        if variable.unit and variable.unit != units[name]:
+    for name, unit in units.items():
+        variable = fmu.variables.get(name)
+        if variable is None:
+            continue
+        if variable.unit and variable.unit != unit:
             raise InputError(
-                f'{name}: fmu_unit = "{units[name]}" contradicts the FMU\'s "{variable.unit}"; drop it, and '
+                f'{name}: fmu_unit = "{unit}" contradicts the FMU\'s "{variable.unit}"; drop it, and '
                 "give in unit what the CSV file holds"
             )
-        changed[name] = replace(variable, unit=units[name])
+        changed[name] = replace(variable, unit=unit)
     return replace(fmu, variables={**fmu.variables, **changed}) if changed else fmu
 
 
@@ -74,9 +76,10 @@ def _into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> 
 
 def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
     """Check that every input of the FMU has one source: a recording, or a value that it is held at."""
-    driven = {table.name for table in file.inputs}
-    for name in driven & file.fixed.keys():
-        raise InputError(f"inputs[{name}] is also under [fixed]; drop one of the two")
+    driven = [table.name for table in file.inputs]
+    for name in driven:
+        if name in file.fixed:
+            raise InputError(f"inputs[{name}] is also under [fixed]; drop one of the two")
     for name in fmu.names("input"):
         # What nothing can set must not stand in the way of the others; the doctor tells of it.
         if not (name in driven or name in file.fixed or fmu.variables[name].is_out_of_reach):
