@@ -210,7 +210,7 @@ class ParameterTable(Table):
         if self.scale == "log":
             right, wrong, needed = (factor, within, "within_factor, like 1.5, and no within")
         if right is None or wrong is not None:
-            raise ValueError(f'scale = "{self.scale}", so its prior needs {needed}')
+            raise ValueError(f'prior does not fit scale = "{self.scale}"; write {needed}')
         if self.prior.about is None and self.estimate is None:
             raise ValueError("prior has neither about nor an estimate to lie around; add about = ...")
         return self

@@ -48,12 +48,12 @@ def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     key = _key(location, content)
     if kind == "missing":
         return f"key {key} is missing; add it"
-    told = _PLAIN.get(kind, shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED))
+    fault_text = _PLAIN.get(kind, shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED))
     if kind == "model_type" and location[-1:] == ("prior",):
-        told = _prior_remedy(value, content["parameters"][location[1]])
+        fault_text = _prior_remedy(value, content["parameters"][location[1]])
     if not isinstance(value, dict | list):
         key += f" = {quoted(value)}"
-    return (f"{key}: " if key else "") + told + ("" if "; " in told else "; correct it")
+    return (f"{key}: " if key else "") + fault_text + ("" if "; " in fault_text else "; correct it")
 
 
 _PLAIN = {
@@ -73,8 +73,8 @@ _FIXED_REMEDY = (
 
 def _quoted(name: str, value: object) -> str:
     """Say how to write a name with dots, which TOML takes for tables in tables; "" where there is none."""
-    path, told = name, {*FirstMeasured.model_fields, *ValueWithUnit.model_fields}
-    while isinstance(value, dict) and len(value) == 1 and not told & value.keys():
+    path, keys = name, {*FirstMeasured.model_fields, *ValueWithUnit.model_fields}
+    while isinstance(value, dict) and len(value) == 1 and not keys & value.keys():
         ((part, value),) = value.items()
         path += f".{part}"
     return "" if path == name else f'a name with dots needs quotes; write "{shortened(path)}" = <its value>'

@@ -1,4 +1,4 @@
-"""What a user is told in one line: their own files and options are wrong, or the machine is in the way."""
+"""Errors of one line for the user: their own files and options are wrong, or the machine is in the way."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +9,7 @@ class InputError(ValueError):
 
 
 class MachineError(InputError):
-    """The machine is in the way: told as well, but once it is put right, the same words will do."""
+    """The machine is in the way: also one line, but once it is put right, the same command will do."""
 
 
 @contextmanager

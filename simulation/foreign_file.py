@@ -154,9 +154,9 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise InputError(f"{where}: a number has thousands of digits; correct it") from None
 
 
-def _line_remedy(text: str, told: str) -> str:
+def _line_remedy(text: str, fault: str) -> str:
     """Say what to do about the line that is no TOML: often a key that only quotes make one."""
-    place = re.search(r"at line (\d+)", told)
+    place = re.search(r"at line (\d+)", fault)
     line = text.splitlines()[int(place[1]) - 1] if place else ""
     key = re.match(r"\s*([^\s=\"'#\[{][^=\"'#]*?)\s*=", line)
     if key and not re.fullmatch(r"[\w.-]+", key[1], re.ASCII):

@@ -106,7 +106,7 @@ class ParameterSpace:
     @cached_property
     def expected(self) -> FloatArray:
         """Estimates, and the middle of the box where there is none. Shape (p,). [per parameter]."""
-        estimates = np.array([np.nan if one.estimate is None else one.estimate for one in self.parameters])
+        estimates = np.array([one.estimate for one in self.parameters], dtype=np.float64)  # NaN for None
         return np.where(np.isnan(estimates), self.from_unit(np.full(self.n_parameters, 0.5)), estimates)
 
     @cached_property
