@@ -21,8 +21,14 @@ from simulation.fmi.declared import (
     number_or_none,
     read_model,
 )
-from simulation.fmi.kinds import SETTERS
-from simulation.fmi.variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
+from simulation.fmi.variable import (
+    REAL_KINDS,
+    SETTERS,
+    DefaultExperiment,
+    FmiVersion,
+    FmuInterface,
+    FmuVariable,
+)
 from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, read_limited
 from simulation.foreign_text import shortened
 from simulation.units import UnitDefinition

@@ -16,7 +16,7 @@ from simulation.fmi.numbers import wrong_number, wrong_output
 from simulation.fmi.plan import run_plan
 from simulation.fmi.runner import Runner
 from simulation.fmi.unpack import unpacked
-from simulation.fmi.variable import Interface
+from simulation.fmi.variable import Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
 from simulation.scratch import ScratchFolder
@@ -52,7 +52,7 @@ class FmuSettings:
     scenario: Scenario
     output_names: tuple[str, ...]
     output_offsets: FloatArray
-    fixed: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    fixed: Mapping[str, Value] = field(default_factory=dict)
     interface: Interface = "co-simulation"
     relative_tolerance: float | None = None
     accepted: FloatArray | None = None
@@ -126,7 +126,7 @@ class FmuModel:
             tolerance=settings.relative_tolerance,
         )
         # The warm-up is simulated into rows that are not handed out.
-        self._y_simulated = np.empty((plan.n_simulated, len(settings.output_names)))
+        self._y_simulated = plan.empty_y()
         scratch = unpacked(settings.path)
         try:
             self._runner = open_runner(
@@ -139,7 +139,6 @@ class FmuModel:
         except BaseException:
             scratch.remove()
             raise
-        self._opened = (description, plan, scratch.folder)
         # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
         self._finalizer = weakref.finalize(self, _close, self._runner, scratch)
 

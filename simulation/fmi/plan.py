@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.variable import FmuVariable
+from simulation.fmi.variable import FmuVariable, Value
 from simulation.scenario import Scenario
 
 
@@ -22,7 +22,6 @@ class RunPlan:
         input_variables: The inputs. Length n_inputs.
         inputs: Input of each step, constant over it. Shape (m, n_inputs). [FMU's units]
         output_references: Value references. Shape (k,), uint32.
-        outputs: The outputs. Length k.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
         n_warmup: Outputs before those that are reported.
@@ -30,11 +29,10 @@ class RunPlan:
     """
 
     calibrated: tuple[FmuVariable, ...]
-    fixed: tuple[tuple[FmuVariable, float | int | bool | str], ...]
+    fixed: tuple[tuple[FmuVariable, Value], ...]
     input_variables: tuple[FmuVariable, ...]
     inputs: FloatArray
     output_references: Any
-    outputs: tuple[FmuVariable, ...]
     edges: FloatArray
     output_every: int
     n_warmup: int
@@ -50,13 +48,17 @@ class RunPlan:
         """Number of outputs of a row, the warm-up's included."""
         return self.n_steps // self.output_every + 1
 
+    def empty_y(self) -> FloatArray:
+        """Return an array for the outputs of a row, the warm-up's included. Shape (n_simulated, k)."""
+        return np.empty((self.n_simulated, len(self.output_references)))
+
 
 def run_plan(
     description: FmuDescription,
     scenario: Scenario,
     *,
     calibrated: Sequence[str],
-    fixed: Mapping[str, float | int | bool | str],
+    fixed: Mapping[str, Value],
     outputs: Sequence[str],
     tolerance: float | None,
 ) -> RunPlan:
@@ -81,21 +83,16 @@ def run_plan(
     def found(names: Sequence[str], causality: str) -> tuple[FmuVariable, ...]:
         return tuple(description.require(name, causality, where) for name in names)
 
-    def references(variables: Sequence[FmuVariable]) -> Any:
-        return np.array([variable.reference for variable in variables], dtype=np.uint32)
-
-    output_variables = found(outputs, "output")
-    input_variables = found(scenario.input_names, "input")
+    references = [variable.reference for variable in found(outputs, "output")]
     return RunPlan(
         calibrated=found(calibrated, "parameter"),
         fixed=tuple(
             (description.find(name, "parameter", where, may_be_input=True), value)
             for name, value in fixed.items()
         ),
-        input_variables=input_variables,
+        input_variables=found(scenario.input_names, "input"),
         inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
-        output_references=references(output_variables),
-        outputs=output_variables,
+        output_references=np.array(references, dtype=np.uint32),
         edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
         output_every=scenario.output_every,
         n_warmup=scenario.n_warmup,

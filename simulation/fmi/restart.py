@@ -50,7 +50,6 @@ class RestartingRunner:
         trusting: bool = False,
         prepare: Callable[[], str] | None = None,
         n_ignored: int = 0,
-        answers_differ: bool = True,
     ) -> None:
         """Take over an instance.
 
@@ -61,7 +60,6 @@ class RestartingRunner:
             trusting: Whether the second row is started over before that is proven.
             prepare: What every new instance goes through before its first row; says why it failed.
             n_ignored: Outputs at the start of a row that are not compared.
-            answers_differ: Whether other parameters are to be answered otherwise, to the last bit at least.
         """
         self._instance = instance
         self._solver = solver
@@ -69,7 +67,6 @@ class RestartingRunner:
         self._trusting = trusting and bool(ways)
         self._prepare = prepare
         self._n_ignored = n_ignored
-        self._answers_differ = answers_differ
         self._proven = not ways
         self._untouched = True
         self._prepared = False
@@ -159,7 +156,7 @@ class RestartingRunner:
         """Bring the instance back by one of the ways; return whether the FMU says that it is."""
         if way == "reset":
             return self._instance.reset()
-        return bool(self._state) and self._instance.call("SetFMUstate", self._state) <= WARNING
+        return bool(self._state) and self._instance.call("SetFMUState", self._state) <= WARNING
 
     def _prove(self, values: FloatArray, y: FloatArray) -> None:
         """Settle how rows are started over, just after the row of these values and outputs.
@@ -170,7 +167,7 @@ class RestartingRunner:
         """
         assert self._first is not None
         first_values, first_y = self._first
-        if self._answers_differ and self._same(y, first_y):
+        if self._same(y, first_y):
             raise NeedsFreshProcess("the FMU answers other parameters like its first ones, to the last bit")
         again = np.empty_like(y)
         while self._ways:
@@ -206,13 +203,13 @@ class RestartingRunner:
         return np.array_equal(y[self._n_ignored :], other[self._n_ignored :])
 
     def _save_state(self) -> None:
-        status = self._instance.call("GetFMUstate", ctypes.addressof(self._state))
+        status = self._instance.call("GetFMUState", ctypes.addressof(self._state))
         if status > WARNING:
             self._state = ctypes.c_void_p(None)
         self._instance.keeps_state = bool(self._state)
 
     def _forget_state(self) -> None:
         if self._state and not self._instance.lost:
-            self._instance.call("FreeFMUstate", ctypes.addressof(self._state))
+            self._instance.call("FreeFMUState", ctypes.addressof(self._state))
         self._state = ctypes.c_void_p(None)
         self._instance.keeps_state = False

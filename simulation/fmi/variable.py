@@ -2,12 +2,38 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal
+
+import numpy as np
 
 Interface = Literal["co-simulation", "model-exchange"]
 FmiVersion = Literal["2.0", "3.0"]
 
+Value = float | int | bool | str
+
 REAL_KINDS: Final = ("Real", "Float64", "Float32")
+# The function that sets variables of a kind and the C type of its values, None for text; by FMI version.
+SETTERS: Final[dict[str, dict[str, tuple[str, Any]]]] = {
+    "fmi2": {
+        "Real": ("SetReal", np.float64),
+        "Integer": ("SetInteger", np.int32),
+        "Enumeration": ("SetInteger", np.int32),
+        "Boolean": ("SetBoolean", np.int32),
+        "String": ("SetString", None),
+    },
+    "fmi3": {
+        "Float64": ("SetFloat64", np.float64),
+        "Float32": ("SetFloat32", np.float32),
+        "Enumeration": ("SetInt64", np.int64),
+        "Boolean": ("SetBoolean", np.uint8),
+        "String": ("SetString", None),
+        **{
+            f"{sign}Int{bits}": (f"Set{sign}Int{bits}", np.dtype(f"{sign.lower()}int{bits}").type)
+            for sign in ("", "U")
+            for bits in (8, 16, 32, 64)
+        },
+    },
+}
 
 
 @dataclass(frozen=True)
