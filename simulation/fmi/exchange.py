@@ -66,7 +66,7 @@ class ModelExchange:
         """Simulate one row; see Solver."""
         if failure := self._start.begin(values):
             return failure
-        plan, cvode = self._plan, self._cvode
+        plan = self._plan
         self._table[calls.COMPONENT] = self._instance.component
         end, time = loop.simulate_row(
             self._table,
@@ -76,9 +76,7 @@ class ModelExchange:
             plan.edges,
             plan.output_every,
             self._tolerance,
-            cvode.x,
-            cvode.x_between,
-            cvode.absolute,
+            self._cvode.vectors,
             y,
         )
         return "" if end == loop.GOOD else self._reason(end, time)

@@ -47,9 +47,9 @@ class Cvode:
     """A CVODE memory for n states (backward differences, Newton, dense); freed when it is forgotten.
 
     Attributes:
-        x: States that CVODE reads at a restart and writes after a step. Shape (max(1, n),).
-        x_between: States at a time inside the last step. Shape (max(1, n),).
-        absolute: Absolute tolerances, read at each call of CVodeSVtolerances. Shape (max(1, n),).
+        vectors: States that CVODE reads at a restart and writes after a step, states at a time inside the
+            last step, absolute tolerances that are read at each call of CVodeSVtolerances. Each of shape
+            (max(1, n),).
     """
 
     def __init__(self, table: IntArray, *, relative_tolerance: float, longest_step_s: float) -> None:
@@ -68,10 +68,8 @@ class Cvode:
         # Its messages would go to the terminal; the flags tell what happened.
         _check(core.SUNContext_ClearErrHandlers(context))
         vectors = [sundials.N_VNew_Serial(n, context) for _ in range(3)]
-        self.x, self.x_between, self.absolute = (
-            np.ctypeslib.as_array(sundials.NV_DATA_S(vector), (n,)) for vector in vectors
-        )
-        for values, at_first in ((self.x, 0.0), (self.x_between, 0.0), (self.absolute, relative_tolerance)):
+        self.vectors = tuple(np.ctypeslib.as_array(sundials.NV_DATA_S(one), (n,)) for one in vectors)
+        for values, at_first in zip(self.vectors, (0.0, 0.0, relative_tolerance), strict=True):
             values[:] = at_first
         matrix = _Pointer(sundials.SUNDenseMatrix(n, n, context))
         linear = _Pointer(sundials.SUNLinSol_Dense(vectors[0], matrix, context))

@@ -59,75 +59,69 @@ MOST_ITERATIONS: Final = 1_000
 # Successive steps too small to move the time.
 MOST_STUCK: Final = 100
 
+# Events in which no step's inputs are set.
+_NO_INPUTS: Final = -1
+_FIRST: Final = -2
+
 _ONE_STEP: Final = 2
 _ROOT_RETURN: Final = 2
 _EPSILON: Final = 2.0**-52
 
 
 @compiled
-def _settle(
-    table: Any,
-    time: float,
-    info: FloatArray,
-    x: FloatArray,
-    absolute: FloatArray,
-    rtol: float,
-    is_first: bool,
-) -> tuple[int, float]:
-    """Go from event mode to continuous time, and start CVODE anew; how it ended, the next time event."""
-    again, nominals, later = True, is_first, np.inf
-    for _ in range(MOST_ITERATIONS):
-        good, again, ends, changed, later = update_discrete_states(table, info)
-        if not good:
-            return BAD_CALL, later
-        if ends:
-            return ENDED, later
-        nominals = nominals or changed
-        if not again:
-            break
-    if again:
-        return ENDLESS_ITERATION, later
-    if not called(table, ENTER_CONTINUOUS, ()):
-        return BAD_CALL, later
-    n = table[N_STATES]
-    if n > 0:
-        if not called(table, GET_STATES, (x.ctypes.data, n)):
-            return BAD_CALL, later
-        table[NOT_FINITE] = first_not_finite(x)
-        if table[NOT_FINITE] != 0:
-            return BAD_STATE, later
-        if nominals:
-            if not called(table, GET_NOMINALS, (absolute.ctypes.data, n)):
-                return BAD_CALL, later
-            for index in range(n):
-                size = abs(absolute[index])
-                absolute[index] = rtol * (size if size > 0.0 and np.isfinite(size) else 1.0)
-            call_status(table[TOLERANCES], (table[SOLVER], rtol, table[ABSOLUTE]))
-    if n + table[N_INDICATORS] > 0:
-        return min(GOOD, call_status(table[RESTART], (table[SOLVER], time, table[X]))), later
-    return GOOD, later
-
-
-@compiled
 def _go_through_event(
-    table: Any,
-    time: float,
-    info: FloatArray,
-    x: FloatArray,
-    absolute: FloatArray,
-    rtol: float,
-    inputs: Any,
-    step: int,
+    table: Any, time: float, info: FloatArray, vectors: Any, rtol: float, inputs: Any, step: int
 ) -> tuple[int, float]:
-    """Go through an event in which the inputs of a step are set, none for step -1; see _settle."""
-    if not called(table, ENTER_EVENT, ()):
+    """Go through an event to continuous time, and start CVODE anew.
+
+    Args:
+        table: Addresses and counts (see exchange_calls). Shape (SIZE,).
+        time: Time of the event. [s]
+        info: Four numbers of scratch.
+        vectors: States, states inside a step, absolute tolerances. Each of shape (max(1, n),).
+        rtol: Relative tolerance.
+        inputs: What sets the inputs (see loop). Shape (n_functions, 5), intp.
+        step: Step whose inputs are set in it, _NO_INPUTS, or _FIRST for the end of the initialization.
+
+    Returns:
+        How it ended, and the time of the next time event, infinite for none. [s]
+    """
+    x, _, absolute = vectors
+    if step != _FIRST and not called(table, ENTER_EVENT, ()):
         return BAD_CALL, np.inf
     if step >= 0:
         status, row = set_inputs(table[COMPONENT], inputs, step)
         if status > WARNING:
             table[STATUS], table[STAGE] = status, FIRST_INPUT + row
             return BAD_CALL, np.inf
-    return _settle(table, time, info, x, absolute, rtol, False)
+    again, nominals, later = True, step == _FIRST, np.inf
+    for _ in range(MOST_ITERATIONS):
+        good, again, ends, changed, later = update_discrete_states(table, info)
+        if not good or ends:
+            return (ENDED if good else BAD_CALL), later
+        nominals = nominals or changed
+        if not again:
+            break
+    if again:
+        return ENDLESS_ITERATION, later
+    n = table[N_STATES]
+    good = called(table, ENTER_CONTINUOUS, ())
+    if good and n > 0:
+        good = called(table, GET_STATES, (x.ctypes.data, n))
+        table[NOT_FINITE] = first_not_finite(x)
+        if good and table[NOT_FINITE] != 0:
+            return BAD_STATE, later
+        if good and nominals:
+            good = called(table, GET_NOMINALS, (absolute.ctypes.data, n))
+            for index in range(n):
+                size = abs(absolute[index])
+                absolute[index] = rtol * (size if size > 0.0 and np.isfinite(size) else 1.0)
+            call_status(table[TOLERANCES], (table[SOLVER], rtol, table[ABSOLUTE]))
+    if not good:
+        return BAD_CALL, later
+    if n + table[N_INDICATORS] > 0:
+        return min(GOOD, call_status(table[RESTART], (table[SOLVER], time, table[X]))), later
+    return GOOD, later
 
 
 @compiled
@@ -139,9 +133,7 @@ def simulate_row(
     edges: FloatArray,
     output_every: int,
     rtol: float,
-    x: FloatArray,
-    x_between: FloatArray,
-    absolute: FloatArray,
+    vectors: Any,
     y: FloatArray,
 ) -> tuple[int, float]:
     """Run an instance that was just initialized through the communication steps.
@@ -157,9 +149,7 @@ def simulate_row(
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
         rtol: Relative tolerance.
-        x: States, shared with CVODE. Shape (max(1, n),).
-        x_between: States inside a step, shared with CVODE. Shape (max(1, n),).
-        absolute: Absolute tolerances, shared with CVODE. Shape (max(1, n),).
+        vectors: States, states inside a step, absolute tolerances, shared with CVODE. Each (max(1, n),).
         y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
 
     Returns:
@@ -168,11 +158,12 @@ def simulate_row(
     n_steps, n_outputs = edges.size - 1, output_references.size
     output_list = np.intp(output_references.ctypes.data)
     y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
+    x, x_between, _ = vectors
     info, reached = np.zeros(4), np.zeros(1)
     # Without states and indicators there is nothing to integrate and nothing to look for between events.
     integrates = table[N_STATES] + table[N_INDICATORS] > 0
     time, passed, n_changes, n_internal, n_events, n_stuck = edges[0], 0, 0, 0, 0, 0
-    end, later = _settle(table, time, info, x, absolute, rtol, True)
+    end, later = _go_through_event(table, time, info, vectors, rtol, inputs, _FIRST)
     if end != GOOD:
         return end, time
     if not called(table, GET, (output_list, n_outputs, y_address, n_outputs)):
@@ -221,7 +212,7 @@ def simulate_row(
             n_events += 1
             if n_events > MOST_EVENTS:
                 return TOO_MANY_EVENTS, time
-            end, later = _go_through_event(table, time, info, x, absolute, rtol, inputs, -1)
+            end, later = _go_through_event(table, time, info, vectors, rtol, inputs, _NO_INPUTS)
             if end != GOOD:
                 return end, time
         # Another event may be due at the same time: only then is the edge passed.
@@ -234,7 +225,7 @@ def simulate_row(
                 return BAD_CALL, time
         if passed == changes[n_changes] and passed < n_steps:
             n_changes += 1
-            end, later = _go_through_event(table, time, info, x, absolute, rtol, inputs, passed)
+            end, later = _go_through_event(table, time, info, vectors, rtol, inputs, passed)
             if end != GOOD:
                 return end, time
     return GOOD, time

@@ -54,7 +54,6 @@ class FmuInstance:
         component: Address of the instance.
         damaged: Whether the instance is to be replaced before it is used again.
         lost: Whether the FMU said that no instance of the process can be used again.
-        keeps_state: Whether a state was saved that the instance may be brought back to.
         is_initialized: Whether the initialization is over, and the instance is to be terminated at its end.
     """
 
@@ -77,7 +76,8 @@ class FmuInstance:
         self.prefix: Final = "fmi2" if description.fmi_version == "2.0" else "fmi3"
         self._functions: dict[str, Any] = {}
         self._library = self._load(binary_member(description.fmi_version, self._identifier))
-        self.lost = self.keeps_state = False
+        self.lost = False
+        self._state = _Pointer(None)
         self._instantiate()
         if not self.component:
             said = last_message(" ({})")
@@ -168,6 +168,20 @@ class FmuInstance:
         self.is_initialized = False
         return self.has("Reset") and self.call("Reset") <= WARNING
 
+    @property
+    def keeps_state(self) -> bool:
+        """Whether a state was saved that the instance may be brought back to."""
+        return bool(self._state)
+
+    def save_state(self) -> None:
+        """Save the state to come back to, where the FMU does that."""
+        if self.call("GetFMUState", ctypes.addressof(self._state)) > WARNING:
+            self._state = _Pointer(None)
+
+    def restore_state(self) -> bool:
+        """Bring the instance back to the saved state; return whether the FMU says that it is there."""
+        return self.keeps_state and self.call("SetFMUState", self._state) <= WARNING
+
     def replace(self) -> None:
         """Free the instance and make a new one.
 
@@ -243,6 +257,9 @@ class FmuInstance:
 
     def _free_instance(self) -> None:
         # After a fatal error the standard allows no call at all, not even to free the instance.
+        if self.keeps_state and not self.lost:
+            self.call("FreeFMUState", ctypes.addressof(self._state))
+        self._state = _Pointer(None)
         if self.component and not self.lost:
             if self.is_initialized and not self.damaged and self.has("Terminate"):
                 self.call("Terminate")

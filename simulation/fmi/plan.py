@@ -1,15 +1,12 @@
 """What a run sets, steps through and reads, resolved from names to the FMU's references."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import FmuVariable, Value
-from simulation.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,58 +40,6 @@ class RunPlan:
         """Number of communication steps."""
         return len(self.edges) - 1
 
-    @property
-    def n_simulated(self) -> int:
-        """Number of outputs of a row, the warm-up's included."""
-        return self.n_steps // self.output_every + 1
-
     def empty_y(self) -> FloatArray:
         """Return an array for the outputs of a row, the warm-up's included. Shape (n_simulated, k)."""
-        return np.empty((self.n_simulated, len(self.output_references)))
-
-
-def run_plan(
-    description: FmuDescription,
-    scenario: Scenario,
-    *,
-    calibrated: Sequence[str],
-    fixed: Mapping[str, Value],
-    outputs: Sequence[str],
-    tolerance: float | None,
-) -> RunPlan:
-    """Find every variable in the FMU.
-
-    Args:
-        description: What the FMU says of itself.
-        scenario: Inputs and times.
-        calibrated: Names of the parameters that differ from row to row.
-        fixed: Parameters held at a value.
-        outputs: Names of the outputs.
-        tolerance: Relative tolerance, None for the one that the FMU suggests.
-
-    Returns:
-        The plan.
-
-    Raises:
-        InputError: If the FMU does not have a variable, or has it as something else.
-    """
-    where = str(description.path)
-
-    def found(names: Sequence[str], causality: str) -> tuple[FmuVariable, ...]:
-        return tuple(description.require(name, causality, where) for name in names)
-
-    references = [variable.reference for variable in found(outputs, "output")]
-    return RunPlan(
-        calibrated=found(calibrated, "parameter"),
-        fixed=tuple(
-            (description.find(name, "parameter", where, may_be_input=True), value)
-            for name, value in fixed.items()
-        ),
-        input_variables=found(scenario.input_names, "input"),
-        inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
-        output_references=np.array(references, dtype=np.uint32),
-        edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
-        output_every=scenario.output_every,
-        n_warmup=scenario.n_warmup,
-        tolerance=tolerance if tolerance is not None else description.default_experiment.tolerance,
-    )
+        return np.empty((self.n_steps // self.output_every + 1, len(self.output_references)))

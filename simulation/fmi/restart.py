@@ -1,6 +1,5 @@
 """Every row as if it were the first: how an FMU is started over, and what is believed about that."""
 
-import ctypes
 import math
 import time
 from collections.abc import Callable
@@ -9,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.instance import WARNING, FmuInstance
+from simulation.fmi.instance import FmuInstance
 from simulation.fmi.log import forget_messages
 from simulation.fmi.runner import NeedsFreshProcess, Solver
 
@@ -72,7 +71,6 @@ class RestartingRunner:
         self._prepared = False
         self._no_start = ""
         self._first: tuple[FloatArray, FloatArray] | None = None
-        self._state = ctypes.c_void_p(None)
         self._renewed_s = 0.0
         self._remembers = False
 
@@ -86,7 +84,18 @@ class RestartingRunner:
         return self._ways[0] if self._ways else "new instance"
 
     def run(self, values: FloatArray, y: FloatArray) -> str:
-        """Simulate one row; see Runner."""
+        """Simulate one row as if it were the first.
+
+        Args:
+            values: The calibrated parameters. Shape (p,). [FMU's units]
+            y: Filled with the outputs, contiguous. Shape (n_warmup + t, k). [FMU's units]
+
+        Returns:
+            Why the row failed, in one line; "" when it is good.
+
+        Raises:
+            NeedsFreshProcess: If only another process can answer this row.
+        """
         if self._remembers:
             raise NeedsFreshProcess("the FMU remembers earlier rows for as long as its process lives")
         if self._proven:
@@ -112,11 +121,6 @@ class RestartingRunner:
             self._prove(values, y)
         return ""
 
-    def close(self) -> None:
-        """Free the FMU."""
-        self._forget_state()
-        self._instance.close()
-
     def _solve(self, values: FloatArray, y: FloatArray) -> str:
         self._untouched = False
         forget_messages()
@@ -135,7 +139,6 @@ class RestartingRunner:
 
     def _renew(self) -> str:
         """Replace the instance by a new one."""
-        self._forget_state()
         self._prepared = False
         self._instance.replace()
         self._untouched = True
@@ -149,14 +152,12 @@ class RestartingRunner:
                 return self._no_start
         self._prepared = True
         if "state" in self._ways[:1]:
-            self._save_state()
+            self._instance.save_state()
         return ""
 
     def _back(self, way: Way) -> bool:
         """Bring the instance back by one of the ways; return whether the FMU says that it is."""
-        if way == "reset":
-            return self._instance.reset()
-        return bool(self._state) and self._instance.call("SetFMUState", self._state) <= WARNING
+        return self._instance.reset() if way == "reset" else self._instance.restore_state()
 
     def _prove(self, values: FloatArray, y: FloatArray) -> None:
         """Settle how rows are started over, just after the row of these values and outputs.
@@ -201,15 +202,3 @@ class RestartingRunner:
 
     def _same(self, y: FloatArray, other: FloatArray) -> bool:
         return np.array_equal(y[self._n_ignored :], other[self._n_ignored :])
-
-    def _save_state(self) -> None:
-        status = self._instance.call("GetFMUState", ctypes.addressof(self._state))
-        if status > WARNING:
-            self._state = ctypes.c_void_p(None)
-        self._instance.keeps_state = bool(self._state)
-
-    def _forget_state(self) -> None:
-        if self._state and not self._instance.lost:
-            self._instance.call("FreeFMUState", ctypes.addressof(self._state))
-        self._state = ctypes.c_void_p(None)
-        self._instance.keeps_state = False
