@@ -57,7 +57,6 @@ class FmuDescription:
         derivatives: Names of their derivatives, in the same order.
         depends_on: Variables that each of these may depend on, by its name, where it is said.
         n_event_indicators: Functions whose change of sign is an event (model exchange).
-        description: What the model is, "" for nothing said.
         complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
         units: What it says of its units, by their names.
     """
@@ -75,7 +74,6 @@ class FmuDescription:
     derivatives: tuple[str, ...] = ()
     depends_on: Mapping[str, frozenset[str]] = field(default_factory=dict)
     n_event_indicators: int = 0
-    description: str = ""
     complaint: str = ""
     units: Mapping[str, UnitDefinition] = field(default_factory=dict)
 
@@ -271,13 +269,11 @@ def _described(
             if unknown.dependencies is not None
         },
         n_event_indicators=n_event_indicators,
-        description=str(model.description or ""),
         complaint=complaint,
         units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},
     )
 
 
-def _listed(names: tuple[str, ...], most: int = 20) -> str:
-    if not names:
-        return "none"
-    return ", ".join(shortened(name, 60) for name in names[:most]) + (", ..." if len(names) > most else "")
+def _listed(names: tuple[str, ...]) -> str:
+    more = ", ..." if len(names) > 20 else ""
+    return ", ".join(shortened(name, 60) for name in names[:20]) + more or "none"

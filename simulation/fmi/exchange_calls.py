@@ -78,17 +78,6 @@ def update_discrete_states(table: Any, info: FloatArray) -> tuple[bool, bool, bo
 
 
 @compiled
-def completed_step(table: Any, info: FloatArray) -> tuple[bool, bool, bool]:
-    """Report a step of the integrator; whether that was good, an event follows, the FMU wants to end."""
-    at = np.intp(info.ctypes.data)
-    info[:2] = 0.0
-    good = called(table, COMPLETED, (1, at, at + 8))
-    # A C bool is one byte, an fmi2Boolean four; the bytes around it are zero.
-    said = info.view(np.int64)
-    return good, said[0] != 0, said[1] != 0
-
-
-@compiled
 def at_point(table: Any, time: float, states: Any) -> bool:
     """Set time and, where there are any, states by address; whether that was good."""
     if not called(table, SET_TIME, (time,)):

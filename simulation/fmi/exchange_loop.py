@@ -13,6 +13,7 @@ from simulation.arrays import FloatArray, IntArray
 from simulation.fmi.call import call_status, compiled
 from simulation.fmi.exchange_calls import (
     ABSOLUTE,
+    COMPLETED,
     COMPONENT,
     ENTER_CONTINUOUS,
     ENTER_EVENT,
@@ -35,7 +36,6 @@ from simulation.fmi.exchange_calls import (
     X,
     at_point,
     called,
-    completed_step,
     first_not_finite,
     update_discrete_states,
 )
@@ -160,6 +160,9 @@ def simulate_row(
     y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
     x, x_between, _ = vectors
     info, reached = np.zeros(4), np.zeros(1)
+    # Whether an event follows and whether the FMU wants to end: a bool of one byte, or four in FMI 2.0, each
+    # among zeros.
+    said = np.zeros(2, dtype=np.int64)
     # Without states and indicators there is nothing to integrate and nothing to look for between events.
     integrates = table[N_STATES] + table[N_INDICATORS] > 0
     time, passed, n_changes, n_internal, n_events, n_stuck = edges[0], 0, 0, 0, 0, 0
@@ -205,10 +208,12 @@ def simulate_row(
         if not at_point(table, time, x.ctypes.data):
             return BAD_CALL, time
         # Also where the FMU says that it can do without: the call costs next to nothing.
-        good, asks, ends = completed_step(table, info)
-        if not good or ends:
-            return (ENDED if good else BAD_CALL), time
-        if asks or is_root or time >= later:
+        said[:] = 0
+        if not called(table, COMPLETED, (1, said.ctypes.data, said.ctypes.data + 8)):
+            return BAD_CALL, time
+        if said[1] != 0:
+            return ENDED, time
+        if said[0] != 0 or is_root or time >= later:
             n_events += 1
             if n_events > MOST_EVENTS:
                 return TOO_MANY_EVENTS, time

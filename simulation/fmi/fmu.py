@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -14,13 +13,12 @@ from simulation.errors import InputError
 from simulation.fmi.choice import runner_for
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.numbers import wrong_number, wrong_output
 from simulation.fmi.plan import RunPlan
 from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
-from simulation.trajectories import Trajectories
+from simulation.trajectories import Trajectories, wrong_number, wrong_output
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,11 +255,6 @@ class FmuModel:
         """Return the open model."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the model."""
         self.close()

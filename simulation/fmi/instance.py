@@ -5,6 +5,7 @@ import ctypes
 import os
 import threading
 from collections.abc import Sequence
+from ctypes import c_bool, c_double, c_int, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,13 +26,6 @@ DISCARD: Final = 2
 FATAL: Final = 4
 _STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
-_Pointer, _Int, _Bool, _Real, _Size = (
-    ctypes.c_void_p,
-    ctypes.c_int,
-    ctypes.c_bool,
-    ctypes.c_double,
-    ctypes.c_size_t,
-)
 # What FMI 2.0 calls otherwise; everything here has FMI 3.0's names.
 _IN_FMI2: Final = {
     "GetFloat64": "GetReal",
@@ -77,7 +71,7 @@ class FmuInstance:
         self._functions: dict[str, Any] = {}
         self._library = self._load(binary_member(description.fmi_version, self._identifier))
         self.lost = False
-        self._state = _Pointer(None)
+        self._state = c_void_p(None)
         self._instantiate()
         if not self.component:
             said = last_message(" ({})")
@@ -100,7 +94,7 @@ class FmuInstance:
         Raises:
             InputError: If the library lacks one.
         """
-        found = [ctypes.cast(self._function(name), _Pointer).value for name in names]
+        found = [ctypes.cast(self._function(name), c_void_p).value for name in names]
         return np.array(found, dtype=np.intp)
 
     def call(self, name: str, *arguments: Any) -> int:
@@ -120,9 +114,9 @@ class FmuInstance:
         function = self._functions.get(name)
         if function is None:
             function = self._functions[name] = self._function(name)
-            function.restype = _Int
-            kinds = (_Real if isinstance(one, float) else _Pointer for one in arguments)
-            function.argtypes = (_Pointer, *kinds)
+            function.restype = c_int
+            kinds = (c_double if isinstance(one, float) else c_void_p for one in arguments)
+            function.argtypes = (c_void_p, *kinds)
         status = int(function(self.component, *arguments))
         self.lost = self.lost or status == FATAL
         return status
@@ -176,7 +170,7 @@ class FmuInstance:
     def save_state(self) -> None:
         """Save the state to come back to, where the FMU does that."""
         if self.call("GetFMUState", ctypes.addressof(self._state)) > WARNING:
-            self._state = _Pointer(None)
+            self._state = c_void_p(None)
 
     def restore_state(self) -> bool:
         """Bring the instance back to the saved state; return whether the FMU says that it is there."""
@@ -226,18 +220,18 @@ class FmuInstance:
         forget_messages()
         self.damaged = self.is_initialized = False
         name, resources = self._identifier.encode(), self._folder / "resources"
-        no = _Bool(False)
+        no = c_bool(False)
         if self.prefix == "fmi2":
             function = "Instantiate"
-            kind, uri = _Int(1 if self._is_co_simulation else 0), resources.as_uri().encode()
+            kind, uri = c_int(1 if self._is_co_simulation else 0), resources.as_uri().encode()
             arguments: tuple[Any, ...] = (
                 name,
                 kind,
                 self._guid,
                 uri,
                 ctypes.byref(CALLBACKS_2),
-                _Int(0),
-                _Int(0),
+                c_int(0),
+                c_int(0),
             )
         else:
             # The standard wants the folder to end with a separator.
@@ -245,12 +239,12 @@ class FmuInstance:
             if self._is_co_simulation:
                 function = "InstantiateCoSimulation"
                 # No event mode, no early return, no intermediate variables.
-                arguments += (no, no, None, _Size(0), None, LOGGER_3, None)
+                arguments += (no, no, None, c_size_t(0), None, LOGGER_3, None)
             else:
                 function = "InstantiateModelExchange"
                 arguments += (None, LOGGER_3)
         make = self._function(function)
-        make.restype = _Pointer
+        make.restype = c_void_p
         # Files that it writes while it starts go with the unpacked FMU.
         with _LOADING, contextlib.chdir(self._folder), foreign_code():
             self.component = int(make(*arguments) or 0)
@@ -259,14 +253,14 @@ class FmuInstance:
         # After a fatal error the standard allows no call at all, not even to free the instance.
         if self.keeps_state and not self.lost:
             self.call("FreeFMUState", ctypes.addressof(self._state))
-        self._state = _Pointer(None)
+        self._state = c_void_p(None)
         if self.component and not self.lost:
             if self.is_initialized and not self.damaged and self.has("Terminate"):
                 self.call("Terminate")
             if not self.lost:
                 free = self._function("FreeInstance")
                 free.restype = None
-                free(_Pointer(self.component))
+                free(c_void_p(self.component))
         self.component = 0
 
     def _unload(self) -> None:

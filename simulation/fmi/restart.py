@@ -171,32 +171,25 @@ class RestartingRunner:
         if self._same(y, first_y):
             raise NeedsFreshProcess("the FMU answers other parameters like its first ones, to the last bit")
         again = np.empty_like(y)
-        while self._ways:
-            if (
-                self._back(self._ways[0])
-                and not self._solve(first_values, again)
-                and self._same(again, first_y)
-            ):
-                self._settle()
-                return
-            self._ways.pop(0)
+        for way in list(self._ways):
+            if self._back(way) and not self._solve(first_values, again) and self._same(again, first_y):
+                break
+            self._ways.remove(way)
             # On trust, the row at hand was answered by an instance that had not forgotten another.
             if self._ways and (self._renew() or self._solve(values, y if self._trusting else again)):
+                self._ways = []
                 break
-        self._ways = []
-        failed = self._renew() or self._solve(first_values, again)
-        if failed or not np.allclose(
-            again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
-        ):
-            self._remembers = True
-            raise NeedsFreshProcess("a new instance of the FMU does not repeat the first row of its process")
-        if self._trusting:
-            reason = self._renew() or self._solve(values, y)
-            if reason:
+        if not self._ways:
+            failed = self._renew() or self._solve(first_values, again)
+            if failed or not np.allclose(
+                again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
+            ):
+                self._remembers = True
+                raise NeedsFreshProcess(
+                    "a new instance of the FMU does not repeat the first row of its process"
+                )
+            if self._trusting and (reason := self._renew() or self._solve(values, y)):
                 raise NeedsFreshProcess(f"a row failed once its FMU was new: {reason}")
-        self._settle()
-
-    def _settle(self) -> None:
         self._proven = True
         self._first = None
 
