@@ -12,9 +12,8 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.fmi.numbers import wrong_output
 from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.trajectories import Trajectories
+from simulation.trajectories import Trajectories, wrong_output
 
 MOST_STATES = 64
 """States above which none is watched: rows grow with their number, equations' costs with its third power."""

@@ -10,6 +10,51 @@ import numpy.typing as npt
 from simulation.arrays import BoolArray, FloatArray, digest_of
 
 
+def wrong_number(names: Sequence[str], row: FloatArray) -> str:
+    """Say which parameter is no number.
+
+    Args:
+        names: Names of the parameters.
+        row: Their values. Shape (p,).
+
+    Returns:
+        One line, "" when all are numbers.
+    """
+    finite = np.isfinite(row)
+    if finite.all():
+        return ""
+    column = int(np.argmin(finite))
+    return f"parameter {names[column]} is {row[column]}"
+
+
+def wrong_output(
+    names: Sequence[str], times: FloatArray, y: FloatArray, *, accepted: FloatArray | None
+) -> str:
+    """Say which output is no number or outside its band first.
+
+    Args:
+        names: Names of the outputs.
+        times: Output times. Shape (t,). [s]
+        y: The outputs. Shape (t, k). [declared units]
+        accepted: Their bands, None for none. Shape (k, 2). [declared units]
+
+    Returns:
+        One line, "" when all are good.
+    """
+    wrong = ~np.isfinite(y)
+    outside = np.zeros_like(wrong)
+    if accepted is not None:
+        outside = (y < accepted[:, 0]) | (y > accepted[:, 1])
+    if not (wrong.any() or outside.any()):
+        return ""
+    step, column = np.argwhere(wrong | outside)[0]
+    name, value, time = names[column], y[step, column], times[step]
+    if wrong[step, column] or accepted is None:
+        return f"output {name} is {value} at {time:g} s"
+    low, high = accepted[column]
+    return f"output {name} is {value:.6g} at {time:g} s, outside the accepted {low:g} to {high:g}"
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """What a model answered to a batch of parameters.
@@ -66,14 +111,12 @@ class Trajectories:
         """
         theta = np.array(theta, dtype=np.float64)
         y = np.asarray(y, dtype=np.float64)
-        reasons = [""] * len(theta) if failures is None else list(failures)
-        for row in np.flatnonzero(~np.isfinite(theta).all(axis=1)):
-            column = int(np.argmin(np.isfinite(theta[row])))
-            reasons[row] = reasons[row] or f"parameter {parameter_names[column]} is {theta[row, column]}"
-        for row in np.flatnonzero(~np.isfinite(y).all(axis=(1, 2))):
-            step, column = np.argwhere(~np.isfinite(y[row]))[0]
-            reasons[row] = reasons[row] or (
-                f"output {output_names[column]} is {y[row, step, column]} at {time[step]:g} s"
+        reasons = list(failures) if failures is not None else [""] * len(theta)
+        for row in np.flatnonzero(~(np.isfinite(theta).all(axis=1) & np.isfinite(y).all(axis=(1, 2)))):
+            reasons[row] = (
+                reasons[row]
+                or wrong_number(parameter_names, theta[row])
+                or wrong_output(output_names, time, y[row], accepted=None)
             )
         failed = np.array([reason != "" for reason in reasons], dtype=np.bool_)
         if failed.any():

@@ -19,7 +19,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
 # that carries the digest of all of them is never found with an old body.
-SOURCES: Final = ("call", "inputs", "loop", "exchange_calls", "exchange_loop")
+SOURCES: Final = ("call", "loop", "exchange_calls", "exchange_loop")
 _DIGEST: Final = hashlib.sha256(
     b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in SOURCES)
 ).hexdigest()[:12]

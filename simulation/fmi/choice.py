@@ -1,7 +1,5 @@
 """Which solver an FMU gets, and how it may be started over."""
 
-from pathlib import Path
-
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.fmi.cosimulation import CoSimulation, SharedWarmup
@@ -14,20 +12,20 @@ from simulation.fmi.start import Start
 from simulation.fmi.variable import FmuInterface, Interface
 
 
-def open_runner(
+def runner_for(
+    instance: FmuInstance,
     description: FmuDescription,
     plan: RunPlan,
-    folder: Path,
     *,
     interface: Interface,
     warmup: FloatArray | None,
 ) -> RestartingRunner:
-    """Load an FMU and choose what drives it.
+    """Choose what drives an FMU.
 
     Args:
-        description: What the FMU says of itself.
+        instance: The FMU, just instantiated.
+        description: What it says of itself.
         plan: What is set, stepped through and read.
-        folder: Where it is unpacked.
         interface: How it is to be driven.
         warmup: Parameters of a warm-up that all rows share, None for a warm-up of each row's own. Shape (p,).
             [FMU's units]
@@ -36,24 +34,8 @@ def open_runner(
         What answers rows.
 
     Raises:
-        InputError: If the FMU cannot be loaded or cannot do what is asked for.
+        InputError: If the FMU cannot do what is asked for.
     """
-    instance = FmuInstance(description, interface, folder)
-    try:
-        return _restarting(description, plan, instance, interface=interface, warmup=warmup)
-    except BaseException:
-        instance.close()
-        raise
-
-
-def _restarting(
-    description: FmuDescription,
-    plan: RunPlan,
-    instance: FmuInstance,
-    *,
-    interface: Interface,
-    warmup: FloatArray | None,
-) -> RestartingRunner:
     where = str(description.path)
     said = description.interface(interface, where)
     start = Start(instance, plan, where)

@@ -1,7 +1,6 @@
 """Co-simulation: the FMU brings its own solver, and is driven from one communication step to the next."""
 
 import ctypes
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -10,15 +9,7 @@ from simulation.arrays import FloatArray
 from simulation.fmi.call import make_ready
 from simulation.fmi.instance import DISCARD, WARNING, FmuInstance
 from simulation.fmi.log import last_message
-from simulation.fmi.loop import (
-    EARLY,
-    ENDED,
-    FIRST_INPUT,
-    FUNCTIONS_2,
-    FUNCTIONS_3,
-    step_through_2,
-    step_through_3,
-)
+from simulation.fmi.loop import EARLY, ENDED, FIRST_INPUT, FUNCTIONS, step_through
 from simulation.fmi.plan import RunPlan
 from simulation.fmi.start import Start
 
@@ -43,13 +34,10 @@ class CoSimulation:
         self._instance = instance
         self._plan = plan
         self._start = start
-        self._inputs = start.inputs
-        self._functions = FUNCTIONS_2 if instance.prefix == "fmi2" else FUNCTIONS_3
-        self._addresses = instance.addresses(*self._functions)
-        self._said = np.zeros(2)
+        self._addresses = instance.addresses(*FUNCTIONS)
+        self._reached = np.zeros(1)
         # Before the first row, whose time may be limited: compiling takes seconds where nothing is cached.
-        loop, arguments = self._call(0, plan.n_steps, np.empty((plan.n_simulated, len(plan.outputs))))
-        make_ready(loop, *arguments)
+        make_ready(step_through, *self._arguments(0, plan.n_steps, plan.empty_y()))
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row; see Solver."""
@@ -67,42 +55,37 @@ class CoSimulation:
         Returns:
             Why it failed, in one line; "" when it did not.
         """
-        plan, instance = self._plan, self._instance
-        loop, arguments = self._call(first, last, y)
-        status, stage, step = loop(*arguments)
+        status, stage, step = step_through(*self._arguments(first, last, y))
         if status <= WARNING:
             return ""
-        time = float(plan.edges[step])
+        time = float(self._plan.edges[step])
         if status == ENDED or (status == DISCARD and self._wants_to_end()):
-            said = f": {message}" if (message := last_message()) else ""
-            return f"the FMU ended the simulation by itself in the step at {time:g} s{said}"
+            return f"the FMU ended the simulation by itself in the step at {time:g} s{last_message(': {}')}"
         if status == EARLY:
-            return f"the FMU returned early, at {self._said[1]:g} s, from the step at {time:g} s"
-        if stage >= FIRST_INPUT:
-            return instance.failure(self._inputs.name(stage - FIRST_INPUT), status, time)
-        return instance.failure(self._functions[stage], status, time)
+            return f"the FMU returned early, at {self._reached[0]:g} s, from the step at {time:g} s"
+        name = FUNCTIONS[stage] if stage < FIRST_INPUT else self._start.inputs[stage - FIRST_INPUT].function
+        return self._instance.failure(name, status, time)
 
-    def _call(self, first: int, last: int, y: FloatArray) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        """Return the loop for these steps, and what to call it with."""
+    def _arguments(self, first: int, last: int, y: FloatArray) -> tuple[Any, ...]:
+        """Return what the loop is called with for these steps."""
         plan, instance = self._plan, self._instance
-        common = (
+        return (
             self._addresses,
             instance.component,
-            self._inputs.table,
+            self._start.input_table,
             plan.output_references,
             plan.edges[: last + 1],
             first,
             plan.output_every,
-            not instance.keeps_state,
+            int(not instance.keeps_state),
+            self._reached,
+            y,
         )
-        if instance.prefix == "fmi2":
-            return step_through_2, (*common, y)
-        return step_through_3, (*common, self._said, y)
 
     def _wants_to_end(self) -> bool:
         """Ask an FMU of FMI 2.0 that discarded a step whether it wants no other."""
         answer = ctypes.c_int(0)
-        if self._instance.prefix == "fmi3" or not self._instance.has("GetBooleanStatus"):
+        if not self._instance.has("GetBooleanStatus"):
             return False
         status = self._instance.call("GetBooleanStatus", _TERMINATED, ctypes.addressof(answer))
         return status <= WARNING and bool(answer.value)
@@ -125,11 +108,11 @@ class SharedWarmup:
         self._start = start
         self._theta = theta
         self._first = plan.n_warmup * plan.output_every
-        self._y = np.empty((plan.n_simulated, len(plan.outputs)))
 
     def prepare(self) -> str:
         """Simulate the warm-up on a new instance; say why it failed."""
-        failure = self._start.begin(self._theta) or self._simulation.step(0, self._first, self._y)
+        y = self._plan.empty_y()
+        failure = self._start.begin(self._theta) or self._simulation.step(0, self._first, y)
         return f"in the shared warm-up: {failure}" if failure else ""
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:

@@ -54,7 +54,7 @@ def read_model(path: Path, content: bytes) -> tuple[Any, str]:
         try:
             # From memory: fmpy leaves the file open when the description is not valid.
             model = fmpy.read_model_description(io.BytesIO(content), validate=validate)
-            _complete(model, content)
+            _leave_out_inverse_units(model, content)
             return model, complaint
         except Exception as error:  # fmpy raises plain exceptions of many kinds
             complaint = complaint or " ".join(str(error).split())
@@ -63,16 +63,12 @@ def read_model(path: Path, content: bytes) -> tuple[Any, str]:
     )
 
 
-def _complete(model: Any, content: bytes) -> None:
-    """Read what fmpy overlooks of FMI 3.0: an attribute's name is a plural, a display unit may be inverse."""
+def _leave_out_inverse_units(model: Any, content: bytes) -> None:
+    """Drop inverse display units, which fmpy overlooks: no factor and offset make seconds of hertz."""
     if str(model.fmiVersion) == "2.0":
         return
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    for tag, interface in (("ModelExchange", model.modelExchange), ("CoSimulation", model.coSimulation)):
-        element = root.find(tag)
-        if element is not None and element.get("providesDirectionalDerivatives") in ("true", "1"):
-            interface.providesDirectionalDerivative = True
     inverse = {
         (unit.get("name"), shown.get("name"))
         for unit in root.iterfind("UnitDefinitions/Unit")
@@ -80,7 +76,6 @@ def _complete(model: Any, content: bytes) -> None:
         if shown.get("inverse") in ("true", "1")
     }
     for unit in model.unitDefinitions:
-        # No factor and offset make seconds of hertz.
         unit.displayUnits = [one for one in unit.displayUnits if (unit.name, one.name) not in inverse]
 
 
@@ -99,7 +94,6 @@ def declared_interface(declared: Any) -> FmuInterface:
     return FmuInterface(
         model_identifier=str(declared.modelIdentifier),
         can_get_and_set_state=bool(declared.canGetAndSetFMUstate),
-        provides_directional_derivatives=bool(declared.providesDirectionalDerivative),
         can_be_instantiated_only_once_per_process=bool(declared.canBeInstantiatedOnlyOncePerProcess),
         needs_execution_tool=bool(declared.needsExecutionTool),
     )
@@ -112,28 +106,31 @@ def declared_variable(variable: Any) -> FmuVariable:
     if not 0 <= reference <= LAST_REFERENCE:
         raise ValueError(f"{variable.name} has the value reference {reference}")
     causality = str(variable.causality or "local")
+
+    def said(attribute: str) -> Any:
+        return getattr(variable, attribute) or getattr(declared, attribute, None)
+
+    is_difference = variable.relativeQuantity
+    if is_difference is None:
+        is_difference = getattr(declared, "relativeQuantity", None)
     return FmuVariable(
         name=str(variable.name),
         reference=reference,
         causality=causality,
         kind=str(variable.type),
-        unit=str(variable.unit or (declared.unit if declared is not None else None) or ""),
+        unit=str(said("unit") or ""),
         start=number_or_none(variable.start),
-        minimum=number_or_none(variable.min or (declared.min if declared is not None else None)),
-        maximum=number_or_none(variable.max or (declared.max if declared is not None else None)),
+        minimum=number_or_none(said("min")),
+        maximum=number_or_none(said("max")),
         description=str(variable.description or ""),
-        is_difference=bool(
-            declared.relativeQuantity
-            if variable.relativeQuantity is None and declared is not None
-            else variable.relativeQuantity
-        ),
+        is_difference=bool(is_difference),
         variability=str(variable.variability or ("fixed" if causality == "parameter" else "continuous")),
         initial=str(variable.initial or ""),
         start_text="" if variable.start is None else str(variable.start),
         shape=tuple(int(size) for size in variable.shape or ()),
         items={
             str(item.name): int(item.value)
-            for item in (declared.items if declared is not None else [])
+            for item in getattr(declared, "items", ())
             if item.value is not None
         },
     )

@@ -6,7 +6,6 @@ import io
 import zipfile
 from collections.abc import Collection, Container, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,14 @@ from simulation.fmi.declared import (
     number_or_none,
     read_model,
 )
-from simulation.fmi.kinds import SETTERS
-from simulation.fmi.variable import REAL_KINDS, DefaultExperiment, FmiVersion, FmuInterface, FmuVariable
+from simulation.fmi.variable import (
+    REAL_KINDS,
+    SETTERS,
+    DefaultExperiment,
+    FmiVersion,
+    FmuInterface,
+    FmuVariable,
+)
 from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, read_limited
 from simulation.foreign_text import shortened
 from simulation.units import UnitDefinition
@@ -52,7 +57,6 @@ class FmuDescription:
         derivatives: Names of their derivatives, in the same order.
         depends_on: Variables that each of these may depend on, by its name, where it is said.
         n_event_indicators: Functions whose change of sign is an event (model exchange).
-        description: What the model is, "" for nothing said.
         complaint: Rules of the standard that the description breaks and that are no obstacle, "" for none.
         units: What it says of its units, by their names.
     """
@@ -70,21 +74,8 @@ class FmuDescription:
     derivatives: tuple[str, ...] = ()
     depends_on: Mapping[str, frozenset[str]] = field(default_factory=dict)
     n_event_indicators: int = 0
-    description: str = ""
     complaint: str = ""
     units: Mapping[str, UnitDefinition] = field(default_factory=dict)
-
-    @property
-    def model_identifier(self) -> str:
-        """Name of the binary of the first interface."""
-        return next(iter(self.interfaces.values())).model_identifier
-
-    @cached_property
-    def _names_by_causality(self) -> dict[str, list[str]]:
-        names: dict[str, list[str]] = {}
-        for variable in self.variables.values():
-            names.setdefault(variable.causality, []).append(variable.name)
-        return names
 
     def names(self, causality: str) -> tuple[str, ...]:
         """List the variables of a causality in the order of the description.
@@ -95,7 +86,7 @@ class FmuDescription:
         Returns:
             Their names.
         """
-        return tuple(self._names_by_causality.get(causality, []))
+        return tuple(one.name for one in self.variables.values() if one.causality == causality)
 
     def interface(self, name: str, where: str) -> FmuInterface:
         """Find an interface.
@@ -136,9 +127,8 @@ class FmuDescription:
         variable = self.find(name, causality, where)
         if variable.kind not in _USABLE_KINDS.get(causality, REAL_KINDS):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
-            numbers = "Real" if self.fmi_version == "2.0" else "Float64 or Float32"
-            if causality == "output":
-                numbers = numbers.removesuffix(" or Float32")
+            both = "Float64" if causality == "output" else "Float64 or Float32"
+            numbers = "Real" if self.fmi_version == "2.0" else both
             raise InputError(
                 f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
             )
@@ -257,8 +247,8 @@ def _described(
     if n_event_indicators < 0:
         raise ValueError(f"{n_event_indicators} event indicators")
     EVENT_INDICATORS.check(n_event_indicators, str(path))
-    derivatives = [unknown.variable for unknown in model.derivatives]
-    experiment = model.defaultExperiment
+    derivatives = [one.variable for one in model.derivatives if one.variable.derivative is not None]
+    experiment = ("startTime", "stopTime", "stepSize", "tolerance")
     return FmuDescription(
         path=path,
         guid=str(model.guid),
@@ -268,29 +258,22 @@ def _described(
         variables={str(variable.name): declared_variable(variable) for variable in model.modelVariables},
         fmi_version=version,
         interfaces=runnable,
-        default_experiment=DefaultExperiment()
-        if experiment is None
-        else DefaultExperiment(
-            start_s=number_or_none(experiment.startTime),
-            stop_s=number_or_none(experiment.stopTime),
-            step_s=number_or_none(experiment.stepSize),
-            tolerance=number_or_none(experiment.tolerance),
+        default_experiment=DefaultExperiment(
+            *(number_or_none(getattr(model.defaultExperiment, name, None)) for name in experiment)
         ),
-        states=tuple(str(one.derivative.name) for one in derivatives if one.derivative is not None),
-        derivatives=tuple(str(one.name) for one in derivatives if one.derivative is not None),
+        states=tuple(str(one.derivative.name) for one in derivatives),
+        derivatives=tuple(str(one.name) for one in derivatives),
         depends_on={
             str(unknown.variable.name): frozenset(str(one.name) for one in unknown.dependencies)
             for unknown in model.derivatives
             if unknown.dependencies is not None
         },
         n_event_indicators=n_event_indicators,
-        description=str(model.description or ""),
         complaint=complaint,
         units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},
     )
 
 
-def _listed(names: tuple[str, ...], most: int = 20) -> str:
-    if not names:
-        return "none"
-    return ", ".join(shortened(name, 60) for name in names[:most]) + (", ..." if len(names) > most else "")
+def _listed(names: tuple[str, ...]) -> str:
+    more = ", ..." if len(names) > 20 else ""
+    return ", ".join(shortened(name, 60) for name in names[:20]) + more or "none"

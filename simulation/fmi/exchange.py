@@ -6,23 +6,10 @@ import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
+from simulation.fmi import exchange_calls as calls
+from simulation.fmi import exchange_loop as loop
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.exchange_calls import FIRST_INPUT, FUNCTIONS, SLOT
 from simulation.fmi.exchange_cvode import Cvode, flag_in_words
-from simulation.fmi.exchange_loop import (
-    BAD_CALL,
-    BAD_STEP,
-    ENDED,
-    ENDLESS_ITERATION,
-    GOOD,
-    MOST_EVENTS,
-    MOST_ITERATIONS,
-    MOST_STEPS,
-    STUCK,
-    TOO_MANY_EVENTS,
-    TOO_MANY_STEPS,
-    simulate_row,
-)
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.plan import RunPlan
 from simulation.fmi.start import Start
@@ -57,86 +44,67 @@ class ModelExchange:
                     "export the FMU for co-simulation"
                 )
         self._instance = instance
-        self.plan = plan
+        self._plan = plan
         self._start = start
         self._states = description.states
-        self._functions = FUNCTIONS[instance.prefix]
-        self.tolerance = SHARE_OF_TOLERANCE * (
+        self._tolerance = SHARE_OF_TOLERANCE * (
             plan.tolerance if plan.tolerance is not None and plan.tolerance > 0.0 else DEFAULT_TOLERANCE
         )
-        self.table: IntArray = np.zeros(SLOT.SIZE, dtype=np.int64)
-        self.table[: len(self._functions)] = instance.addresses(*self._functions)
-        self.table[SLOT.IS_FMI3] = instance.prefix == "fmi3"
-        self.table[SLOT.N_STATES] = len(description.states)
-        self.table[SLOT.N_INDICATORS] = description.n_event_indicators
-        self.cvode = Cvode(
-            self.table,
-            relative_tolerance=self.tolerance,
+        self._table: IntArray = np.zeros(calls.SIZE, dtype=np.int64)
+        self._table[: len(calls.FUNCTIONS)] = instance.addresses(*calls.FUNCTIONS)
+        self._table[calls.N_STATES] = len(description.states)
+        self._table[calls.N_INDICATORS] = description.n_event_indicators
+        self._cvode = Cvode(
+            self._table,
+            relative_tolerance=self._tolerance,
             longest_step_s=float(np.max(np.diff(plan.edges))),
         )
+        is_change = np.any(plan.inputs[1:] != plan.inputs[:-1], axis=1)
+        self._changes = np.append(1 + np.flatnonzero(is_change), plan.n_steps)
 
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row; see Solver."""
         if failure := self._start.begin(values):
             return failure
-        plan, cvode = self.plan, self.cvode
-        self.table[SLOT.COMPONENT] = self._instance.component
-        kind, detail, stage, time = simulate_row(
-            self.table,
-            self._start.inputs.table,
-            plan.inputs,
+        plan = self._plan
+        self._table[calls.COMPONENT] = self._instance.component
+        end, time = loop.simulate_row(
+            self._table,
+            self._start.input_table,
+            self._changes,
             plan.output_references,
             plan.edges,
             plan.output_every,
-            self.tolerance,
-            cvode.x,
-            cvode.x_between,
-            cvode.absolute,
+            self._tolerance,
+            self._cvode.vectors,
             y,
         )
-        return "" if kind == GOOD else self.reason(kind, detail, stage, time)
+        return "" if end == loop.GOOD else self._reason(end, time)
 
-    def reason(self, kind: int, detail: int, stage: int, time: float) -> str:
-        """Say why a simulation did not reach its end.
-
-        Args:
-            kind: How it ended (see exchange_loop).
-            detail: A detail of it.
-            stage: The slot of the function at fault.
-            time: Simulated time. [s]
-
-        Returns:
-            One line.
-        """
-        at = f"at {time:g} s"
-        if kind == BAD_CALL:
-            return self._instance.failure(self._name(stage), detail, time)
-        if kind == BAD_STEP:
-            return f"{flag_in_words(detail)} {at}{self._fault(time)}"
-        if kind == STUCK:
-            return f"the integrator's steps became too small to get on {at}{self._fault(time)}"
-        if kind == TOO_MANY_STEPS:
-            said = f"the integrator needed more than {MOST_STEPS} steps in one communication step {at}"
-            return f"{said}{self._fault(time)}"
-        if kind == TOO_MANY_EVENTS:
-            return f"the model had more than {MOST_EVENTS} events in one communication step {at}"
-        if kind == ENDED:
-            return f"the FMU asked to end the simulation {at}"
-        if kind == ENDLESS_ITERATION:
-            return f"the model's event did not settle in {MOST_ITERATIONS} iterations {at}"
-        return f"state {self._states[detail]} is not finite {at}"
+    def _reason(self, end: int, time: float) -> str:
+        """Say in one line why a simulation ended (see exchange_loop) at a time. [s]."""
+        at, bad = f"at {time:g} s", int(self._table[calls.NOT_FINITE]) - 1
+        failed = fault = ""
+        if status := int(self._table[calls.STATUS]):
+            failed = self._instance.failure(self._name(int(self._table[calls.STAGE])), status, time)
+            fault = f"; {failed}"
+        elif bad >= 0:
+            fault = f"; the derivative of {self._states[bad]} is not finite"
+        if end < 0:
+            return f"{flag_in_words(end)} {at}{fault}"
+        in_one = f"in one communication step {at}"
+        return {
+            loop.BAD_CALL: failed,
+            loop.TOO_MANY_STEPS: f"the integrator needed more than {loop.MOST_STEPS} steps {in_one}{fault}",
+            loop.TOO_MANY_EVENTS: f"the model had more than {loop.MOST_EVENTS} events {in_one}",
+            loop.ENDED: f"the FMU asked to end the simulation {at}",
+            loop.ENDLESS_ITERATION: f"the model's event did not settle "
+            f"in {loop.MOST_ITERATIONS} iterations {at}",
+            loop.BAD_STATE: f"state {self._states[bad] if bad >= 0 else ''} is not finite {at}",
+            loop.STUCK: f"the integrator's steps became too small to get on {at}{fault}",
+        }[end]
 
     def _name(self, stage: int) -> str:
         """Return the function of a stage, without the version."""
-        if stage >= FIRST_INPUT:
-            return self._start.inputs.name(stage - FIRST_INPUT)
-        return self._functions[stage]
-
-    def _fault(self, time: float) -> str:
-        """Say what CVODE met with in the FMU in this communication step, if anything."""
-        if self.table[SLOT.FAILED_STATUS]:
-            name = self._functions[self.table[SLOT.FAILED_STAGE]]
-            return f"; {self._instance.failure(name, int(self.table[SLOT.FAILED_STATUS]), time)}"
-        if self.table[SLOT.NOT_FINITE]:
-            return f"; the derivative of {self._states[self.table[SLOT.NOT_FINITE] - 1]} is not finite"
-        return ""
+        is_input = stage >= calls.FIRST_INPUT
+        return self._start.inputs[stage - calls.FIRST_INPUT].function if is_input else calls.FUNCTIONS[stage]

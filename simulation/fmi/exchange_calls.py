@@ -1,154 +1,63 @@
-"""The model-exchange functions of FMI 2.0 and 3.0 as compiled calls by address; CVODE's callbacks among them.
+"""The FMU's model-exchange functions as compiled calls by address; CVODE's callbacks among them.
 
 Everything a simulation needs lies in one table of 64-bit integers: addresses, counts, and what went wrong
 last. It travels as CVODE's user data, so that right-hand side and roots run without the interpreter.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
-from llvmlite import ir
 from numba import carray, cfunc, types
-from numba.extending import intrinsic
 
 from simulation.arrays import FloatArray
 from simulation.fmi.call import cached, call_status, compiled
-from simulation.fmi.inputs import COUNT, FUNCTION, REFERENCES, STRIDE, VALUES
-from simulation.fmi.instance import FATAL, WARNING
+from simulation.fmi.loop import WARNING
 
-# The FMU's functions that the loop calls, without the version: FMI 2.0's name and FMI 3.0's.
-FUNCTIONS: Final = {
-    "fmi2": (
-        "GetReal",
-        "EnterEventMode",
-        "NewDiscreteStates",
-        "EnterContinuousTimeMode",
-        "CompletedIntegratorStep",
-        "SetTime",
-        "SetContinuousStates",
-        "GetContinuousStates",
-        "GetDerivatives",
-        "GetNominalsOfContinuousStates",
-        "GetEventIndicators",
-    ),
-    "fmi3": (
-        "GetFloat64",
-        "EnterEventMode",
-        "UpdateDiscreteStates",
-        "EnterContinuousTimeMode",
-        "CompletedIntegratorStep",
-        "SetTime",
-        "SetContinuousStates",
-        "GetContinuousStates",
-        "GetContinuousStateDerivatives",
-        "GetNominalsOfContinuousStates",
-        "GetEventIndicators",
-    ),
-}
+# The FMU's functions that the loop calls; their addresses come first in the table, in this order.
+FUNCTIONS: Final = (
+    "GetFloat64",
+    "EnterEventMode",
+    "UpdateDiscreteStates",
+    "EnterContinuousTimeMode",
+    "CompletedIntegratorStep",
+    "SetTime",
+    "SetContinuousStates",
+    "GetContinuousStates",
+    "GetContinuousStateDerivatives",
+    "GetNominalsOfContinuousStates",
+    "GetEventIndicators",
+)
+GET, ENTER_EVENT, UPDATE, ENTER_CONTINUOUS, COMPLETED, SET_TIME, SET_STATES, GET_STATES = range(8)
+GET_DERIVATIVES, GET_NOMINALS, GET_INDICATORS = range(8, 11)
+COMPONENT, N_STATES, N_INDICATORS = range(11, 14)
+# What the last call that failed returned and which it was, and 1 + the index of a number that is none.
+STATUS, STAGE, NOT_FINITE = range(14, 17)
+# CVODE's functions, and its memory, the vectors of the states, of those inside a step, and of the tolerances.
+SOLVE, RESTART, STOP_AT, INTERPOLATE, TOLERANCES = range(17, 22)
+SOLVER, X, X_BETWEEN, ABSOLUTE = range(22, 26)
+SIZE: Final = 26
+# The stages from here on are rows of the inputs' table (see loop).
+FIRST_INPUT: Final = SIZE
 
-
-class _Slots(NamedTuple):
-    """Where a thing lies in the table; the FMU's functions come first, in the order of FUNCTIONS."""
-
-    GET_REAL: int = 0
-    ENTER_EVENT: int = 1
-    UPDATE_DISCRETE: int = 2
-    ENTER_CONTINUOUS: int = 3
-    COMPLETED: int = 4
-    SET_TIME: int = 5
-    SET_STATES: int = 6
-    GET_STATES: int = 7
-    GET_DERIVATIVES: int = 8
-    GET_NOMINALS: int = 9
-    GET_INDICATORS: int = 10
-    IS_FMI3: int = 11
-    COMPONENT: int = 12
-    N_STATES: int = 13
-    N_INDICATORS: int = 14
-    FAILED_STATUS: int = 15  # of a call that CVODE made
-    FAILED_STAGE: int = 16
-    NOT_FINITE: int = 17  # 1 + index of a derivative that was none
-    VECTOR_DATA: int = 18  # N_VGetArrayPointer
-    SOLVE: int = 19
-    RESTART: int = 20
-    STOP_AT: int = 21
-    INTERPOLATE: int = 22
-    TOLERANCES: int = 23
-    SOLVER: int = 24  # CVODE's memory
-    X: int = 25  # N_Vector of the states
-    X_BETWEEN: int = 26  # N_Vector of the states at a time inside the last step
-    ABSOLUTE: int = 27  # N_Vector of the absolute tolerances
-    SIZE: int = 28
-
-
-SLOT: Final = _Slots()
-# The stages from here on are rows of the table of inputs (see inputs).
-FIRST_INPUT: Final = SLOT.SIZE
-
-_pointer: Any = types.CPointer
-
-
-def _callback(function: Callable[..., Any]) -> Any:
-    """Compile a function that CVODE calls with (t, vector, result, user data)."""
-    signature = types.int32(types.float64, types.intp, types.intp, _pointer(types.int64))
-    return cached(function, partial(cfunc, signature, error_model="numpy"))
-
-
-def _call_address_of(_typing_context: Any, address: Any, argument: Any) -> Any:
-    """Call a C function that takes an address and returns one."""
-
-    def generate(_context: Any, builder: Any, _signature: Any, values: Any) -> Any:
-        word = ir.IntType(64)
-        return builder.call(
-            builder.inttoptr(values[0], ir.FunctionType(word, [word]).as_pointer()), values[1:]
-        )
-
-    return types.intp(types.intp, types.intp), generate
-
-
-_call_address: Any = intrinsic(_call_address_of)
-
-
-def _as_doubles_of(_typing_context: Any, address: Any) -> Any:
-    """Read an address as the place of float64 values."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.inttoptr(values[0], context.get_value_type(signature.return_type))
-
-    return _pointer(types.float64)(types.intp), generate
-
-
-_as_doubles: Any = intrinsic(_as_doubles_of)
+_FATAL: Final = 4
+_Pointer: Any = types.CPointer
+# N_Vector, as SUNDIALS' headers have it: its first word points to its content, whose third is the data.
+_Vector: Any = _Pointer(_Pointer(_Pointer(types.float64)))
+_Table: Any = _Pointer(types.int64)
 
 
 @compiled
-def set_inputs(table: Any, inputs: Any, step: int) -> tuple[int, int]:
-    """Set the inputs of a step; status and stage of the last call."""
-    component = table[SLOT.COMPONENT]
-    for row in range(inputs.shape[0]):
-        function, references, n = inputs[row, FUNCTION], inputs[row, REFERENCES], inputs[row, COUNT]
-        values = inputs[row, VALUES] + step * inputs[row, STRIDE]
-        if table[SLOT.IS_FMI3] != 0:
-            status = call_status(function, (component, references, n, values, n))
-        else:
-            status = call_status(function, (component, references, n, values))
-        if status > WARNING:
-            return status, FIRST_INPUT + row
-    return 0, FIRST_INPUT
+def called(table: Any, slot: int, arguments: Any) -> bool:
+    """Call the function of a slot with what follows the instance; note it where it fails, and say if not."""
+    status = call_status(table[slot], (table[COMPONENT], *arguments))
+    if status > WARNING:
+        table[STATUS], table[STAGE] = status, slot
+    return bool(status <= WARNING)
 
 
 @compiled
-def get_real(table: Any, references: Any, n: int, values: Any) -> Any:
-    """Get n float variables, by the addresses of references and values."""
-    if table[SLOT.IS_FMI3] != 0:
-        return call_status(table[SLOT.GET_REAL], (table[SLOT.COMPONENT], references, n, values, n))
-    return call_status(table[SLOT.GET_REAL], (table[SLOT.COMPONENT], references, n, values))
-
-
-@compiled
-def update_discrete_states(table: Any, info: FloatArray) -> tuple[int, bool, bool, bool, bool, float]:
+def update_discrete_states(table: Any, info: FloatArray) -> tuple[bool, bool, bool, bool, float]:
     """Iterate once over the discrete states.
 
     Args:
@@ -156,90 +65,67 @@ def update_discrete_states(table: Any, info: FloatArray) -> tuple[int, bool, boo
         info: Four numbers of scratch.
 
     Returns:
-        Status; whether another iteration is needed; whether the FMU wants to end; whether nominal values and
-        whether values of states changed; the time of the next time event, infinite for none. [s]
+        Whether the call was good; whether another iteration is needed; whether the FMU wants to end; whether
+        nominal values of states changed; the time of the next time event, infinite for none. [s]
     """
-    address = np.intp(info.ctypes.data)
-    component = table[SLOT.COMPONENT]
-    info[:] = 0.0
-    if table[SLOT.IS_FMI3] != 0:
-        status = call_status(
-            table[SLOT.UPDATE_DISCRETE],
-            (component, address, address + 1, address + 2, address + 3, address + 4, address + 24),
-        )
-        said = info.view(np.uint8)
-        again, end, nominals, values, defined = said[0], said[1], said[2], said[3], said[4]
-        return status, again != 0, end != 0, nominals != 0, values != 0, info[3] if defined != 0 else np.inf
-    # fmi2EventInfo: five 32-bit booleans, padding, one double.
-    status = call_status(table[SLOT.UPDATE_DISCRETE], (component, address))
+    at = np.intp(info.ctypes.data)
+    info[:4] = 0.0
+    # FMI 2.0 takes the first address alone, of an fmi2EventInfo: five booleans of 32 bits, padding, a double.
+    # The bools of FMI 3.0, of one byte, are put into the same places; the bytes around them are zero.
+    good = called(table, UPDATE, (at, at + 4, at + 8, at + 12, at + 16, at + 24))
     flags = info.view(np.int32)
-    later = info[3] if flags[4] != 0 else np.inf
-    return status, flags[0] != 0, flags[1] != 0, flags[2] != 0, flags[3] != 0, later
+    return good, flags[0] != 0, flags[1] != 0, flags[2] != 0, info[3] if flags[4] != 0 else np.inf
 
 
 @compiled
-def completed_step(table: Any, info: FloatArray) -> tuple[int, bool, bool]:
-    """Report a step of the integrator; status, whether an event follows, whether the FMU wants to end."""
-    address = np.intp(info.ctypes.data)
-    info[:2] = 0.0
-    status = call_status(table[SLOT.COMPLETED], (table[SLOT.COMPONENT], np.int32(1), address, address + 8))
-    # A C bool is one byte, an fmi2Boolean four; the bytes around it are zero.
-    said = info.view(np.int64)
-    return status, said[0] != 0, said[1] != 0
+def at_point(table: Any, time: float, states: Any) -> bool:
+    """Set time and, where there are any, states by address; whether that was good."""
+    if not called(table, SET_TIME, (time,)):
+        return False
+    return bool(table[N_STATES] == 0 or called(table, SET_STATES, (states, table[N_STATES])))
 
 
 @compiled
-def at_point(table: Any, time: float, states: Any) -> tuple[int, int]:
-    """Set time and, where there are any, states by address; status and stage of the last call."""
-    status = call_status(table[SLOT.SET_TIME], (table[SLOT.COMPONENT], time))
-    if status > WARNING or table[SLOT.N_STATES] == 0:
-        return status, SLOT.SET_TIME
-    status = call_status(table[SLOT.SET_STATES], (table[SLOT.COMPONENT], states, table[SLOT.N_STATES]))
-    return status, SLOT.SET_STATES
+def first_not_finite(values: FloatArray) -> int:
+    """Return 1 + the index of the first value that is no finite number, 0 where all are."""
+    for index in range(values.size):
+        if not np.isfinite(values[index]):
+            return index + 1
+    return 0
 
 
-@compiled
-def get_states(table: Any, slot: int, values: Any) -> Any:
-    """Get states, derivatives or nominal values into an address."""
-    return call_status(table[slot], (table[SLOT.COMPONENT], values, table[SLOT.N_STATES]))
-
-
-@_callback
-def derivatives(time: Any, vector: Any, result: Any, user_data: Any) -> int:
+def _derivatives(time: Any, vector: Any, result: Any, user_data: Any) -> int:
     """CVODE's right-hand side: 0 good, 1 try a smaller step, -1 give up."""
-    table = carray(user_data, SLOT.SIZE)
-    values = _call_address(table[SLOT.VECTOR_DATA], result)
-    slopes = carray(_as_doubles(values), max(1, table[SLOT.N_STATES]))
-    if table[SLOT.N_STATES] == 0:
+    table = carray(user_data, SIZE)
+    n = table[N_STATES]
+    slopes = carray(result[0][2], max(1, n))
+    if n == 0:
         slopes[0] = 0.0
         return 0
-    status, stage = at_point(table, time, _call_address(table[SLOT.VECTOR_DATA], vector))
-    if status <= WARNING:
-        stage = SLOT.GET_DERIVATIVES
-        status = get_states(table, SLOT.GET_DERIVATIVES, values)
-    if status > WARNING:
-        table[SLOT.FAILED_STATUS] = status
-        table[SLOT.FAILED_STAGE] = stage
-        return -1 if status >= FATAL else 1
-    for index in range(slopes.size):
-        if not np.isfinite(slopes[index]):
-            table[SLOT.NOT_FINITE] = index + 1
-            return 1
-    return 0
+    states = carray(vector[0][2], n)
+    if not (
+        at_point(table, time, states.ctypes.data) and called(table, GET_DERIVATIVES, (slopes.ctypes.data, n))
+    ):
+        return -1 if table[STATUS] >= _FATAL else 1
+    bad = first_not_finite(slopes)
+    if bad:
+        table[NOT_FINITE] = bad
+    return 1 if bad else 0
 
 
-@_callback
-def indicators(time: Any, vector: Any, result: Any, user_data: Any) -> int:
+def _indicators(time: Any, vector: Any, result: Any, user_data: Any) -> int:
     """CVODE's root function: 0 good, -1 give up."""
-    table = carray(user_data, SLOT.SIZE)
-    status, stage = at_point(table, time, _call_address(table[SLOT.VECTOR_DATA], vector))
-    if status <= WARNING:
-        stage = SLOT.GET_INDICATORS
-        status = call_status(
-            table[SLOT.GET_INDICATORS], (table[SLOT.COMPONENT], result, table[SLOT.N_INDICATORS])
-        )
-    if status > WARNING:
-        table[SLOT.FAILED_STATUS] = status
-        table[SLOT.FAILED_STAGE] = stage
-        return -1
-    return 0
+    table = carray(user_data, SIZE)
+    states = carray(vector[0][2], max(1, table[N_STATES]))
+    good = at_point(table, time, states.ctypes.data)
+    return 0 if good and called(table, GET_INDICATORS, (result, table[N_INDICATORS])) else -1
+
+
+def _callback(function: Any, result: Any) -> Any:
+    """Compile a function that CVODE calls with (t, vector, result, user data)."""
+    signature = types.int32(types.float64, _Vector, result, _Table)
+    return cached(function, partial(cfunc, signature, error_model="numpy"))
+
+
+derivatives: Final = _callback(_derivatives, _Vector)
+indicators: Final = _callback(_indicators, types.intp)

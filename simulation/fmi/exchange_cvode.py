@@ -6,20 +6,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import IntArray
 from simulation.errors import InputError
-from simulation.fmi.exchange_calls import SLOT, derivatives, indicators
+from simulation.fmi import exchange_calls as calls
 
 try:
-    from fmpy.sundials import libraries
+    from fmpy import sundials
+    from fmpy.sundials import cvode, libraries
 except Exception as error:  # no libraries for this platform, or of another version
     raise InputError(
         f"model exchange needs the CVODE that comes with FMPy, and it cannot be loaded ({error}); "
         "export the FMU for co-simulation"
     ) from None
 
-_BACKWARD_DIFFERENCES: Final = 2
-_ADDRESS, _DOUBLE, _LONG, _INT = ctypes.c_void_p, ctypes.c_double, ctypes.c_int64, ctypes.c_int
+_Pointer: Final = ctypes.c_void_p
 
 # What CVODE's return flags mean to someone who calibrates.
 FLAGS: Final = {
@@ -39,14 +39,7 @@ FLAGS: Final = {
 
 
 def flag_in_words(flag: int) -> str:
-    """Say what a negative return flag of CVODE means.
-
-    Args:
-        flag: The flag.
-
-    Returns:
-        A clause without a subject before it or a full stop after it.
-    """
+    """Say what a negative return flag of CVODE means, in a clause."""
     return FLAGS.get(flag, f"the integrator gave up (CVODE flag {flag})")
 
 
@@ -54,99 +47,59 @@ class Cvode:
     """A CVODE memory for n states (backward differences, Newton, dense); freed when it is forgotten.
 
     Attributes:
-        x: States that CVODE reads at a restart and writes after a step. Shape (max(1, n),).
-        x_between: States at a time inside the last step. Shape (max(1, n),).
-        absolute: Absolute tolerances, read at each call of CVodeSVtolerances. Shape (max(1, n),).
+        vectors: States that CVODE reads at a restart and writes after a step, states at a time inside the
+            last step, absolute tolerances that are read at each call of CVodeSVtolerances. Each of shape
+            (max(1, n),).
     """
 
     def __init__(self, table: IntArray, *, relative_tolerance: float, longest_step_s: float) -> None:
         """Make a solver for the instance that a table describes, and enter its addresses there.
 
         Args:
-            table: The table (see exchange_calls), component, functions and counts filled in. It is
-                CVODE's user data and must stay where it is. Shape (SLOT.SIZE,).
+            table: The table (see exchange_calls), functions and counts filled in. It is CVODE's user data
+                and must stay where it is. Shape (SIZE,).
             relative_tolerance: Relative tolerance.
             longest_step_s: No internal step is longer, so that an event indicator is looked at as often. [s]
         """
         # CVODE wants one state at least; a model without any is given one that rests.
-        n = max(1, int(table[SLOT.N_STATES]))
-        n_indicators = int(table[SLOT.N_INDICATORS])
-        self.x: FloatArray = np.zeros(n)
-        self.x_between: FloatArray = np.zeros(n)
-        self.absolute: FloatArray = np.full(n, relative_tolerance)
-        self._table = table
-        core, cvode = libraries.sundials_core, libraries.sundials_cvode
-        context = _ADDRESS()
-        _check(_function(core, "SUNContext_Create", _INT, _ADDRESS)(0, ctypes.byref(context)))
+        n, n_indicators = max(1, int(table[calls.N_STATES])), int(table[calls.N_INDICATORS])
+        context, core = _Pointer(), libraries.sundials_core
+        _check(sundials.SUNContext_Create(0, ctypes.byref(context)))
         # Its messages would go to the terminal; the flags tell what happened.
-        _check(_function(core, "SUNContext_ClearErrHandlers", _ADDRESS)(context))
-        make_vector = _function(
-            libraries.sundials_nvecserial, "N_VMake_Serial", _LONG, _ADDRESS, _ADDRESS, result=_ADDRESS
-        )
-        vectors = [
-            make_vector(n, array.ctypes.data, context) for array in (self.x, self.x_between, self.absolute)
-        ]
-        make_matrix = _function(
-            libraries.sundials_sunmatrixdense, "SUNDenseMatrix", _LONG, _LONG, _ADDRESS, result=_ADDRESS
-        )
-        matrix = make_matrix(n, n, context)
-        make_solver = _function(
-            libraries.sundials_sunlinsoldense,
-            "SUNLinSol_Dense",
-            _ADDRESS,
-            _ADDRESS,
-            _ADDRESS,
-            result=_ADDRESS,
-        )
-        linear = make_solver(vectors[0], matrix, context)
-        create = _function(cvode, "CVodeCreate", _INT, _ADDRESS, result=_ADDRESS)
-        memory = create(_BACKWARD_DIFFERENCES, context)
-        self._memory = memory
-
-        def do(name: str, *arguments: tuple[Any, Any]) -> None:
-            kinds = [kind for kind, _ in arguments]
-            _check(_function(cvode, name, _ADDRESS, *kinds)(memory, *(value for _, value in arguments)))
-
-        do("CVodeInit", (_ADDRESS, derivatives.address), (_DOUBLE, 0.0), (_ADDRESS, vectors[0]))
-        do("CVodeSVtolerances", (_DOUBLE, relative_tolerance), (_ADDRESS, vectors[2]))
-        do("CVodeSetUserData", (_ADDRESS, table.ctypes.data))
-        do("CVodeSetLinearSolver", (_ADDRESS, linear), (_ADDRESS, matrix))
+        _check(core.SUNContext_ClearErrHandlers(context))
+        vectors = [sundials.N_VNew_Serial(n, context) for _ in range(3)]
+        self.vectors = tuple(np.ctypeslib.as_array(sundials.NV_DATA_S(one), (n,)) for one in vectors)
+        for values, at_first in zip(self.vectors, (0.0, 0.0, relative_tolerance), strict=True):
+            values[:] = at_first
+        matrix = _Pointer(sundials.SUNDenseMatrix(n, n, context))
+        linear = _Pointer(sundials.SUNLinSol_Dense(vectors[0], matrix, context))
+        memory = _Pointer(cvode.CVodeCreate(cvode.CV_BDF, context))
+        right_hand_side = cvode.CVRhsFn(calls.derivatives.address)
+        _check(cvode.CVodeInit(memory, right_hand_side, 0.0, vectors[0]))
+        _check(cvode.CVodeSVtolerances(memory, relative_tolerance, vectors[2]))
+        _check(libraries.sundials_cvode.CVodeSetUserData(memory, _Pointer(table.ctypes.data)))
+        _check(sundials.CVodeSetLinearSolver(memory, linear, matrix))
         if n_indicators:
-            do("CVodeRootInit", (_INT, n_indicators), (_ADDRESS, indicators.address))
-            do("CVodeSetNoInactiveRootWarn")
-        do("CVodeSetMaxStep", (_DOUBLE, longest_step_s))
-        do("CVodeSetMaxHnilWarns", (_INT, -1))
-        weakref.finalize(self, _free, memory, linear, matrix, vectors, context.value or 0)
-        table[SLOT.SOLVER] = memory
-        table[SLOT.X], table[SLOT.X_BETWEEN], table[SLOT.ABSOLUTE] = vectors
-        table[SLOT.VECTOR_DATA] = _address(core, "N_VGetArrayPointer")
-        for slot, name in (
-            (SLOT.SOLVE, "CVode"),
-            (SLOT.RESTART, "CVodeReInit"),
-            (SLOT.STOP_AT, "CVodeSetStopTime"),
-            (SLOT.INTERPOLATE, "CVodeGetDky"),
-            (SLOT.TOLERANCES, "CVodeSVtolerances"),
-        ):
-            table[slot] = _address(cvode, name)
+            _check(cvode.CVodeRootInit(memory, n_indicators, cvode.CVRootFn(calls.indicators.address)))
+            _check(cvode.CVodeSetNoInactiveRootWarn(memory))
+        _check(cvode.CVodeSetMaxStep(memory, longest_step_s))
+        _check(libraries.sundials_cvode.CVodeSetMaxHnilWarns(memory, -1))
+        weakref.finalize(self, _free, memory, linear, matrix, vectors, context)
+        self._table = table
+        names = ("CVode", "CVodeReInit", "CVodeSetStopTime", "CVodeGetDky", "CVodeSVtolerances")
+        functions = [getattr(libraries.sundials_cvode, name) for name in names]
+        addresses = [ctypes.cast(one, _Pointer).value or 0 for one in (*functions, memory, *vectors)]
+        table[calls.SOLVE : calls.SIZE] = addresses
 
 
-def _free(memory: int, linear: int, matrix: int, vectors: list[int], context: int) -> None:
-    core, cvode = libraries.sundials_core, libraries.sundials_cvode
-    _function(cvode, "CVodeFree", _ADDRESS, result=None)(ctypes.byref(_ADDRESS(memory)))
-    _function(core, "SUNLinSolFree", _ADDRESS)(linear)
-    _function(core, "SUNMatDestroy", _ADDRESS, result=None)(matrix)
+def _free(memory: Any, linear: Any, matrix: Any, vectors: list[Any], context: Any) -> None:
+    core = libraries.sundials_core
+    cvode.CVodeFree(ctypes.byref(memory))
+    core.SUNLinSolFree(linear)
+    core.SUNMatDestroy(matrix)
     for vector in vectors:
-        _function(core, "N_VDestroy", _ADDRESS, result=None)(vector)
-    _function(core, "SUNContext_Free", _ADDRESS)(ctypes.byref(_ADDRESS(context)))
-
-
-def _function(library: Any, name: str, *arguments: Any, result: Any = _INT) -> Any:
-    """Declare a C function anew: FMPy's own declarations are left alone."""
-    return ctypes.CFUNCTYPE(result, *arguments)((name, library))
-
-
-def _address(library: Any, name: str) -> int:
-    return int(ctypes.cast(getattr(library, name), _ADDRESS).value or 0)
+        core.N_VDestroy(vector)
+    core.SUNContext_Free(ctypes.byref(context))
 
 
 def _check(flag: int) -> None:

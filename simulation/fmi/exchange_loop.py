@@ -9,29 +9,47 @@ from typing import Any, Final
 
 import numpy as np
 
-from simulation.arrays import FloatArray
+from simulation.arrays import FloatArray, IntArray
 from simulation.fmi.call import call_status, compiled
 from simulation.fmi.exchange_calls import (
-    SLOT,
+    ABSOLUTE,
+    COMPLETED,
+    COMPONENT,
+    ENTER_CONTINUOUS,
+    ENTER_EVENT,
+    FIRST_INPUT,
+    GET,
+    GET_NOMINALS,
+    GET_STATES,
+    INTERPOLATE,
+    N_INDICATORS,
+    N_STATES,
+    NOT_FINITE,
+    RESTART,
+    SOLVE,
+    SOLVER,
+    STAGE,
+    STATUS,
+    STOP_AT,
+    TOLERANCES,
+    X_BETWEEN,
+    X,
     at_point,
-    completed_step,
-    get_real,
-    get_states,
-    set_inputs,
+    called,
+    first_not_finite,
     update_discrete_states,
 )
-from simulation.fmi.instance import WARNING
+from simulation.fmi.loop import WARNING, set_inputs
 
-# How a simulation ends.
+# How a simulation ends; what CVODE returned where it gave up is negative.
 GOOD: Final = 0
 BAD_CALL: Final = 1  # a function of the FMU returned a bad status
-BAD_STEP: Final = 2  # CVODE gave up; the detail is its flag
-TOO_MANY_STEPS: Final = 3
-TOO_MANY_EVENTS: Final = 4
-ENDED: Final = 5  # the FMU asked to end the simulation
-ENDLESS_ITERATION: Final = 6
-BAD_START: Final = 7  # a state is no finite number; the detail is its index
-STUCK: Final = 8  # steps became too small to move the time
+TOO_MANY_STEPS: Final = 2
+TOO_MANY_EVENTS: Final = 3
+ENDED: Final = 4  # the FMU asked to end the simulation
+ENDLESS_ITERATION: Final = 5
+BAD_STATE: Final = 6  # a state is no finite number
+STUCK: Final = 7  # steps became too small to move the time
 
 # Internal steps and events in one communication step, and iterations in one event, before a simulation is
 # given up: no model hangs silently.
@@ -41,221 +59,178 @@ MOST_ITERATIONS: Final = 1_000
 # Successive steps too small to move the time.
 MOST_STUCK: Final = 100
 
-ONE_STEP: Final = 2
+# Events in which no step's inputs are set.
+_NO_INPUTS: Final = -1
+_FIRST: Final = -2
+
+_ONE_STEP: Final = 2
 _ROOT_RETURN: Final = 2
-EPSILON: Final = 2.0**-52
+_EPSILON: Final = 2.0**-52
 
 
 @compiled
-def _iterate(table: Any, info: FloatArray) -> tuple[int, int, bool, bool, float]:
-    """Settle the discrete states of an event; kind, detail, nominals and values changed, next time event."""
-    nominals, values = False, False
+def _go_through_event(
+    table: Any, time: float, info: FloatArray, vectors: Any, rtol: float, inputs: Any, step: int
+) -> tuple[int, float]:
+    """Go through an event to continuous time, and start CVODE anew.
+
+    Args:
+        table: Addresses and counts (see exchange_calls). Shape (SIZE,).
+        time: Time of the event. [s]
+        info: Four numbers of scratch.
+        vectors: States, states inside a step, absolute tolerances. Each of shape (max(1, n),).
+        rtol: Relative tolerance.
+        inputs: What sets the inputs (see loop). Shape (n_functions, 5), intp.
+        step: Step whose inputs are set in it, _NO_INPUTS, or _FIRST for the end of the initialization.
+
+    Returns:
+        How it ended, and the time of the next time event, infinite for none. [s]
+    """
+    x, _, absolute = vectors
+    if step != _FIRST and not called(table, ENTER_EVENT, ()):
+        return BAD_CALL, np.inf
+    if step >= 0:
+        status, row = set_inputs(table[COMPONENT], inputs, step)
+        if status > WARNING:
+            table[STATUS], table[STAGE] = status, FIRST_INPUT + row
+            return BAD_CALL, np.inf
+    again, nominals, later = True, step == _FIRST, np.inf
     for _ in range(MOST_ITERATIONS):
-        status, again, end, nominals_now, values_now, later = update_discrete_states(table, info)
-        nominals, values = nominals or nominals_now, values or values_now
-        if status > WARNING:
-            return BAD_CALL, status, nominals, values, later
-        if end:
-            return ENDED, 0, nominals, values, later
+        good, again, ends, changed, later = update_discrete_states(table, info)
+        if not good or ends:
+            return (ENDED if good else BAD_CALL), later
+        nominals = nominals or changed
         if not again:
-            return GOOD, 0, nominals, values, later
-    return ENDLESS_ITERATION, 0, nominals, values, np.inf
-
-
-@compiled
-def begin(table: Any, info: FloatArray) -> tuple[int, int, int, float]:
-    """Go from the end of the initialization to continuous time; kind, detail, stage, next time event."""
-    kind, detail, _, _, later = _iterate(table, info)
-    if kind != GOOD:
-        return kind, detail, SLOT.UPDATE_DISCRETE, later
-    status = call_status(table[SLOT.ENTER_CONTINUOUS], (table[SLOT.COMPONENT],))
-    return (BAD_CALL if status > WARNING else GOOD), status, SLOT.ENTER_CONTINUOUS, later
-
-
-@compiled
-def restart(
-    table: Any, time: float, x: FloatArray, absolute: FloatArray, rtol: float, nominals: bool
-) -> tuple[int, int, int]:
-    """Take the states, and the nominal values where they changed, from the FMU and start CVODE anew."""
-    if table[SLOT.N_STATES] > 0:
-        status = get_states(table, SLOT.GET_STATES, np.intp(x.ctypes.data))
-        if status > WARNING:
-            return BAD_CALL, status, SLOT.GET_STATES
-        for index in range(x.size):
-            if not np.isfinite(x[index]):
-                return BAD_START, index, SLOT.GET_STATES
-        if nominals:
-            status = get_states(table, SLOT.GET_NOMINALS, np.intp(absolute.ctypes.data))
-            if status > WARNING:
-                return BAD_CALL, status, SLOT.GET_NOMINALS
-            for index in range(absolute.size):
+            break
+    if again:
+        return ENDLESS_ITERATION, later
+    n = table[N_STATES]
+    good = called(table, ENTER_CONTINUOUS, ())
+    if good and n > 0:
+        good = called(table, GET_STATES, (x.ctypes.data, n))
+        table[NOT_FINITE] = first_not_finite(x)
+        if good and table[NOT_FINITE] != 0:
+            return BAD_STATE, later
+        if good and nominals:
+            good = called(table, GET_NOMINALS, (absolute.ctypes.data, n))
+            for index in range(n):
                 size = abs(absolute[index])
                 absolute[index] = rtol * (size if size > 0.0 and np.isfinite(size) else 1.0)
-            call_status(table[SLOT.TOLERANCES], (table[SLOT.SOLVER], rtol, table[SLOT.ABSOLUTE]))
-    flag = call_status(table[SLOT.RESTART], (table[SLOT.SOLVER], time, table[SLOT.X]))
-    return (BAD_STEP if flag < 0 else GOOD), flag, SLOT.RESTART
-
-
-@compiled
-def go_through_event(
-    table: Any, info: FloatArray, inputs: Any, step: int
-) -> tuple[int, int, int, bool, float]:
-    """Go through an event; kind, detail, stage, nominals changed, next time event.
-
-    The inputs of a step are set in it, none for step -1.
-    """
-    status = call_status(table[SLOT.ENTER_EVENT], (table[SLOT.COMPONENT],))
-    if status > WARNING:
-        return BAD_CALL, status, SLOT.ENTER_EVENT, False, np.inf
-    if step >= 0:
-        status, stage = set_inputs(table, inputs, step)
-        if status > WARNING:
-            return BAD_CALL, status, stage, False, np.inf
-    kind, detail, nominals, _, later = _iterate(table, info)
-    if kind != GOOD:
-        return kind, detail, SLOT.UPDATE_DISCRETE, nominals, later
-    status = call_status(table[SLOT.ENTER_CONTINUOUS], (table[SLOT.COMPONENT],))
-    return (BAD_CALL if status > WARNING else GOOD), status, SLOT.ENTER_CONTINUOUS, nominals, later
+            call_status(table[TOLERANCES], (table[SOLVER], rtol, table[ABSOLUTE]))
+    if not good:
+        return BAD_CALL, later
+    if n + table[N_INDICATORS] > 0:
+        return min(GOOD, call_status(table[RESTART], (table[SOLVER], time, table[X]))), later
+    return GOOD, later
 
 
 @compiled
 def simulate_row(
     table: Any,
-    input_table: Any,
-    inputs: FloatArray,
+    inputs: Any,
+    changes: IntArray,
     output_references: Any,
     edges: FloatArray,
     output_every: int,
     rtol: float,
-    x: FloatArray,
-    x_between: FloatArray,
-    absolute: FloatArray,
+    vectors: Any,
     y: FloatArray,
-) -> tuple[int, int, int, float]:
+) -> tuple[int, float]:
     """Run an instance that was just initialized through the communication steps.
 
     An output at the end of a step still sees the step's inputs, as in co-simulation, and what an event at
     that very time leaves behind.
 
     Args:
-        table: Addresses and counts (see exchange_calls). Shape (SLOT.SIZE,).
-        input_table: What sets the inputs (see inputs). Shape (n_functions, 5), intp.
-        inputs: Constant input of every step. Shape (m, n_inputs). [model's units]
+        table: Addresses and counts (see exchange_calls). Shape (SIZE,).
+        inputs: What sets the inputs (see loop). Shape (n_functions, 5), intp.
+        changes: Edges before which the inputs change, and the last edge. Shape (n_changes + 1,).
         output_references: Value references. Shape (k,), uint32.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
         rtol: Relative tolerance.
-        x: States, shared with CVODE. Shape (max(1, n),).
-        x_between: States inside a step, shared with CVODE. Shape (max(1, n),).
-        absolute: Absolute tolerances, shared with CVODE. Shape (max(1, n),).
+        vectors: States, states inside a step, absolute tolerances, shared with CVODE. Each (max(1, n),).
         y: Filled with the outputs, contiguous. Shape (t, k). [model's units]
 
     Returns:
-        How it ended, a detail of it, the stage (a Slot) and the time. [s]
+        How it ended, details being in the table, and the time. [s]
     """
     n_steps, n_outputs = edges.size - 1, output_references.size
     output_list = np.intp(output_references.ctypes.data)
     y_address, y_stride = np.intp(y.ctypes.data), n_outputs * y.itemsize
-    x_address, between_address = np.intp(x.ctypes.data), np.intp(x_between.ctypes.data)
+    x, x_between, _ = vectors
     info, reached = np.zeros(4), np.zeros(1)
+    # Whether an event follows and whether the FMU wants to end: a bool of one byte, or four in FMI 2.0, each
+    # among zeros.
+    said = np.zeros(2, dtype=np.int64)
     # Without states and indicators there is nothing to integrate and nothing to look for between events.
-    integrates = table[SLOT.N_STATES] + table[SLOT.N_INDICATORS] > 0
-    time = edges[0]
-    kind, detail, stage, later = begin(table, info)
-    if kind == GOOD and integrates:
-        kind, detail, stage = restart(table, time, x, absolute, rtol, True)
-    if kind != GOOD:
-        return kind, detail, stage, time
-    status = get_real(table, output_list, n_outputs, y_address)
-    if status > WARNING:
-        return BAD_CALL, status, SLOT.GET_REAL, time
-    passed, stop_edge, until_output, n_internal, n_events, n_stuck = 0, 0, output_every, 0, 0, 0
+    integrates = table[N_STATES] + table[N_INDICATORS] > 0
+    time, passed, n_changes, n_internal, n_events, n_stuck = edges[0], 0, 0, 0, 0, 0
+    end, later = _go_through_event(table, time, info, vectors, rtol, inputs, _FIRST)
+    if end != GOOD:
+        return end, time
+    if not called(table, GET, (output_list, n_outputs, y_address, n_outputs)):
+        return BAD_CALL, time
     while passed < n_steps:
-        if stop_edge == passed:
-            # The inputs of this step hold until here.
-            stop_edge = passed + 1
-            while stop_edge < n_steps and np.all(inputs[stop_edge] == inputs[passed]):
-                stop_edge += 1
-        target = min(edges[stop_edge], max(later, time))
+        target = min(edges[changes[n_changes]], max(later, time))
         is_root = False
-        if target - time > 100.0 * EPSILON * max(abs(time), abs(target)) and integrates:
+        if integrates and target - time > 100.0 * _EPSILON * max(abs(time), abs(target)):
             if n_internal == 0:
-                table[SLOT.FAILED_STATUS] = 0
-                table[SLOT.NOT_FINITE] = 0
-            call_status(table[SLOT.STOP_AT], (table[SLOT.SOLVER], target))
+                table[STATUS], table[NOT_FINITE] = 0, 0
+            call_status(table[STOP_AT], (table[SOLVER], target))
             flag = call_status(
-                table[SLOT.SOLVE],
-                (
-                    table[SLOT.SOLVER],
-                    target,
-                    table[SLOT.X],
-                    np.intp(reached.ctypes.data),
-                    np.int32(ONE_STEP),
-                ),
+                table[SOLVE], (table[SOLVER], target, table[X], reached.ctypes.data, _ONE_STEP)
             )
             if flag < 0:
-                return BAD_STEP, flag, SLOT.SOLVE, time
-            n_stuck = n_stuck + 1 if reached[0] <= time and flag != _ROOT_RETURN else 0
+                return flag, time
+            is_root = flag == _ROOT_RETURN
+            n_stuck = n_stuck + 1 if reached[0] <= time and not is_root else 0
             if n_stuck > MOST_STUCK:
-                return STUCK, n_stuck, SLOT.SOLVE, time
-            time, is_root = min(reached[0], target), flag == _ROOT_RETURN
+                return STUCK, time
+            time = min(reached[0], target)
             n_internal += 1
             if n_internal > MOST_STEPS:
-                return TOO_MANY_STEPS, n_internal, SLOT.SOLVE, time
+                return TOO_MANY_STEPS, time
         else:
             time = target
         # Outputs at edges that the step has run past.
         while edges[passed + 1] < time:
-            passed += 1
-            n_internal, n_events, until_output = 0, 0, until_output - 1
-            if until_output == 0:
-                until_output = output_every
+            passed, n_internal, n_events = passed + 1, 0, 0
+            if passed % output_every == 0:
                 y_address += y_stride
                 if integrates:
-                    call_status(
-                        table[SLOT.INTERPOLATE],
-                        (table[SLOT.SOLVER], edges[passed], np.int32(0), table[SLOT.X_BETWEEN]),
-                    )
-                status, stage = at_point(table, edges[passed], between_address)
-                if status <= WARNING:
-                    stage, status = SLOT.GET_REAL, get_real(table, output_list, n_outputs, y_address)
-                if status > WARNING:
-                    return BAD_CALL, status, stage, edges[passed]
-        status, stage = at_point(table, time, x_address)
-        if status > WARNING:
-            return BAD_CALL, status, stage, time
-        is_event = is_root or time >= later
+                    call_status(table[INTERPOLATE], (table[SOLVER], edges[passed], 0, table[X_BETWEEN]))
+                if not (
+                    at_point(table, edges[passed], x_between.ctypes.data)
+                    and called(table, GET, (output_list, n_outputs, y_address, n_outputs))
+                ):
+                    return BAD_CALL, edges[passed]
+        if not at_point(table, time, x.ctypes.data):
+            return BAD_CALL, time
         # Also where the FMU says that it can do without: the call costs next to nothing.
-        status, asks, ends = completed_step(table, info)
-        if status > WARNING:
-            return BAD_CALL, status, SLOT.COMPLETED, time
-        if ends:
-            return ENDED, 0, SLOT.COMPLETED, time
-        is_event = is_event or asks
-        if is_event:
+        said[:] = 0
+        if not called(table, COMPLETED, (1, said.ctypes.data, said.ctypes.data + 8)):
+            return BAD_CALL, time
+        if said[1] != 0:
+            return ENDED, time
+        if said[0] != 0 or is_root or time >= later:
             n_events += 1
             if n_events > MOST_EVENTS:
-                return TOO_MANY_EVENTS, n_events, SLOT.UPDATE_DISCRETE, time
-            kind, detail, stage, nominals, later = go_through_event(table, info, input_table, -1)
-            if kind == GOOD and integrates:
-                kind, detail, stage = restart(table, time, x, absolute, rtol, nominals)
-            if kind != GOOD:
-                return kind, detail, stage, time
+                return TOO_MANY_EVENTS, time
+            end, later = _go_through_event(table, time, info, vectors, rtol, inputs, _NO_INPUTS)
+            if end != GOOD:
+                return end, time
         # Another event may be due at the same time: only then is the edge passed.
         if time < edges[passed + 1] or later <= time:
             continue
-        passed += 1
-        n_internal, n_events, until_output = 0, 0, until_output - 1
-        if until_output == 0:
-            until_output = output_every
+        passed, n_internal, n_events = passed + 1, 0, 0
+        if passed % output_every == 0:
             y_address += y_stride
-            status = get_real(table, output_list, n_outputs, y_address)
-            if status > WARNING:
-                return BAD_CALL, status, SLOT.GET_REAL, time
-        if passed == stop_edge and passed < n_steps:
-            kind, detail, stage, nominals, later = go_through_event(table, info, input_table, passed)
-            if kind == GOOD and integrates:
-                kind, detail, stage = restart(table, time, x, absolute, rtol, nominals)
-            if kind != GOOD:
-                return kind, detail, stage, time
-    return GOOD, 0, SLOT.GET_REAL, time
+            if not called(table, GET, (output_list, n_outputs, y_address, n_outputs)):
+                return BAD_CALL, time
+        if passed == changes[n_changes] and passed < n_steps:
+            n_changes += 1
+            end, later = _go_through_event(table, time, info, vectors, rtol, inputs, passed)
+            if end != GOOD:
+                return end, time
+    return GOOD, time

@@ -1,26 +1,24 @@
 """FmuModel: an FMU as a forward model, run in this process."""
 
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.fmi.choice import open_runner
-from simulation.fmi.description import read_description
-from simulation.fmi.numbers import wrong_number, wrong_output
-from simulation.fmi.plan import run_plan
-from simulation.fmi.runner import Runner
+from simulation.fmi.choice import runner_for
+from simulation.fmi.description import FmuDescription, read_description
+from simulation.fmi.instance import FmuInstance
+from simulation.fmi.plan import RunPlan
 from simulation.fmi.unpack import unpacked
-from simulation.fmi.variable import Interface
+from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
 from simulation.scenario import Scenario
-from simulation.scratch import ScratchFolder
-from simulation.trajectories import Trajectories
+from simulation.trajectories import Trajectories, wrong_number, wrong_output
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +50,7 @@ class FmuSettings:
     scenario: Scenario
     output_names: tuple[str, ...]
     output_offsets: FloatArray
-    fixed: Mapping[str, float | int | bool | str] = field(default_factory=dict)
+    fixed: Mapping[str, Value] = field(default_factory=dict)
     interface: Interface = "co-simulation"
     relative_tolerance: float | None = None
     accepted: FloatArray | None = None
@@ -91,6 +89,37 @@ class FmuSettings:
             return None
         return self.parameters_for_fmu(self.warmup_theta)
 
+    def plan(self, description: FmuDescription) -> RunPlan:
+        """Find every variable in the FMU.
+
+        Args:
+            description: What the FMU says of itself.
+
+        Raises:
+            InputError: If the FMU does not have a variable, or has it as something else.
+        """
+        where, scenario = str(description.path), self.scenario
+
+        def found(names: Iterable[str], causality: str) -> tuple[FmuVariable, ...]:
+            return tuple(description.require(name, causality, where) for name in names)
+
+        references = [variable.reference for variable in found(self.output_names, "output")]
+        suggested = description.default_experiment.tolerance
+        return RunPlan(
+            calibrated=found(self.parameter_space.names, "parameter"),
+            fixed=tuple(
+                (description.find(name, "parameter", where, may_be_input=True), value)
+                for name, value in self.fixed.items()
+            ),
+            input_variables=found(scenario.input_names, "input"),
+            inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
+            output_references=np.array(references, dtype=np.uint32),
+            edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
+            output_every=scenario.output_every,
+            n_warmup=scenario.n_warmup,
+            tolerance=suggested if self.relative_tolerance is None else self.relative_tolerance,
+        )
+
     def open(self) -> "FmuModel":
         """Open the model; the bound method is the picklable recipe that worker processes are given."""
         return FmuModel(self)
@@ -114,34 +143,21 @@ class FmuModel:
             InputError: If the FMU cannot be opened or does not have the variables.
         """
         self._settings = settings
-        scenario = settings.scenario
         description = read_description(settings.path)
         description.interface(settings.interface, str(settings.path))
-        plan = run_plan(
-            description,
-            scenario,
-            calibrated=settings.parameter_space.names,
-            fixed=settings.fixed,
-            outputs=settings.output_names,
-            tolerance=settings.relative_tolerance,
-        )
+        plan = settings.plan(description)
         # The warm-up is simulated into rows that are not handed out.
-        self._y_simulated = np.empty((plan.n_simulated, len(settings.output_names)))
-        scratch = unpacked(settings.path)
-        try:
-            self._runner = open_runner(
-                description,
-                plan,
-                scratch.folder,
-                interface=settings.interface,
-                warmup=settings.warmup_for_fmu,
+        self._y_simulated = plan.empty_y()
+        with ExitStack() as stack:
+            scratch = unpacked(settings.path)
+            stack.callback(scratch.remove)
+            instance = FmuInstance(description, settings.interface, scratch.folder)
+            stack.callback(instance.close)
+            self._runner = runner_for(
+                instance, description, plan, interface=settings.interface, warmup=settings.warmup_for_fmu
             )
-        except BaseException:
-            scratch.remove()
-            raise
-        self._opened = (description, plan, scratch.folder)
-        # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
-        self._finalizer = weakref.finalize(self, _close, self._runner, scratch)
+            # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
+            self._finalizer = weakref.finalize(self, stack.pop_all().close)
 
     @property
     def parameter_space(self) -> ParameterSpace:
@@ -178,7 +194,7 @@ class FmuModel:
         theta = np.asarray(theta, dtype=np.float64)
         failures = [""] * len(theta)
         y = np.empty((len(theta), len(self.time), len(self.output_names)))
-        self.simulate_into(theta, y, before=_nothing, after=failures.__setitem__)
+        self.simulate_into(theta, y, before=lambda _: None, after=failures.__setitem__)
         return Trajectories(
             np.array(theta), y, self.time, self.parameter_space.names, self.output_names, tuple(failures)
         )
@@ -239,20 +255,6 @@ class FmuModel:
         """Return the open model."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the model."""
         self.close()
-
-
-def _close(runner: Runner, scratch: ScratchFolder) -> None:
-    runner.close()
-    scratch.remove()
-
-
-def _nothing(_row: int) -> None:
-    """Nobody is told."""

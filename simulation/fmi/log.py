@@ -14,9 +14,13 @@ _WARNING: Final = 1
 _MESSAGES: deque[str] = deque(maxlen=1)
 
 
-def last_message() -> str:
-    """Return the last line that an FMU of this process complained with, "" for none."""
-    return _MESSAGES[-1] if _MESSAGES else ""
+def last_message(form: str) -> str:
+    """Return the last line that an FMU of this process complained with, "" for none.
+
+    Args:
+        form: What the line is put into, as ": {}".
+    """
+    return form.format(_MESSAGES[-1]) if _MESSAGES else ""
 
 
 def forget_messages() -> None:
@@ -24,22 +28,16 @@ def forget_messages() -> None:
     _MESSAGES.clear()
 
 
-def _remember(status: int, message: bytes | None) -> None:
+def _remember(*arguments: Any) -> None:
+    """Take note of a message: the environment, in FMI 2.0 the instance's name, status, category, message."""
+    *_, status, _, message = arguments
     if status > _WARNING and message:
         _MESSAGES.append(" ".join(message.decode("utf-8", "replace").split()))
 
 
-def _remember_2(_environment: object, _name: object, status: int, _category: object, message: bytes) -> None:
-    _remember(status, message)
-
-
-def _remember_3(_environment: object, status: int, _category: object, message: bytes) -> None:
-    _remember(status, message)
-
-
 def _callbacks_2() -> Any:
     callbacks: Any = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_remember_2)
+    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_remember)
     # The C library's own functions, not Python functions around them.
     callbacks.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
     callbacks.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
@@ -52,4 +50,4 @@ def _callbacks_2() -> Any:
 
 
 CALLBACKS_2: Final = _callbacks_2()
-LOGGER_3: Final = fmi3.fmi3LogMessageCallback(_remember_3)
+LOGGER_3: Final = fmi3.fmi3LogMessageCallback(_remember)

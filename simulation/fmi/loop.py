@@ -1,4 +1,8 @@
-"""The co-simulation loops, compiled once for every FMU: they call the FMU's own functions by address."""
+"""The co-simulation loop, compiled once for every FMU: it calls the FMU's own functions by address.
+
+FMI 2.0's functions are called like FMI 3.0's, with more arguments than they have: on every 64-bit platform
+the caller provides and removes arguments, so a C function does not see those beyond its own.
+"""
 
 from typing import Any, Final
 
@@ -6,83 +10,44 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.call import call_status, compiled
-from simulation.fmi.inputs import COUNT, FUNCTION, REFERENCES, STRIDE, VALUES
 
-# Order of the addresses in the array handed to a loop, and of the stages it reports.
-FUNCTIONS_2: Final = ("DoStep", "GetReal")
-FUNCTIONS_3: Final = ("DoStep", "GetFloat64")
+# Order of the addresses in the array handed to the loop, and of the stages it reports.
+FUNCTIONS: Final = ("DoStep", "GetFloat64")
 _STEP, _GET = range(2)
 # The stages from here on are rows of the inputs' table.
 FIRST_INPUT: Final = 2
 WARNING: Final = 1
-# What a loop returns in place of a status when a step was good and yet not the whole step.
+# What the loop returns in place of a status when a step was good and yet not the whole step.
 ENDED: Final = 100
 EARLY: Final = 101
+# Columns of the inputs' table: what is called, with which references, how many, from which values on, and how
+# many bytes further for the next step.
+FUNCTION, REFERENCES, COUNT, VALUES, STRIDE = range(5)
 
 
 @compiled
-def step_through_2(
-    functions: Any,
-    component: int,
-    inputs: Any,
-    output_references: Any,
-    time: FloatArray,
-    first: int,
-    output_every: int,
-    no_going_back: bool,
-    y: FloatArray,
-) -> tuple[int, int, int]:
-    """Take an initialized instance of FMI 2.0 through the communication steps.
+def set_inputs(component: int, inputs: Any, step: int) -> tuple[int, int]:
+    """Set the inputs of a step.
 
     Args:
-        functions: Addresses of FUNCTIONS_2. Shape (2,), intp.
         component: Address of the instance.
-        inputs: Table of the inputs (see inputs). Shape (n_functions, 5), intp.
-        output_references: Value references. Shape (k,), uint32.
-        time: Edges of the communication steps. Shape (m + 1,). [s]
-        first: Step to begin with; a multiple of output_every.
-        output_every: Steps between two outputs.
-        no_going_back: Whether no saved state of an earlier time will be set.
-        y: Filled with the outputs from the first step on, contiguous. Shape (t, k). [model's units]
+        inputs: Table of the inputs. Shape (n_functions, 5), intp.
+        step: The step.
 
     Returns:
-        Status of the last call (0 or 1 when all went well), its stage, and its step.
+        Status of the last call (0 or 1 when all went well), and its row of the table.
     """
-    n_functions, n_outputs = inputs.shape[0], output_references.size
-    n_steps = time.size - 1
-    no_state = np.int32(no_going_back)
-    # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
-    # signed, as numba adds an unsigned and a signed integer to a float.
-    y_stride = n_outputs * y.itemsize
-    y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
-    output_list = output_references.ctypes.data
-    status = call_status(functions[_GET], (component, output_list, n_outputs, y_address))
-    if status > WARNING:
-        return status, _GET, first
-    until_output = output_every
-    for step in range(first, n_steps):
-        for row in range(n_functions):
-            values = inputs[row, VALUES] + step * inputs[row, STRIDE]
-            n = inputs[row, COUNT]
-            status = call_status(inputs[row, FUNCTION], (component, inputs[row, REFERENCES], n, values))
-            if status > WARNING:
-                return status, FIRST_INPUT + row, step
-        h = time[step + 1] - time[step]
-        status = call_status(functions[_STEP], (component, time[step], h, no_state))
+    for row in range(inputs.shape[0]):
+        references, n = inputs[row, REFERENCES], inputs[row, COUNT]
+        values = inputs[row, VALUES] + step * inputs[row, STRIDE]
+        status = call_status(inputs[row, FUNCTION], (component, references, n, values, n))
         if status > WARNING:
-            return status, _STEP, step
-        until_output -= 1
-        if until_output == 0:
-            until_output = output_every
-            y_address += y_stride
-            status = call_status(functions[_GET], (component, output_list, n_outputs, y_address))
-            if status > WARNING:
-                return status, _GET, step
-    return status, _GET, n_steps - 1
+            return status, row
+    return 0, 0
 
 
 @compiled
-def step_through_3(
+def step_through(
     functions: Any,
     component: int,
     inputs: Any,
@@ -90,52 +55,53 @@ def step_through_3(
     time: FloatArray,
     first: int,
     output_every: int,
-    no_going_back: bool,
-    said: FloatArray,
+    no_going_back: int,
+    reached: FloatArray,
     y: FloatArray,
 ) -> tuple[int, int, int]:
-    """Take an initialized instance of FMI 3.0 through the communication steps; as step_through_2.
+    """Take an initialized instance through the communication steps.
 
     Args:
-        functions: Addresses of FUNCTIONS_3. Shape (2,), intp.
+        functions: Addresses of FUNCTIONS. Shape (2,), intp.
         component: Address of the instance.
-        inputs: Table of the inputs (see inputs). Shape (n_functions, 5), intp.
+        inputs: Table of the inputs. Shape (n_functions, 5), intp.
         output_references: Value references. Shape (k,), uint32.
         time: Edges of the communication steps. Shape (m + 1,). [s]
         first: Step to begin with; a multiple of output_every.
         output_every: Steps between two outputs.
-        no_going_back: Whether no saved state of an earlier time will be set.
-        said: What the last step said; its second item is the time that it got to. Shape (2,). [s]
+        no_going_back: 1 where no saved state of an earlier time will be set, else 0.
+        reached: Filled with the time that the last step got to (FMI 3.0). Shape (1,). [s]
         y: Filled with the outputs from the first step on, contiguous. Shape (t, k). [model's units]
 
     Returns:
         Status of the last call (0 or 1 when all went well; ENDED where the FMU wants no further step, EARLY
         where it stopped within one), its stage, and its step.
     """
-    n_functions, n_outputs = inputs.shape[0], output_references.size
-    n_steps = time.size - 1
-    no_state = np.int32(no_going_back)
+    n_outputs, n_steps = output_references.size, time.size - 1
+    # Addresses are reckoned once: the view of a row costs as much as a step of a small model. They are made
+    # signed, as numba adds an unsigned and a signed integer to a float.
     y_stride = n_outputs * y.itemsize
     y_address = np.intp(y.ctypes.data) + first // output_every * y_stride
     output_list = output_references.ctypes.data
     # Three C bools: event handling needed, simulation to be terminated, returned early.
     flags = np.zeros(3, dtype=np.uint8)
-    flag = np.intp(flags.ctypes.data)
-    reached = np.intp(said.ctypes.data) + said.itemsize
-    status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
-    if status > WARNING:
-        return status, _GET, first
-    until_output = output_every
-    for step in range(first, n_steps):
-        for row in range(n_functions):
-            values = inputs[row, VALUES] + step * inputs[row, STRIDE]
-            n = inputs[row, COUNT]
-            status = call_status(inputs[row, FUNCTION], (component, inputs[row, REFERENCES], n, values, n))
+    flag, reach, until_output = np.intp(flags.ctypes.data), reached.ctypes.data, 0
+    for step in range(first, n_steps + 1):
+        if until_output == 0:
+            until_output = output_every
+            status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
             if status > WARNING:
-                return status, FIRST_INPUT + row, step
+                return status, _GET, max(first, step - 1)
+            y_address += y_stride
+        if step == n_steps:
+            break
+        status, row = set_inputs(component, inputs, step)
+        if status > WARNING:
+            return status, FIRST_INPUT + row, step
         h = time[step + 1] - time[step]
         status = call_status(
-            functions[_STEP], (component, time[step], h, no_state, flag, flag + 1, flag + 2, reached)
+            functions[_STEP],
+            (component, time[step], h, no_going_back, flag, flag + 1, flag + 2, reach),
         )
         if status > WARNING:
             return status, _STEP, step
@@ -144,10 +110,4 @@ def step_through_3(
         if flags[1] != 0 and step < n_steps - 1:
             return ENDED, _STEP, step
         until_output -= 1
-        if until_output == 0:
-            until_output = output_every
-            y_address += y_stride
-            status = call_status(functions[_GET], (component, output_list, n_outputs, y_address, n_outputs))
-            if status > WARNING:
-                return status, _GET, step
-    return status, _GET, n_steps - 1
+    return 0, _GET, n_steps

@@ -1,6 +1,5 @@
 """Every row as if it were the first: how an FMU is started over, and what is believed about that."""
 
-import ctypes
 import math
 import time
 from collections.abc import Callable
@@ -9,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.instance import WARNING, FmuInstance
+from simulation.fmi.instance import FmuInstance
 from simulation.fmi.log import forget_messages
 from simulation.fmi.runner import NeedsFreshProcess, Solver
 
@@ -50,7 +49,6 @@ class RestartingRunner:
         trusting: bool = False,
         prepare: Callable[[], str] | None = None,
         n_ignored: int = 0,
-        answers_differ: bool = True,
     ) -> None:
         """Take over an instance.
 
@@ -61,7 +59,6 @@ class RestartingRunner:
             trusting: Whether the second row is started over before that is proven.
             prepare: What every new instance goes through before its first row; says why it failed.
             n_ignored: Outputs at the start of a row that are not compared.
-            answers_differ: Whether other parameters are to be answered otherwise, to the last bit at least.
         """
         self._instance = instance
         self._solver = solver
@@ -69,13 +66,11 @@ class RestartingRunner:
         self._trusting = trusting and bool(ways)
         self._prepare = prepare
         self._n_ignored = n_ignored
-        self._answers_differ = answers_differ
         self._proven = not ways
         self._untouched = True
         self._prepared = False
         self._no_start = ""
         self._first: tuple[FloatArray, FloatArray] | None = None
-        self._state = ctypes.c_void_p(None)
         self._renewed_s = 0.0
         self._remembers = False
 
@@ -89,7 +84,18 @@ class RestartingRunner:
         return self._ways[0] if self._ways else "new instance"
 
     def run(self, values: FloatArray, y: FloatArray) -> str:
-        """Simulate one row; see Runner."""
+        """Simulate one row as if it were the first.
+
+        Args:
+            values: The calibrated parameters. Shape (p,). [FMU's units]
+            y: Filled with the outputs, contiguous. Shape (n_warmup + t, k). [FMU's units]
+
+        Returns:
+            Why the row failed, in one line; "" when it is good.
+
+        Raises:
+            NeedsFreshProcess: If only another process can answer this row.
+        """
         if self._remembers:
             raise NeedsFreshProcess("the FMU remembers earlier rows for as long as its process lives")
         if self._proven:
@@ -115,11 +121,6 @@ class RestartingRunner:
             self._prove(values, y)
         return ""
 
-    def close(self) -> None:
-        """Free the FMU."""
-        self._forget_state()
-        self._instance.close()
-
     def _solve(self, values: FloatArray, y: FloatArray) -> str:
         self._untouched = False
         forget_messages()
@@ -138,7 +139,6 @@ class RestartingRunner:
 
     def _renew(self) -> str:
         """Replace the instance by a new one."""
-        self._forget_state()
         self._prepared = False
         self._instance.replace()
         self._untouched = True
@@ -152,14 +152,12 @@ class RestartingRunner:
                 return self._no_start
         self._prepared = True
         if "state" in self._ways[:1]:
-            self._save_state()
+            self._instance.save_state()
         return ""
 
     def _back(self, way: Way) -> bool:
         """Bring the instance back by one of the ways; return whether the FMU says that it is."""
-        if way == "reset":
-            return self._instance.reset()
-        return bool(self._state) and self._instance.call("SetFMUstate", self._state) <= WARNING
+        return self._instance.reset() if way == "reset" else self._instance.restore_state()
 
     def _prove(self, values: FloatArray, y: FloatArray) -> None:
         """Settle how rows are started over, just after the row of these values and outputs.
@@ -170,49 +168,30 @@ class RestartingRunner:
         """
         assert self._first is not None
         first_values, first_y = self._first
-        if self._answers_differ and self._same(y, first_y):
+        if self._same(y, first_y):
             raise NeedsFreshProcess("the FMU answers other parameters like its first ones, to the last bit")
         again = np.empty_like(y)
-        while self._ways:
-            if (
-                self._back(self._ways[0])
-                and not self._solve(first_values, again)
-                and self._same(again, first_y)
-            ):
-                self._settle()
-                return
-            self._ways.pop(0)
+        for way in list(self._ways):
+            if self._back(way) and not self._solve(first_values, again) and self._same(again, first_y):
+                break
+            self._ways.remove(way)
             # On trust, the row at hand was answered by an instance that had not forgotten another.
             if self._ways and (self._renew() or self._solve(values, y if self._trusting else again)):
+                self._ways = []
                 break
-        self._ways = []
-        failed = self._renew() or self._solve(first_values, again)
-        if failed or not np.allclose(
-            again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
-        ):
-            self._remembers = True
-            raise NeedsFreshProcess("a new instance of the FMU does not repeat the first row of its process")
-        if self._trusting:
-            reason = self._renew() or self._solve(values, y)
-            if reason:
+        if not self._ways:
+            failed = self._renew() or self._solve(first_values, again)
+            if failed or not np.allclose(
+                again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
+            ):
+                self._remembers = True
+                raise NeedsFreshProcess(
+                    "a new instance of the FMU does not repeat the first row of its process"
+                )
+            if self._trusting and (reason := self._renew() or self._solve(values, y)):
                 raise NeedsFreshProcess(f"a row failed once its FMU was new: {reason}")
-        self._settle()
-
-    def _settle(self) -> None:
         self._proven = True
         self._first = None
 
     def _same(self, y: FloatArray, other: FloatArray) -> bool:
         return np.array_equal(y[self._n_ignored :], other[self._n_ignored :])
-
-    def _save_state(self) -> None:
-        status = self._instance.call("GetFMUstate", ctypes.addressof(self._state))
-        if status > WARNING:
-            self._state = ctypes.c_void_p(None)
-        self._instance.keeps_state = bool(self._state)
-
-    def _forget_state(self) -> None:
-        if self._state and not self._instance.lost:
-            self._instance.call("FreeFMUstate", ctypes.addressof(self._state))
-        self._state = ctypes.c_void_p(None)
-        self._instance.keeps_state = False

@@ -1,4 +1,4 @@
-"""What runs rows on an FMU: the promises between the model, the ways to start over and the solvers."""
+"""What a solver promises, and what only another process can do."""
 
 from typing import Protocol
 
@@ -14,29 +14,6 @@ class NeedsFreshProcess(RuntimeError):  # noqa: N818 (says what is to be done, n
     starts another and hands it the row again. A process that raises this before it has answered any row was
     no use; whoever supervises it gives up after some of them.
     """
-
-
-class Runner(Protocol):
-    """Answers one row after the other, each as if it were the first."""
-
-    def run(self, values: FloatArray, y: FloatArray) -> str:
-        """Simulate one row.
-
-        Args:
-            values: The calibrated parameters. Shape (p,). [FMU's units]
-            y: Filled with the outputs, contiguous. Shape (n_warmup + t, k). [FMU's units]
-
-        Returns:
-            Why the row failed, in one line; "" when it is good.
-
-        Raises:
-            NeedsFreshProcess: If only another process can answer this row.
-        """
-        ...
-
-    def close(self) -> None:
-        """Free the FMU; closing twice does no harm."""
-        ...
 
 
 class Solver(Protocol):

@@ -8,20 +8,47 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.fmi.inputs import Inputs
-from simulation.fmi.instance import WARNING, FmuInstance
-from simulation.fmi.kinds import SETTERS
+from simulation.fmi.instance import FmuInstance
 from simulation.fmi.plan import RunPlan
-from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from simulation.fmi.variable import REAL_KINDS, SETTERS, FmuVariable, Value
 
-_Value = float | int | bool | str
+
+class Setting:
+    """Some variables that one function sets, and their values in its C type.
+
+    Attributes:
+        function: The function, without the version.
+        columns: Which of the variables that were to be sorted they are. Shape (n,).
+        values: Their values, a row for each step; pointers to texts. Shape (m, n).
+        arguments: What follows the instance in a call that sets the first row.
+    """
+
+    def __init__(
+        self, function: str, columns: list[int], variables: Sequence[FmuVariable], values: list[Any]
+    ) -> None:
+        self.function = function
+        self.columns = columns
+        self._references = np.array([variables[column].reference for column in columns], dtype=np.uint32)
+        chosen = [values[column] for column in columns]
+        if isinstance(chosen[0], str):
+            self._texts = [ctypes.create_string_buffer(text.encode()) for text in chosen]
+            chosen = [np.array([ctypes.addressof(text)]) for text in self._texts]
+        self.values: Any = np.column_stack(chosen)
+        # Addresses are reckoned once: a row may take no longer than a few of these calls.
+        n = len(columns)
+        self.arguments: Final = (self._references.ctypes.data, n, self.values.ctypes.data, n)
 
 
 class Start:
-    """Sets the parameters of a row and initializes the instance; the same for all interfaces and versions."""
+    """Sets the parameters of a row and initializes the instance; the same for all interfaces and versions.
+
+    Attributes:
+        inputs: The inputs, by the functions that set them.
+        input_table: The same for the loops (see loop). Shape (n_functions, 5), intp.
+    """
 
     def __init__(self, instance: FmuInstance, plan: RunPlan, where: str) -> None:
-        """Sort the parameters by their kinds and check the fixed ones.
+        """Sort the parameters and the inputs by their kinds and check the values that do not change.
 
         Args:
             instance: The FMU.
@@ -29,25 +56,58 @@ class Start:
             where: The FMU's file, for messages.
 
         Raises:
-            InputError: If a fixed value does not fit its variable.
+            InputError: If a fixed value or an input does not fit its variable.
         """
         self._instance = instance
-        self._plan = plan
-        structural = [one for one in plan.fixed if one[0].causality == "structuralParameter"]
-        others = [one for one in plan.fixed if one[0].causality != "structuralParameter"]
-        self._structural = [
-            _fixed_setting(instance, setter, variables, where)
-            for setter, variables in _by_setter(instance, structural)
+        self._time = float(plan.edges[0])
+        setters = SETTERS[instance.prefix]
+
+        def sorted_by_function(variables: Sequence[FmuVariable], values: list[Any]) -> list[Setting]:
+            groups: dict[str, list[int]] = {}
+            for column, variable in enumerate(variables):
+                groups.setdefault(setters[variable.kind][0], []).append(column)
+            return [Setting(name, columns, variables, values) for name, columns in groups.items()]
+
+        def fixed(is_structural: bool) -> list[Setting]:
+            chosen = [
+                one for one in plan.fixed if (one[0].causality == "structuralParameter") == is_structural
+            ]
+            values = [_fixed_value(one, value, setters[one.kind][1], where) for one, value in chosen]
+            return sorted_by_function([one for one, _ in chosen], values)
+
+        structural, others = self._fixed = fixed(True), fixed(False)
+        self._parameters = sorted_by_function(
+            plan.calibrated, [np.zeros(1, setters[one.kind][1]) for one in plan.calibrated]
+        )
+        self.inputs = sorted_by_function(
+            plan.input_variables,
+            [
+                _input_values(one, values, plan.edges, where, setters[one.kind][1])
+                for one, values in zip(plan.input_variables, plan.inputs.T, strict=True)
+            ],
+        )
+        self.input_table: Final = np.array(
+            [
+                (instance.addresses(one.function)[0], *one.arguments[:3], one.values.strides[0])
+                for one in self.inputs
+            ],
+            dtype=np.intp,
+        ).reshape(-1, 5)
+        self._set_parameters = _calls(self._parameters)
+        asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
+        experiment = (asked, tolerance, self._time, True, float(plan.edges[-1]))
+        is_fmi2 = instance.prefix == "fmi2"
+        configuration = [("EnterConfigurationMode",), *_calls(structural), ("ExitConfigurationMode",)]
+        self._calls = [
+            *(configuration if structural else []),
+            *([("SetupExperiment", *experiment)] if is_fmi2 else []),
+            *_calls(others),
+            *self._set_parameters,
+            ("EnterInitializationMode", *(() if is_fmi2 else experiment)),
+            # Inputs of the first step are set here too: initial values may depend on them.
+            *_calls(self.inputs),
+            ("ExitInitializationMode",),
         ]
-        self._fixed = [
-            _fixed_setting(instance, setter, variables, where)
-            for setter, variables in _by_setter(instance, others)
-        ]
-        self.parameters: Final = [
-            _Calibrated(instance, kind, plan.calibrated)
-            for kind in dict.fromkeys(variable.kind for variable in plan.calibrated)
-        ]
-        self.inputs: Final = Inputs(instance, plan, where)
 
     def begin(self, values: FloatArray) -> str:
         """Take the instance from "as if just instantiated" to the first step.
@@ -58,32 +118,10 @@ class Start:
         Returns:
             Why it failed, in one line; "" when it did not.
         """
-        instance, plan = self._instance, self._plan
-        start, stop = float(plan.edges[0]), float(plan.edges[-1])
-        asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
-        if self._structural and (failure := self._configure(start)):
-            return failure
-        experiment = (asked, tolerance, start, True, stop)
-        if instance.prefix == "fmi2":
-            status = instance.call("SetupExperiment", *experiment)
-            if status > WARNING:
-                return instance.failure("SetupExperiment", status, start)
-        for group in self._fixed:
-            if failure := group.set(start):
-                return failure
-        if failure := self.set_parameters(values, start):
-            return failure
-        status = instance.call("EnterInitializationMode", *(experiment if instance.prefix == "fmi3" else ()))
-        if status > WARNING:
-            return instance.failure("EnterInitializationMode", status, start)
-        # Inputs of the first step are set here too: initial values may depend on them.
-        if failure := self.inputs.set_first(start):
-            return failure
-        status = instance.call("ExitInitializationMode")
-        if status > WARNING:
-            return instance.failure("ExitInitializationMode", status, start)
-        instance.initialized()
-        return ""
+        self._take(values)
+        failure = self._instance.call_all(self._calls, self._time)
+        self._instance.is_initialized = not failure
+        return failure
 
     def set_parameters(self, values: FloatArray, time: float) -> str:
         """Set the calibrated parameters.
@@ -95,87 +133,36 @@ class Start:
         Returns:
             Why it failed, in one line; "" when it did not.
         """
-        for group in self.parameters:
-            if failure := group.set(values, time):
-                return failure
-        return ""
+        self._take(values)
+        return self._instance.call_all(self._set_parameters, time)
 
-    def _configure(self, time: float) -> str:
-        """Set the structural parameters, which have a mode of their own."""
-        for name in ("EnterConfigurationMode", "", "ExitConfigurationMode"):
-            if name:
-                status = self._instance.call(name)
-                if status > WARNING:
-                    return self._instance.failure(name, status, time)
-            else:
-                for group in self._structural:
-                    if failure := group.set(time):
-                        return failure
-        return ""
+    def _take(self, values: FloatArray) -> None:
+        for one in self._parameters:
+            one.values[0] = values[one.columns]
 
 
-class _Setting:
-    """Some variables that one function sets, and the buffer that their values are in."""
-
-    def __init__(
-        self, instance: FmuInstance, function: str, variables: Sequence[FmuVariable], values: Any
-    ) -> None:
-        self._instance = instance
-        self._function = function
-        self._references = np.array([variable.reference for variable in variables], dtype=np.uint32)
-        self.values = values
-        address = values.ctypes.data if isinstance(values, np.ndarray) else ctypes.addressof(values)
-        n = len(variables)
-        # Addresses are reckoned once: a row may take no longer than a few of these calls.
-        self._arguments: tuple[int, ...] = (self._references.ctypes.data, n, address)
-        if instance.prefix == "fmi3":
-            self._arguments += (n,)
-
-    def set(self, time: float) -> str:
-        status = self._instance.call(self._function, *self._arguments)
-        return self._instance.failure(self._function, status, time) if status > WARNING else ""
+def _calls(settings: Sequence[Setting]) -> list[tuple[Any, ...]]:
+    return [(one.function, *one.arguments) for one in settings]
 
 
-class _Calibrated:
-    """The calibrated parameters of one kind; a row's values are copied into a buffer of its C type."""
-
-    def __init__(self, instance: FmuInstance, kind: str, calibrated: Sequence[FmuVariable]) -> None:
-        function, dtype = SETTERS[instance.prefix][kind]
-        self._columns = np.array([i for i, one in enumerate(calibrated) if one.kind == kind], dtype=np.intp)
-        self._setting = _Setting(
-            instance, function, [calibrated[i] for i in self._columns], np.zeros(len(self._columns), dtype)
-        )
-
-    def set(self, values: FloatArray, time: float) -> str:
-        self._setting.values[:] = values[self._columns]
-        return self._setting.set(time)
-
-
-def _fixed_setting(
-    instance: FmuInstance, setter: str, fixed: Sequence[tuple[FmuVariable, _Value]], where: str
-) -> _Setting:
-    """Check the fixed parameters that one function sets."""
-    dtype = SETTERS[instance.prefix][fixed[0][0].kind][1]
-    checked = [_checked(variable, value, dtype, where) for variable, value in fixed]
-    values: Any = (
-        (ctypes.c_char_p * len(checked))(*(str(value).encode() for value in checked))
-        if dtype is None
-        else np.array(checked, dtype=dtype)
-    )
-    return _Setting(instance, setter, [variable for variable, _ in fixed], values)
+def _input_values(
+    variable: FmuVariable, values: FloatArray, edges: FloatArray, where: str, dtype: Any
+) -> Any:
+    """Return an input's values in its C type. Shape (m,)."""
+    if variable.kind not in REAL_KINDS:
+        low, high = (0, 1) if variable.kind == "Boolean" else (np.iinfo(dtype).min, np.iinfo(dtype).max)
+        wrong = ~((values == np.rint(values)) & (values >= low) & (values <= high))
+        if wrong.any():
+            step = int(np.argmax(wrong))
+            raise InputError(
+                f"{where}: input {variable.name} is a {variable.kind} and gets {values[step]:g} at "
+                f'{edges[step]:g} s; give whole numbers in its range, with interpolation = "held"'
+            )
+    return values.astype(dtype)
 
 
-def _by_setter(
-    instance: FmuInstance, fixed: Sequence[tuple[FmuVariable, _Value]]
-) -> list[tuple[str, list[tuple[FmuVariable, _Value]]]]:
-    groups: dict[str, list[tuple[FmuVariable, _Value]]] = {}
-    for variable, value in fixed:
-        groups.setdefault(SETTERS[instance.prefix][variable.kind][0], []).append((variable, value))
-    return list(groups.items())
-
-
-def _checked(variable: FmuVariable, value: _Value, dtype: Any, where: str) -> _Value:
-    """Return the value as its variable wants it."""
+def _fixed_value(variable: FmuVariable, value: Value, dtype: Any, where: str) -> Any:
+    """Return the value as its variable wants it: a text, or an array of shape (1,) of its C type."""
     kind, wrong = variable.kind, f"{where}: fixed.{variable.name} = {value!r}"
     if kind == "String":
         if not isinstance(value, str):
@@ -184,19 +171,18 @@ def _checked(variable: FmuVariable, value: _Value, dtype: Any, where: str) -> _V
     if kind == "Boolean":
         if not isinstance(value, bool):
             raise InputError(f"{wrong}: the FMU's {variable.name} is true or false; write one of the two")
-        return value
-    if kind == "Enumeration" and isinstance(value, str):
+    elif kind == "Enumeration" and isinstance(value, str):
         if value not in variable.items:
             choice = ", ".join(variable.items) or "its numbers"
             raise InputError(f"{wrong} is none of its values; choose one of: {choice}")
-        return variable.items[value]
-    if isinstance(value, str | bool):
+        value = variable.items[value]
+    elif isinstance(value, str | bool):
         raise InputError(f"{wrong} is no number, and the FMU's {variable.name} is a {kind}; give a number")
-    if kind in REAL_KINDS:
-        return float(value)
-    limits = np.iinfo(dtype)
-    if value != int(value) or not limits.min <= value <= limits.max:
-        raise InputError(
-            f"{wrong} is no {kind}; give a whole number from {int(limits.min)} to {int(limits.max)}"
-        )
-    return int(value)
+    elif kind not in REAL_KINDS:
+        limits = np.iinfo(dtype)
+        if value != int(value) or not limits.min <= value <= limits.max:
+            raise InputError(
+                f"{wrong} is no {kind}; give a whole number from {int(limits.min)} to {int(limits.max)}"
+            )
+        value = int(value)
+    return np.array([value], dtype=dtype)

@@ -2,12 +2,38 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Any, Final, Literal
+
+import numpy as np
 
 Interface = Literal["co-simulation", "model-exchange"]
 FmiVersion = Literal["2.0", "3.0"]
 
+Value = float | int | bool | str
+
 REAL_KINDS: Final = ("Real", "Float64", "Float32")
+# The function that sets variables of a kind and the C type of its values, None for text; by FMI version.
+SETTERS: Final[dict[str, dict[str, tuple[str, Any]]]] = {
+    "fmi2": {
+        "Real": ("SetReal", np.float64),
+        "Integer": ("SetInteger", np.int32),
+        "Enumeration": ("SetInteger", np.int32),
+        "Boolean": ("SetBoolean", np.int32),
+        "String": ("SetString", None),
+    },
+    "fmi3": {
+        "Float64": ("SetFloat64", np.float64),
+        "Float32": ("SetFloat32", np.float32),
+        "Enumeration": ("SetInt64", np.int64),
+        "Boolean": ("SetBoolean", np.uint8),
+        "String": ("SetString", None),
+        **{
+            f"{sign}Int{bits}": (f"Set{sign}Int{bits}", np.dtype(f"{sign.lower()}int{bits}").type)
+            for sign in ("", "U")
+            for bits in (8, 16, 32, 64)
+        },
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -70,14 +96,12 @@ class FmuInterface:
     Attributes:
         model_identifier: Name of the binary.
         can_get_and_set_state: Whether its state can be saved and brought back.
-        provides_directional_derivatives: Whether it gives derivatives between its variables.
         can_be_instantiated_only_once_per_process: Whether it allows one instance at a time.
         needs_execution_tool: Whether it needs the tool that made it.
     """
 
     model_identifier: str
     can_get_and_set_state: bool = False
-    provides_directional_derivatives: bool = False
     can_be_instantiated_only_once_per_process: bool = False
     needs_execution_tool: bool = False
 

@@ -181,7 +181,6 @@ def _fmu(case: Case) -> Finding:
         word
         for word, has in (
             ("state can be saved", interface.can_get_and_set_state),
-            ("directional derivatives", interface.provides_directional_derivatives),
             ("one instance per process", interface.can_be_instantiated_only_once_per_process),
         )
         if has

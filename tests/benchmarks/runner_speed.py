@@ -158,7 +158,7 @@ def simulated_by_c(model: FmuModel, rows: np.ndarray, folder: Path) -> tuple[Cal
         np.array([one.reference for one in variables], dtype=np.uint32)
         for variables in (plan.calibrated, plan.input_variables)
     )
-    y = np.empty((len(rows), plan.n_steps + 1, len(plan.outputs)))
+    y = np.empty((len(rows), plan.n_steps + 1, len(plan.output_references)))
 
     def address(array: np.ndarray) -> ctypes.c_void_p:
         return ctypes.c_void_p(array.ctypes.data)
@@ -176,7 +176,7 @@ def simulated_by_c(model: FmuModel, rows: np.ndarray, folder: Path) -> tuple[Cal
             ctypes.c_size_t(plan.inputs.shape[1]),
             address(plan.inputs),
             address(plan.output_references),
-            ctypes.c_size_t(len(plan.outputs)),
+            ctypes.c_size_t(len(plan.output_references)),
             address(plan.edges),
             plan.n_steps,
             address(y),
