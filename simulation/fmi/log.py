@@ -10,23 +10,27 @@ from fmpy import fmi2, fmi3
 
 _WARNING: Final = 1
 
-# The last message of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one.
-_MESSAGES: deque[str] = deque(maxlen=1)
+# The last messages of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one. Some
+# tools log an assertion that ends a simulation as a warning.
+_ERRORS: deque[str] = deque(maxlen=1)
+_WARNINGS: deque[str] = deque(maxlen=1)
 
 
 def last_message() -> str:
-    """Return the last line that an FMU of this process complained with, "" for none."""
-    return _MESSAGES[-1] if _MESSAGES else ""
+    """Return the last line that an FMU of this process complained with, its last warning else, "" for none."""
+    return next(iter((*_ERRORS, *_WARNINGS)), "")
 
 
 def forget_messages() -> None:
     """Forget what was logged so far."""
-    _MESSAGES.clear()
+    _ERRORS.clear()
+    _WARNINGS.clear()
 
 
 def _remember(status: int, message: bytes | None) -> None:
-    if status > _WARNING and message:
-        _MESSAGES.append(" ".join(message.decode("utf-8", "replace").split()))
+    if status >= _WARNING and message:
+        kept = _WARNINGS if status == _WARNING else _ERRORS
+        kept.append(" ".join(message.decode("utf-8", "replace").split()))
 
 
 def _remember_2(_environment: object, _name: object, status: int, _category: object, message: bytes) -> None:
