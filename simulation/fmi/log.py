@@ -17,7 +17,7 @@ _WARNINGS: deque[str] = deque(maxlen=1)
 
 
 def last_message() -> str:
-    """Return the last line that an FMU of this process complained with, its last warning else, "" for none."""
+    """Return the last line that an FMU of this process complained with, else its last warning, or ""."""
     return next(iter((*_ERRORS, *_WARNINGS)), "")
 
 

@@ -1,7 +1,7 @@
 """The rows of an adaptive calibration: first design, legs of a search, trust region and proposals."""
 
 import math
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -429,19 +429,42 @@ class AdaptiveSearch:
     @property
     def is_flat(self) -> BoolArray:
         """On which parameters the error hardly depends around the best row, over all of their ranges."""
-        none = np.zeros(self._p, dtype=np.bool_)
         if self._guide is not None and self._guide.is_sure:
             return self._guide.left_out
-        if not self._horizon.is_whole or self._objective.size <= self._n_known + self._n_design:
-            return none
+        process = self._last_process
+        if process is None:
+            return np.zeros(self._p, dtype=np.bool_)
         best = int(np.argmin(self._objective))
-        if not 0.0 < self._objective[best] < np.inf or self._is_sane.sum() < 2:
-            return none
-        process = self._fit()
         across = np.tile(self._u[best], (self._p, N_ACROSS, 1))
         across[np.arange(self._p), :, np.arange(self._p)] = np.linspace(0.0, 1.0, N_ACROSS)
         errors = process.errors(across.reshape(-1, self._p)).reshape(self._p, N_ACROSS)
         return np.asarray(np.ptp(errors, axis=1) <= FLAT * self._objective[best])
+
+    @property
+    def slopes(self) -> FloatArray | None:
+        """Slopes of the residuals at the best row, in an orthonormal basis of p residuals.
+
+        A slope that rows leave open counts as large as it may be: what has none has been seen to have none.
+
+        Returns:
+            Shape (p, p), None where too little is known of the model. [first output's unit per range]
+        """
+        best = self._u[int(np.argmin(self._objective))]
+        if self._guide is not None and self._guide.is_believed:
+            return np.asarray(np.linalg.qr(self._guide.slopes(best), mode="r"))
+        process = self._last_process
+        if process is None:
+            return None
+        squares, axes = np.linalg.eigh(0.5 * self._residuals.shape[1] * process.expand(best, 1.0).hessian)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T)
+
+    @cached_property
+    def _last_process(self) -> ProcessGroups | None:
+        """The surrogate of all rows, once there are no more; None where they are a first design or less."""
+        is_enough = self._horizon.is_whole and self._objective.size > self._n_known + self._n_design
+        if not is_enough or not 0.0 < self._objective.min() < np.inf or self._is_sane.sum() < 2:
+            return None
+        return self._fit()
 
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""

@@ -33,6 +33,7 @@ from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, mse_text, quantity, squared
 from studies.stages.adaptive_known import check_design, known_arrays, known_of, offer_stored
 from studies.stages.calibrate import write_arrays
+from studies.stages.determined import determined_numbers
 from studies.stages.guided import asked_twice, guide_of, guided_numbers
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.known_rows import ChooseRows, KnownRows
@@ -298,6 +299,14 @@ def calibrate_adaptively(
         "without_effect": [
             name for name, flat in zip(model.parameter_space.names, result.is_flat, strict=True) if flat
         ],
+        **determined_numbers(
+            model.parameter_space.names,
+            case.measurement,
+            prior,
+            u=result.u,
+            y=result.y,
+            slopes=result.slopes,
+        ),
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,
         **validated,
         **prior_numbers(case, theta),

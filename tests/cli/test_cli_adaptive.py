@@ -88,6 +88,11 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     assert f"after {calls['n_adaptive']} model calls" in told.out
     assert f"it ended because {stage['stop_reason']}" in told.out
     assert "qIntOcc" in told.out
+    left_open = stage["determined_by_data"]["open"]
+    assert {"rExt1", "rExt2", "cExt1"} <= {*left_open}
+    assert "qIntOcc" not in left_open
+    assert told.out.count("not determined: ±") == len(left_open)
+    assert f"The data do not determine {len(left_open)} of 14 parameters" in " ".join(told.out.split())
     page = studies("report", "--window", "0-10", "--json")
     assert page.code == 0, page.err
     folder = (project / page.document["stages"][0]["index"]).parent
