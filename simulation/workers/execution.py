@@ -9,6 +9,10 @@ SLOWER = 100.0
 """Without a time-out a simulation may take so many times as long as the slowest one before."""
 
 
+MIN_ROWS, DEVIATIONS = 20, 2.0
+"""Below so many rows a share of failed ones says nothing, and so many standard deviations are bad luck."""
+
+
 class CampaignStopped(InputError):  # noqa: N818 - the end of a campaign is an event
     """So many rows failed that going on would waste simulations; the finished ones are kept in the spool."""
 
@@ -25,8 +29,8 @@ class ExecutionPolicy:
             time-out, what opens a model beside that, as compiling its loop, has a minute. [s]
         retries: How often a row whose process died is tried again.
         timeout_retries: How often a row that was killed at its time-out is tried again.
-        max_failed_share: Share of failed rows above which a campaign stops and says why, once 20 rows have
-            finished and it is no bad luck (two standard deviations); 1 for never. [1]
+        max_failed_share: Share of failed rows above which a campaign stops and says why, once `MIN_ROWS` rows
+            have finished and it is no bad luck (`DEVIATIONS`); 1 for never. [1]
         max_workers: Most processes at once, for instance as many as there are licences; None for no limit.
         max_growth_mb: A process that has taken this much more memory than after its first row is replaced
             once its row is finished. [MB]
@@ -57,6 +61,11 @@ class ExecutionPolicy:
             raise ValueError(f"max_growth_mb is {self.max_growth_mb}; give megabytes above 0")
         if self.max_rows_per_process is not None and self.max_rows_per_process < 1:
             raise ValueError(f"max_rows_per_process is {self.max_rows_per_process}; give at least 1")
+
+    def is_hopeless(self, n: int, n_failed: int) -> bool:
+        """Tell whether so many of n rows failed that going on would waste simulations."""
+        share = self.max_failed_share
+        return n >= MIN_ROWS and n_failed > share * n + DEVIATIONS * math.sqrt(share * (1.0 - share) * n)
 
     def limit_s(self, slowest_s: float | None) -> float:
         """Return the time after which a simulation is killed, infinite for never. [s].

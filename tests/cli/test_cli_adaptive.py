@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -224,6 +225,24 @@ def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     n_failed = studies(*without, "--json").stage["n_failed"]
     again = studies(*without, "--retry-failed", "--json").stage
     assert again["n_simulated"] == again["n_failed"] == n_failed
+
+
+def test_a_calibration_whose_simulations_mostly_fail_ends_and_says_why(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    narrow = "uncertainty = 0.5\naccepted = [20.8, 25.2]"
+    text = case.read_text().replace("uncertainty = 0.5", narrow)
+    case.write_text(text + "\n[simulation]\nmax_failed_share = 0.2\n")
+    answer = studies(*ADAPTIVE, "--no-state-equations")
+    assert answer.code == 1
+    told = answer.err.splitlines()[-1]
+    assert re.match(r"studies: error: \d+ of \d\d simulations failed, more than simulation", told)
+    assert "max_failed_share = 0.2 allows; the commonest reason: output TAir" in told
+    assert "the finished simulations are kept; narrow the bounds (studies check office" in told
+    # Who allows more goes on with them.
+    case.write_text(text + "\n[simulation]\nmax_failed_share = 1.0\n")
+    n_before = n_stored(project)
+    stage = studies(*ADAPTIVE, "--no-state-equations", "--max-calls", str(n_before + 1), "--json").stage
+    assert stage["n_simulated"] == 1
 
 
 def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: Run) -> None:
