@@ -31,7 +31,8 @@ def parameter_conversions(path: Path, file: CaseFile, fmu: FmuDescription) -> li
     found = []
     for table in file.parameters:
         where = f"{path}: parameters[{table.name}]"
-        found.append(into(fmu, fmu.require(table.name, "parameter", where), table.unit, where))
+        variable = fmu.require(table.name, "parameter", where, may_be_input=True)
+        found.append(into(fmu, variable, table.unit, where))
     return found
 
 
@@ -50,20 +51,23 @@ def into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> C
 
 
 def check_inputs(path: Path, file: CaseFile, fmu: FmuDescription) -> None:
-    """Check that every input of the FMU has one source: a recording, or a value that it is held at."""
-    names = [table.name for table in file.inputs]
+    """Check that every input of the FMU has one source: a recording, a value, or that it is calibrated."""
+    names, calibrated = [table.name for table in file.inputs], [table.name for table in file.parameters]
     for name in names:
         fmu.require(name, "input", f"{path}: inputs[{name}]")
         if names.count(name) > 1:
             raise InputError(f"{path}: inputs[{name}] is declared {names.count(name)} times; keep one")
         if name in file.fixed:
             raise InputError(f"{path}: inputs[{name}] is also under [fixed]; drop one of the two")
+        if name in calibrated:
+            raise InputError(f"{path}: inputs[{name}] is also under [[parameters]]; drop one of the two")
     for name in fmu.names("input"):
         # What nothing can set must not stand in the way of the others; the doctor tells of it.
-        if name not in names and name not in file.fixed and not fmu.variables[name].is_out_of_reach:
+        has_source = name in names or name in file.fixed or name in calibrated
+        if not has_source and not fmu.variables[name].is_out_of_reach:
             raise InputError(
                 f"{path}: the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
-                "start; or hold it at a value under [fixed]"
+                "start; or hold it at a value under [fixed], or calibrate it under [[parameters]]"
             )
 
 

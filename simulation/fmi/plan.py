@@ -78,8 +78,8 @@ def run_plan(
     """
     where = str(description.path)
 
-    def found(names: Sequence[str], causality: str) -> tuple[FmuVariable, ...]:
-        return tuple(description.require(name, causality, where) for name in names)
+    def found(names: Sequence[str], causality: str, *, may_be_input: bool = False) -> tuple[FmuVariable, ...]:
+        return tuple(description.require(name, causality, where, may_be_input=may_be_input) for name in names)
 
     def references(variables: Sequence[FmuVariable]) -> Any:
         return np.array([variable.reference for variable in variables], dtype=np.uint32)
@@ -87,7 +87,7 @@ def run_plan(
     output_variables = found(outputs, "output")
     input_variables = found(scenario.input_names, "input")
     return RunPlan(
-        calibrated=found(calibrated, "parameter"),
+        calibrated=found(calibrated, "parameter", may_be_input=True),
         fixed=tuple(
             (description.find(name, "parameter", where, may_be_input=True), value)
             for name, value in fixed.items()
