@@ -40,7 +40,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="parameters to calibrate: names or patterns like 'wall.*'; default: those of the top level",
+        help="parameters to calibrate: names or patterns like 'wall.*', also of inputs that are constant; "
+        "default: those of the top level",
     )
     command.add_argument(
         "--interface",

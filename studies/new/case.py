@@ -77,6 +77,7 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     fmu = describe(fmu_file)
     folder = _folder(fmu_file, paths, wishes.folder)
     name = case_name(folder.name)
+    parameters = choose_parameters(fmu, wishes.parameters)
     is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
     data = paths.data / name if is_named else folder
     case = NewCase(
@@ -86,10 +87,10 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
         interface=choose_interface(fmu, wishes.interface),
-        inputs=inputs_of(fmu),
+        inputs=tuple(one for one in inputs_of(fmu) if one not in parameters.used),
         held_inputs=held_inputs(fmu),
         outputs=choose_outputs(fmu, wishes.outputs),
-        parameters=choose_parameters(fmu, wishes.parameters),
+        parameters=parameters,
         fixable=other_parameters(fmu),
         times=choose_times(fmu),
         show_all=wishes.show_all,

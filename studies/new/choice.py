@@ -97,9 +97,11 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     Args:
         fmu: The FMU.
         patterns: Names, or globs like "wall.*"; empty for the first parameters at the top level whose start
-            values tell their order of magnitude.
+            values tell their order of magnitude. One that matches no parameter may match inputs.
     """
-    candidates = parameter_candidates(fmu)
+    candidates, inputs = parameter_candidates(fmu), [v for v in inputs_of(fmu) if _is_number(v)]
+    if patterns and inputs:
+        return _matching(fmu, candidates, patterns, "parameter", beside=inputs)
     if not candidates:
         raise InputError(
             f"{fmu.path}: has no real parameter that can be set; export it with parameters that are neither "

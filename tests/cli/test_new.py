@@ -172,6 +172,15 @@ def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None
     assert "exists" in studies("new", str(room), "--to", str(file.parent)).err
 
 
+def test_an_input_can_be_a_parameter(project: Path, studies: Run, room: Path) -> None:
+    document = studies("new", str(room), "--parameter", "UA", "TAmb", "--json").document
+    assert document["parameters"] == ["UA", "TAmb"]
+    assert "TAmb" not in document["inputs"]
+    case = case_of(project, "my-room-v2")
+    assert [one["name"] for one in case["parameters"]] == ["UA", "TAmb"]
+    assert "TAmb" not in [one["name"] for one in case.get("inputs", ())]
+
+
 def test_it_can_be_repeated_beside_ones_own_data(project: Path, studies: Run, room: Path) -> None:
     assert studies("new", str(room)).code == 0
     data, case = project / "data" / "my-room-v2", project / "fmus" / "my-room-v2" / "case.toml"
@@ -318,7 +327,7 @@ def test_a_temperature_without_a_unit_is_known_by_its_name(
         (["nowhere.fmu"], ["nowhere.fmu", "no such file"]),
         (["{room}", "--output", "Tx"], ["--output Tx", "did you mean T"]),
         (["{room}", "--output", "X*"], ["--output X*", "--list"]),
-        (["{room}", "--parameter", "TAmb"], ["--parameter TAmb", "input"]),
+        (["{room}", "--parameter", "Q"], ["--parameter Q", "output"]),
         (["{room}", "--parameter", "n.windows"], ["n.windows", "Integer", "[fixed]"]),
         (["{room}", "--interface", "model-exchange"], ["model-exchange", "co-simulation"]),
         (["{bare}"], ["no real output"]),
