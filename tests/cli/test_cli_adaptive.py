@@ -207,6 +207,20 @@ def test_what_does_not_go_together_is_one_line(
     assert not parts_of(project)
 
 
+def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    text = case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.03")
+    case.write_text(text.replace("communication_step_s = 600", "communication_step_s = 1800"))
+    lacks = "the model lacks something"
+    unexamined = " ".join(studies(*ADAPTIVE).out.split())
+    assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in unexamined
+    assert studies("check", "office", "--profile", "quick", "-q").code == 0
+    examined = " ".join(studies(*ADAPTIVE).out.split())
+    found = r"studies check found that half the communication step \(900 s\) changes TAir by 0\.\d+ degC"
+    assert re.search(found, examined), examined
+    assert "lower communication_step_s in the case file" in examined
+
+
 def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     case = project / "fmus" / "office" / "case.toml"
     case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [20, 26]"))
