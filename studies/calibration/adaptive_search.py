@@ -17,6 +17,7 @@ from studies.calibration.ending import (
     too_large,
 )
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
+from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
 from studies.calibration.known_rows import missing_of_design
@@ -96,6 +97,8 @@ class AdaptiveSearch:
         self._was_lost = False
         self._has_probed = False
         self._hyper: tuple[FloatArray, ...] = ()
+        self._penalty_expected: Penalty | None = self._prior
+        self._failed_hyper: FloatArray | None = None
         self._radius = settings.radius
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
         self._first = 0
@@ -185,7 +188,10 @@ class AdaptiveSearch:
         here, before = self._u[best], float(self._objective[best])
         rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
         process, n_before = self._fit(), self._objective.size
-        places, gains = least_unlikely(process, self._prior, (here, before), rows, n_parallel, self._rng)
+        self._weigh_failures(before)
+        places, gains = least_unlikely(
+            process, self._penalty_expected, (here, before), rows, n_parallel, self._rng
+        )
         self._ask(places)
         if self._objective.min() < (1.0 - self._settings.ftol) * before:
             self._first, self._leg, self._idle, self._dull = 0, [], 0, 0
@@ -303,6 +309,7 @@ class AdaptiveSearch:
         """Make one round of a leg."""
         process = self._fit()
         if self._first == self._objective.size:
+            self._weigh_failures(float(self._objective.min()))
             self._ask(self._elsewhere(process))
             self._leg.append(self._leg_best)
             return
@@ -310,6 +317,7 @@ class AdaptiveSearch:
         first = self._first if np.isfinite(self._leg_best) else 0
         best = first + int(np.argmin(self._objective[first:]))
         centre, centre_objective = self._u[best], float(self._objective[best])
+        self._weigh_failures(centre_objective)
         points, expected = self._propose(process, centre)
         promise = centre_objective - expected.value
         if self._is_sure and promise <= self._least_gain * centre_objective:
@@ -536,6 +544,16 @@ class AdaptiveSearch:
         self._hyper = process.hyper
         return process
 
+    def _weigh_failures(self, objective: float) -> None:
+        """Learn where rows fail, and let that weigh as much as an objective. [unit squared]."""
+        failed = ~np.isfinite(self._objective)
+        if not failed.any():
+            return
+        known = Failures.fit(
+            self._features, self._u, failed, self._prior, self._failed_hyper, scale=objective
+        )
+        self._failed_hyper, self._penalty_expected = known.process.hyper, known
+
     @property
     def _is_sane(self) -> BoolArray:
         """Which rows a surrogate learns from: beside diverged simulations all others would be alike."""
@@ -546,7 +564,7 @@ class AdaptiveSearch:
         return sane if sane.sum() >= 2 else finite
 
     def _expand(self, process: ProcessGroups, u: FloatArray, caution: float) -> Expansion:
-        return expected_objective(process, self._prior, u, caution)
+        return expected_objective(process, self._penalty_expected, u, caution)
 
     def _elsewhere(self, process: ProcessGroups) -> FloatArray:
         """Return where a leg elsewhere begins, one point for each parallel row."""
@@ -564,7 +582,12 @@ class AdaptiveSearch:
         # From a far valley a random start would find the way back.
         is_abroad = self._is_far and not self._is_home
         surroundings = Surroundings(
-            process, self._prior, centre, self._radius, self._u, 1 if is_abroad else self._settings.n_descents
+            process,
+            self._penalty_expected,
+            centre,
+            self._radius,
+            self._u,
+            1 if is_abroad else self._settings.n_descents,
         )
         n_parallel, caution = self._settings.n_parallel, self._settings.caution
         if self._guide is not None and self._guide.is_believed:
