@@ -16,6 +16,9 @@ from studies.report.wording import count, listed, percent
 from studies.uncertainty.identifiability import DETERMINED, judged_slopes
 from studies.uncertainty.noise import noise_of
 
+CLEAR_PAIR = 0.9
+"""A pair is named that makes up so much of an open direction's squared length."""
+
 
 def determined_numbers(
     names: tuple[str, ...],
@@ -47,7 +50,11 @@ def determined_numbers(
         "determined_by_data": {
             "spread": dict(zip(names, found.spread.tolist(), strict=True)),
             "open": [name for name in names if name not in found.determined],
-            "pairs": [one.to_dict() for one in found.pairs if n_times[one.first, one.second] == 1],
+            "pairs": [
+                one.to_dict()
+                for one in found.pairs
+                if n_times[one.first, one.second] == 1 and abs(one.strength) >= CLEAR_PAIR
+            ],
         }
     }
 
