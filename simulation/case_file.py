@@ -249,9 +249,12 @@ FixedValue = bool | _Whole | Finite | str | FirstMeasured | ValueWithUnit
 
 
 class SimulationTable(Table):
-    """Key [simulation]: how patiently simulations are run; changes no answer. See ExecutionPolicy."""
+    """Key [simulation]: how patiently simulations are run; changes no answer. See ExecutionPolicy.
 
-    timeout_s: Positive | None = None
+    `timeout_s = inf` waits for ever.
+    """
+
+    timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=True)] | None = None
     retries: Annotated[int, Field(ge=0)] = 1
     max_failed_share: Annotated[float, Field(gt=0, le=1)] = 0.5
     max_workers: Annotated[int, Field(ge=1)] | None = None

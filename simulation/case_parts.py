@@ -66,7 +66,8 @@ def conversions(
     found = []
     for table in tables:
         where = f"{causality}s[{table.name}]"
-        found.append(_into(fmu, fmu.require(table.name, causality, where), table.unit, where))
+        variable = fmu.require(table.name, causality, where, may_be_input=causality == "parameter")
+        found.append(_into(fmu, variable, table.unit, where))
     return found
 
 
@@ -75,17 +76,20 @@ def _into(fmu: FmuDescription, variable: FmuVariable, unit: str, where: str) -> 
 
 
 def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
-    """Check that every input of the FMU has one source: a recording, or a value that it is held at."""
-    driven = [table.name for table in file.inputs]
+    """Check that every input of the FMU has one source: a recording, a value, or that it is calibrated."""
+    driven, calibrated = [table.name for table in file.inputs], [table.name for table in file.parameters]
     for name in driven:
         if name in file.fixed:
             raise InputError(f"inputs[{name}] is also under [fixed]; drop one of the two")
+        if name in calibrated:
+            raise InputError(f"inputs[{name}] is also under [[parameters]]; drop one of the two")
     for name in fmu.names("input"):
         # What nothing can set must not stand in the way of the others; the doctor tells of it.
-        if not (name in driven or name in file.fixed or fmu.variables[name].is_out_of_reach):
+        has_source = name in driven or name in file.fixed or name in calibrated
+        if not has_source and not fmu.variables[name].is_out_of_reach:
             raise InputError(
-                f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its "
-                "start; or hold it at a value under [fixed]"
+                f"the FMU's input {name} has no [[inputs]] entry; add one, else it stays at its start; "
+                "or hold it at a value under [fixed], or calibrate it under [[parameters]]"
             )
 
 

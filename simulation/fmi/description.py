@@ -109,7 +109,7 @@ class FmuDescription:
             f'write interface = "{other}" in the case file, or export it for {name}'
         )
 
-    def require(self, name: str, causality: str, where: str) -> FmuVariable:
+    def require(self, name: str, causality: str, where: str, *, may_be_input: bool = False) -> FmuVariable:
         """Find a real scalar of a given causality; an input may also be a whole number or true or false.
 
         Args:
@@ -117,6 +117,7 @@ class FmuDescription:
             causality: What it must be; a "parameter" may also be a start value (an initial state), an
                 "output" a local variable.
             where: What asks for it, for the message.
+            may_be_input: Whether it may also be an input, which is set once and stays.
 
         Returns:
             The variable.
@@ -124,7 +125,7 @@ class FmuDescription:
         Raises:
             InputError: If there is none of this name, or it is something else.
         """
-        variable = self.find(name, causality, where)
+        variable = self.find(name, causality, where, may_be_input=may_be_input)
         if variable.kind not in _USABLE_KINDS.get(causality, REAL_KINDS):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
             both = "Float64" if causality == "output" else "Float64 or Float32"

@@ -101,7 +101,10 @@ class FmuSettings:
         where, scenario = str(description.path), self.scenario
 
         def found(names: Iterable[str], causality: str) -> tuple[FmuVariable, ...]:
-            return tuple(description.require(name, causality, where) for name in names)
+            is_set_once = causality == "parameter"  # as an input may be
+            return tuple(
+                description.require(name, causality, where, may_be_input=is_set_once) for name in names
+            )
 
         references = [variable.reference for variable in found(self.output_names, "output")]
         suggested = description.default_experiment.tolerance

@@ -10,29 +10,34 @@ from fmpy import fmi2, fmi3
 
 _WARNING: Final = 1
 
-# The last message of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one.
-_MESSAGES: deque[str] = deque(maxlen=1)
+# The last messages of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one. Some
+# tools log an assertion that ends a simulation as a warning.
+_ERRORS: deque[str] = deque(maxlen=1)
+_WARNINGS: deque[str] = deque(maxlen=1)
 
 
 def last_message(form: str) -> str:
-    """Return the last line that an FMU of this process complained with, "" for none.
+    """Return the last line that an FMU of this process complained with, else its last warning, "" for none.
 
     Args:
         form: What the line is put into, as ": {}".
     """
-    return form.format(_MESSAGES[-1]) if _MESSAGES else ""
+    said = next(iter((*_ERRORS, *_WARNINGS)), "")
+    return form.format(said) if said else ""
 
 
 def forget_messages() -> None:
     """Forget what was logged so far."""
-    _MESSAGES.clear()
+    _ERRORS.clear()
+    _WARNINGS.clear()
 
 
 def _remember(*arguments: Any) -> None:
     """Take note of a message: the environment, in FMI 2.0 the instance's name, status, category, message."""
     *_, status, _, message = arguments
-    if status > _WARNING and message:
-        _MESSAGES.append(" ".join(message.decode("utf-8", "replace").split()))
+    if status >= _WARNING and message:
+        kept = _WARNINGS if status == _WARNING else _ERRORS
+        kept.append(" ".join(message.decode("utf-8", "replace").split()))
 
 
 def _callbacks_2() -> Any:

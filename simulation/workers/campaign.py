@@ -1,5 +1,6 @@
 """One arena's rows over the workers: who gets which, what became of each, and when to stop."""
 
+import math
 import signal
 import time
 from collections import Counter
@@ -159,7 +160,7 @@ class Campaign:
         if self._timed_out.pop(worker.number, None) == row:
             self._n_timeouts[row] += 1
             n, allowed = self._n_timeouts[row], policy.timeout_retries
-            reason = f"did not answer within {policy.timeout_s:g} s and was stopped"
+            reason = policy.why_stopped(self._speed.slowest_s)
         elif worker.is_leaving or ended.exit_code is None:
             # Not this row's fault: it began just before its process was stopped for something else.
             arena.states[row] = RowState.WAITING
@@ -189,8 +190,7 @@ class Campaign:
     # The clock
 
     def _patience(self) -> float:
-        timeout_s = self._policy.timeout_s
-        return _TICK_S if timeout_s is None else min(_TICK_S, 0.25 * timeout_s)
+        return min(_TICK_S, 0.25 * self._policy.limit_s(self._speed.slowest_s))
 
     def _running(self) -> list[tuple[Worker, int, float]]:
         """Return the workers that are at a row, the row, and for how long. [s]."""
@@ -209,12 +209,12 @@ class Campaign:
         self._watched = now
         running = self._running()
         self._longest_s = max((spent_s for _, _, spent_s in running), default=0.0)
-        timeout_s = self._policy.timeout_s
+        limit_s = self._policy.limit_s(self._speed.slowest_s)
         for worker, row, spent_s in running:
             if spent_s > _STUCK_S:
                 for run in worker.runs:
                     self._queue.give_back(run)
-            if timeout_s is not None and spent_s > timeout_s:
+            if spent_s > limit_s:
                 self._timed_out[worker.number] = row
                 self._workforce.fire(worker)
             elif spent_s > _SLOW_S and not self._tally.has_warned:
@@ -237,10 +237,11 @@ class Campaign:
         if not len(finished) or spent_s < _SLOW_FACTOR * (median_s := float(np.median(finished))):
             return
         self._tally.has_warned = True
+        limit_s = self._policy.limit_s(self._speed.slowest_s)
         advice = (
-            "a time-out is set with simulation.timeout_s"
-            if self._policy.timeout_s is None
-            else f"it will be stopped after {self._policy.timeout_s:g} s"
+            f"it will be stopped after {limit_s:.4g} s"
+            if math.isfinite(limit_s)
+            else "a time-out is set with simulation.timeout_s"
         )
         self._on_warning(
             f"row {self._tally.n_finished + row} has been running for {duration(spent_s)}, the median "

@@ -101,14 +101,17 @@ class Speed:
 
     Attributes:
         row_s: Recent time per row; None before it is known. [s]
+        slowest_s: Longest time that a row has taken, with those it was handed out with. [s]
     """
 
     def __init__(self) -> None:
         self.row_s: float | None = None
+        self.slowest_s: float | None = None
         self._is_warm = False
 
     def saw(self, n_rows: int, spent_s: float) -> None:
         """Learn from a run; the first may have compiled or loaded something and says nothing."""
+        self.slowest_s = max(self.slowest_s or 0.0, spent_s)
         if self._is_warm:
             row_s = spent_s / n_rows
             self.row_s = row_s if self.row_s is None else min(row_s, 0.5 * (self.row_s + row_s))

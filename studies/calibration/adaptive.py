@@ -43,6 +43,8 @@ class AdaptiveResult:
         left: Where it did not converge, what may be left to gain and what the next round would try.
         is_flat: Parameters on which the error around the best point hardly depends over all of their ranges,
             as far as rows or state equations show. Shape (p,).
+        slopes: Slopes of the residuals there, in an orthonormal basis of p residuals, as rows or state
+            equations tell; None where these tell too little. Shape (p, p). [first output's unit per range]
     """
 
     u: FloatArray
@@ -58,6 +60,7 @@ class AdaptiveResult:
     converged: bool
     left: str
     is_flat: BoolArray
+    slopes: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -221,4 +224,5 @@ class Adaptive:
             converged=ending.converged,
             left="" if ending.converged else search.left,
             is_flat=search.is_flat,
+            slopes=search.slopes,
         )

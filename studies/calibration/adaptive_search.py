@@ -1,7 +1,7 @@
 """The rows of an adaptive calibration: first design, legs of a search, trust region and proposals."""
 
 import math
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from studies.calibration.ending import (
     too_large,
 )
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
+from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import latin_hypercube
 from studies.calibration.horizon import CLEAR, LOST, UNDERSTOOD, Horizon
 from studies.calibration.known_rows import missing_of_design
@@ -96,6 +97,8 @@ class AdaptiveSearch:
         self._was_lost = False
         self._has_probed = False
         self._hyper: tuple[FloatArray, ...] = ()
+        self._penalty_expected: Penalty | None = self._prior
+        self._failed_hyper: FloatArray | None = None
         self._radius = settings.radius
         # A leg of the search sees the rows from `first` on; its lowest objectives after every round.
         self._first = 0
@@ -185,7 +188,10 @@ class AdaptiveSearch:
         here, before = self._u[best], float(self._objective[best])
         rows, n_parallel = (self._u, np.isfinite(self._objective)), self._settings.n_parallel
         process, n_before = self._fit(), self._objective.size
-        places, gains = least_unlikely(process, self._prior, (here, before), rows, n_parallel, self._rng)
+        self._weigh_failures(before)
+        places, gains = least_unlikely(
+            process, self._penalty_expected, (here, before), rows, n_parallel, self._rng
+        )
         self._ask(places)
         if self._objective.min() < (1.0 - self._settings.ftol) * before:
             self._first, self._leg, self._idle, self._dull = 0, [], 0, 0
@@ -303,6 +309,7 @@ class AdaptiveSearch:
         """Make one round of a leg."""
         process = self._fit()
         if self._first == self._objective.size:
+            self._weigh_failures(float(self._objective.min()))
             self._ask(self._elsewhere(process))
             self._leg.append(self._leg_best)
             return
@@ -310,6 +317,7 @@ class AdaptiveSearch:
         first = self._first if np.isfinite(self._leg_best) else 0
         best = first + int(np.argmin(self._objective[first:]))
         centre, centre_objective = self._u[best], float(self._objective[best])
+        self._weigh_failures(centre_objective)
         points, expected = self._propose(process, centre)
         promise = centre_objective - expected.value
         if self._is_sure and promise <= self._least_gain * centre_objective:
@@ -429,19 +437,42 @@ class AdaptiveSearch:
     @property
     def is_flat(self) -> BoolArray:
         """On which parameters the error hardly depends around the best row, over all of their ranges."""
-        none = np.zeros(self._p, dtype=np.bool_)
         if self._guide is not None and self._guide.is_sure:
             return self._guide.left_out
-        if not self._horizon.is_whole or self._objective.size <= self._n_known + self._n_design:
-            return none
+        process = self._last_process
+        if process is None:
+            return np.zeros(self._p, dtype=np.bool_)
         best = int(np.argmin(self._objective))
-        if not 0.0 < self._objective[best] < np.inf or self._is_sane.sum() < 2:
-            return none
-        process = self._fit()
         across = np.tile(self._u[best], (self._p, N_ACROSS, 1))
         across[np.arange(self._p), :, np.arange(self._p)] = np.linspace(0.0, 1.0, N_ACROSS)
         errors = process.errors(across.reshape(-1, self._p)).reshape(self._p, N_ACROSS)
         return np.asarray(np.ptp(errors, axis=1) <= FLAT * self._objective[best])
+
+    @property
+    def slopes(self) -> FloatArray | None:
+        """Slopes of the residuals at the best row, in an orthonormal basis of p residuals.
+
+        A slope that rows leave open counts as large as it may be: what has none has been seen to have none.
+
+        Returns:
+            Shape (p, p), None where too little is known of the model. [first output's unit per range]
+        """
+        best = self._u[int(np.argmin(self._objective))]
+        if self._guide is not None and self._guide.is_believed:
+            return np.asarray(np.linalg.qr(self._guide.slopes(best), mode="r"))
+        process = self._last_process
+        if process is None:
+            return None
+        squares, axes = np.linalg.eigh(0.5 * self._residuals.shape[1] * process.expand(best, 1.0).hessian)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T)
+
+    @cached_property
+    def _last_process(self) -> ProcessGroups | None:
+        """The surrogate of all rows, once there are no more; None where they are a first design or less."""
+        is_enough = self._horizon.is_whole and self._objective.size > self._n_known + self._n_design
+        if not is_enough or not 0.0 < self._objective.min() < np.inf or self._is_sane.sum() < 2:
+            return None
+        return self._fit()
 
     def _leg_is_over(self) -> bool:
         """Whether the leg has converged or, where there is somewhere else to go, gains too little."""
@@ -513,6 +544,16 @@ class AdaptiveSearch:
         self._hyper = process.hyper
         return process
 
+    def _weigh_failures(self, objective: float) -> None:
+        """Learn where rows fail, and let that weigh as much as an objective. [unit squared]."""
+        failed = ~np.isfinite(self._objective)
+        if not failed.any():
+            return
+        known = Failures.fit(
+            self._features, self._u, failed, self._prior, self._failed_hyper, scale=objective
+        )
+        self._failed_hyper, self._penalty_expected = known.process.hyper, known
+
     @property
     def _is_sane(self) -> BoolArray:
         """Which rows a surrogate learns from: beside diverged simulations all others would be alike."""
@@ -523,7 +564,7 @@ class AdaptiveSearch:
         return sane if sane.sum() >= 2 else finite
 
     def _expand(self, process: ProcessGroups, u: FloatArray, caution: float) -> Expansion:
-        return expected_objective(process, self._prior, u, caution)
+        return expected_objective(process, self._penalty_expected, u, caution)
 
     def _elsewhere(self, process: ProcessGroups) -> FloatArray:
         """Return where a leg elsewhere begins, one point for each parallel row."""
@@ -541,7 +582,12 @@ class AdaptiveSearch:
         # From a far valley a random start would find the way back.
         is_abroad = self._is_far and not self._is_home
         surroundings = Surroundings(
-            process, self._prior, centre, self._radius, self._u, 1 if is_abroad else self._settings.n_descents
+            process,
+            self._penalty_expected,
+            centre,
+            self._radius,
+            self._u,
+            1 if is_abroad else self._settings.n_descents,
         )
         n_parallel, caution = self._settings.n_parallel, self._settings.caution
         if self._guide is not None and self._guide.is_believed:

@@ -13,8 +13,8 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.box_newton import descend
 from studies.calibration.expected_objective import expected_objective
+from studies.calibration.failures import Penalty
 from studies.calibration.posterior_sample import PosteriorSample
-from studies.calibration.prior import Prior
 from studies.calibration.process_groups import ProcessGroups
 
 # Worth asking for is an error below this part of the best one's: what counts as the right answer.
@@ -32,7 +32,7 @@ KNOWN = 0.02
 
 def least_unlikely(
     process: ProcessGroups,
-    prior: Prior | None,
+    prior: Penalty | None,
     best: tuple[FloatArray, float],
     rows: tuple[FloatArray, BoolArray],
     n: int,
@@ -42,7 +42,7 @@ def least_unlikely(
 
     Args:
         process: The surrogate.
-        prior: Of the parameters, None where nothing is known.
+        prior: What is added to the error, None for nothing.
         best: The best row, shape (p,) [1], and its objective. [unit squared]
         rows: All rows, shape (m, p) [1], and which of them succeeded, shape (m,).
         n: How many places, each beyond `KNOWN` of the others as far as there are such.
@@ -78,7 +78,7 @@ def least_unlikely(
     return np.concatenate([found, rng.random((n - len(found), p))]), gains
 
 
-def _unlikely(process: ProcessGroups, prior: Prior | None, u: FloatArray, wanted: float) -> float:
+def _unlikely(process: ProcessGroups, prior: Penalty | None, u: FloatArray, wanted: float) -> float:
     """Return by how many deviations the error is expected to lie above a wanted one."""
     mean = expected_objective(process, prior, u, 0.0).value
     whole = expected_objective(process, prior, u, 1.0).value

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from simulation.arrays import FloatArray
+from studies.calibration.failures import Penalty
 from studies.calibration.posterior_sample import PosteriorSample
-from studies.calibration.prior import Prior
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Expansion, ResidualProcess
 
@@ -19,9 +19,9 @@ SURPRISE = 0.1
 
 
 def expected_objective(
-    process: Surrogate | PosteriorSample, prior: Prior | None, u: FloatArray, caution: float
+    process: Surrogate | PosteriorSample, prior: Penalty | None, u: FloatArray, caution: float
 ) -> Expansion:
-    """Expand the objective around a point: the error is predicted, a prior's penalty is known exactly."""
+    """Expand the objective around a point: the error is predicted, a prior's penalty is known."""
     found = process.expand(u, caution)
     if prior is None:
         return found

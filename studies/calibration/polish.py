@@ -44,6 +44,8 @@ class PolishResult:
         history: Best MSE over rows asked.
         stop_reason: Why it ended, in words.
         converged: True when a tolerance ended it, False for a budget, a limit or a failure.
+        slopes: Slopes of the residuals at the last point that was differentiated, 0 where a parameter failed
+            on both sides; None where none was, or for squared residuals. Shape (m, p). [unit per range]
     """
 
     u: FloatArray
@@ -56,6 +58,7 @@ class PolishResult:
     history: History
     stop_reason: str
     converged: bool
+    slopes: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,7 @@ class LeastSquaresTRF:
             history=recorder.history,
             stop_reason=reason,
             converged=converged,
+            slopes=None if self.residuals == "squared" else search.slopes,
         )
 
 
@@ -189,6 +193,7 @@ class _Search:
         if known is not None:
             self._last = (self.to_search(known.u[0]), known)
         self.n_jacobians = 0
+        self.slopes: FloatArray | None = None
 
     def to_search(self, u: FloatArray) -> FloatArray:
         """Return a point of the unit cube in the coordinates of the search. Shape (p,). [1]."""
@@ -246,6 +251,7 @@ class _Search:
         slopes: FloatArray = (moved - here) / steps[:, None]
         is_stuck = ~np.all(np.isfinite(slopes), axis=1)
         slopes[is_stuck] = 0.0
+        self.slopes = slopes.T / self._stretch(v)
         if self._prior is None:
             return slopes.T
         exact = self._prior.row_slopes(slopes.shape[1]) * self._stretch(v)

@@ -13,7 +13,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import descend
 from studies.calibration.expected_objective import expected_objective
-from studies.calibration.prior import Prior
+from studies.calibration.failures import Penalty
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Expansion
 
@@ -33,7 +33,7 @@ class Surroundings:
 
     Attributes:
         process: The surrogate.
-        prior: Of the parameters, None where nothing is known.
+        prior: What is added to the error, None for nothing.
         centre: The row that the leg goes on from. Shape (p,). [1]
         radius: Half width of the trust region. [1]
         known: Points that were simulated. Shape (n, p). [1]
@@ -41,7 +41,7 @@ class Surroundings:
     """
 
     process: ProcessGroups
-    prior: Prior | None
+    prior: Penalty | None
     centre: FloatArray
     radius: float
     known: FloatArray

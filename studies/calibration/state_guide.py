@@ -16,7 +16,7 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
 from simulation.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.coefficient import Points
-from studies.calibration.descent import descend_together, objectives
+from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_laws import Products
@@ -174,6 +174,14 @@ class StateGuide:
         # An end that was asked already tells nothing new.
         fresh = [end[None] for end in ends if np.abs(self._u - end).max(axis=1).min() > SAME_POINT]
         return np.concatenate([*fresh, looks[farthest]])[:n]
+
+    def slopes(self, u: FloatArray) -> FloatArray:
+        """Return the residuals' slopes at a point by the equations. Shape (m, p). [unit per range].
+
+        Args:
+            u: The point. Shape (p,). [1]
+        """
+        return np.asarray(jacobians(self._residuals, u[None], self._residuals(u[None]))[0])
 
     @property
     def n_states(self) -> int:

@@ -44,6 +44,7 @@ class CalibrationResult:
         screen_stop_reason: Why screening ended.
         polish_stop_reason: Why polishing ended.
         polish_converged: True when a tolerance ended the polish.
+        slopes: Slopes of the residuals near it, see PolishResult. Shape (m, p). [unit per range]
         wall_screen_s: Time spent on screening. [s]
         wall_polish_s: Time spent on the physical model. [s]
     """
@@ -65,6 +66,7 @@ class CalibrationResult:
     screen_stop_reason: str
     polish_stop_reason: str
     polish_converged: bool
+    slopes: FloatArray | None
     wall_screen_s: float
     wall_polish_s: float
 
@@ -171,6 +173,7 @@ def calibrate_two_phase(
         screen_stop_reason=screened.stop_reason,
         polish_stop_reason=polished.stop_reason,
         polish_converged=polished.converged,
+        slopes=polished.slopes,
         wall_screen_s=screened_at - started,
         wall_polish_s=time.perf_counter() - screened_at,
     )

@@ -10,9 +10,11 @@ HELP = "write a case file from the description inside an FMU"
 MORE = """\
 what happens: the command writes fmus/<name>/case.toml with the names, units, start values and bounds of the
 FMU. It marks each line that you must check with EDIT. It copies the FMU into that folder. It writes a
-README and example CSV files with the right columns into data/<name>/. It overwrites nothing. Then save
-measured.csv there, and inputs.csv if the FMU has inputs. Check the lines marked EDIT, then type studies
-check and studies calibrate.
+README and example CSV files with the right columns into data/<name>/. Then save measured.csv there, and
+inputs.csv if the FMU has inputs. Check the lines marked EDIT, then type studies check and studies calibrate.
+
+It overwrites nothing. To repeat it, remove the case file; what lies in data/<name>/ is kept. A pattern of
+--output that matches no output matches local variables.
 
 examples:
   studies new Room.fmu
@@ -38,7 +40,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="parameters to calibrate: names or patterns like 'wall.*'; default: those of the top level",
+        help="parameters to calibrate: names or patterns like 'wall.*', also of inputs that are constant; "
+        "default: those of the top level",
     )
     command.add_argument(
         "--interface",

@@ -8,10 +8,12 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.design import uniform_design
+from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.doctor.declared import temperature_doubt
 from studies.doctor.finding import Finding
 from studies.doctor.keeping import MORE_TIME, STOPPED
+from studies.doctor.region import commonest, failing_region
 from studies.report.wording import difference_unit, quantity, squared
 
 N_CORNERS, N_COVERAGE = 32, 64
@@ -117,16 +119,15 @@ def corner_points(case: Case, n: int) -> FloatArray:
     return space.from_unit(sides[np.sort(first)][:n].astype(np.float64))
 
 
-def look_at_corners(answer: Trajectories) -> Finding:
+def look_at_corners(space: ParameterSpace, answer: Trajectories) -> Finding:
     """Judge the answers at the corners of the box."""
     n_failed = int(answer.failed.sum())
     if not n_failed:
         return Finding("corners of the box", "ok", f"{answer.n} were simulated")
-    reason = next(reason for reason in answer.failures if reason)
     return Finding(
         "corners of the box",
         "fail" if n_failed == answer.n else "warn",
-        f"{n_failed} of {answer.n} corners failed, the first one: {reason}",
+        f"{n_failed} of {answer.n} corners failed{_where_and_why(space, answer)}",
         "narrow the bounds where the model breaks; failed rows are left out of training",
     )
 
@@ -141,11 +142,10 @@ def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
     n_failed = int(answer.failed.sum())
     good = answer.y[~answer.failed]
     if len(good) < 2:
-        reason = next(reason for reason in answer.failures if reason)
         return Finding(
             "box",
             "fail",
-            f"{n_failed} of {answer.n} failed, the first one: {reason}",
+            f"{n_failed} of {answer.n} failed{_where_and_why(case.parameter_space, answer)}",
             "narrow the bounds where the model breaks",
         )
     n_inside = 0
@@ -154,14 +154,15 @@ def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
         n_inside += int(np.sum((above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0)))
     inside = n_inside / case.measurement.n_samples
     if n_failed > case.policy.max_failed_share * answer.n:
-        reason = next(reason for reason in answer.failures if reason)
         return Finding(
             "box",
             "fail",
-            f"{n_failed} of {answer.n} failed, so a campaign would be stopped; the first one: {reason}",
+            f"{n_failed} of {answer.n} failed, so a campaign would be "
+            f"stopped{_where_and_why(case.parameter_space, answer)}",
             "narrow the bounds where the model breaks; or allow more: [simulation] max_failed_share",
         )
-    failed = f", {n_failed} of {answer.n} failed" if n_failed else ""
+    why = _where_and_why(case.parameter_space, answer) if n_failed else ""
+    failed = f", {n_failed} of {answer.n} failed{why}" if n_failed else ""
     return Finding(
         "box covers the measurement",
         "ok" if inside >= COVERED_SHARE else "warn",
@@ -189,12 +190,11 @@ def influence(case: Case, estimates: Estimates, answer: Trajectories) -> FloatAr
         answer: the answers to `moved_points`, or to the first of them.
 
     Returns:
-        Largest change, infinite where a bound failed. Shape (p,). [uncertainties]
+        Largest change, NaN where both bounds failed. Shape (p,). [uncertainties]
     """
     p = answer.n // 2
     moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=1) / case.measurement.uncertainty
-    moved = moved.max(axis=1).reshape(p, 2)
-    return np.where(np.isnan(moved).any(axis=1), np.inf, np.nan_to_num(moved).max(axis=1))
+    return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(p, 2), axis=1))
 
 
 def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | None) -> Finding:
@@ -202,11 +202,12 @@ def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | Non
 
     Args:
         case: the case.
-        share: how far the first parameters move an output from the estimates. Shape (p,). [uncertainties]
+        share: how far the first parameters move an output from the estimates, NaN where that is not known.
+            Shape (p,). [uncertainties]
         elsewhere: the same from another point, where it was asked. Shape (p,). [uncertainties]
     """
     what, names = "every parameter moves an output", case.parameter_space.names[: len(share)]
-    most = share if elsewhere is None else np.maximum(share, elsewhere)
+    most = share if elsewhere is None else np.fmax(share, elsewhere)
     dead = [names[i] for i in np.flatnonzero(most <= SAME)]
     if dead:
         return Finding(
@@ -222,6 +223,14 @@ def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | Non
             "warn",
             f"at the estimates {', '.join(still)} has no effect, elsewhere it has",
             "move the estimates to where the model does something, if they should matter",
+        )
+    unknown = [names[i] for i in np.flatnonzero(np.isnan(most))]
+    if unknown:
+        return Finding(
+            what,
+            "warn",
+            f"not known of {', '.join(unknown)}: the simulations at both bounds fail",
+            "narrow these bounds to where the model can be simulated",
         )
     weak = [names[i] for i in np.flatnonzero(most < UNSEEN_SHARE)]
     least = int(np.argmin(most))
@@ -255,6 +264,12 @@ def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Traject
     if failed:
         return Finding(what, "warn", f"fails with another value of {failed[0]}", "look at the input's values")
     return Finding(what, "ok", f"all {len(names)} do" if len(names) > 1 else f"{names[0]} does")
+
+
+def _where_and_why(space: ParameterSpace, answer: Trajectories) -> str:
+    """Say where rows failed, as far as one parameter explains it, and why most of them did."""
+    region = failing_region(space, answer.theta, answer.failed)
+    return f"{', ' if region else ''}{region}; the reason: {commonest(answer.failures)}"
 
 
 def cannot_open(reason: str) -> Finding:

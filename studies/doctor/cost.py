@@ -1,6 +1,9 @@
 """What a plan will cost, told before it is spent."""
 
+import math
+
 from simulation.case import Case
+from simulation.workers.execution import SLOWER as SLOWER_THAN_ANY
 from studies.console import format_seconds
 from studies.doctor.finding import Finding
 from studies.doctor.patience import SLOWER
@@ -47,17 +50,19 @@ def tell_timeout(case: Case, simulation_s: float) -> Finding:
     """Propose a time-out where there is none."""
     if case.policy.timeout_s is not None:
         tight = case.policy.timeout_s < 3.0 * simulation_s
+        told = f"{case.policy.timeout_s:g} s" if math.isfinite(case.policy.timeout_s) else "never"
         return Finding(
             "time-out",
             "warn" if tight else "ok",
-            f"{case.policy.timeout_s:g} s; the estimates take {_duration(simulation_s)}",
+            f"{told}; the estimates take {_duration(simulation_s)}",
             "raise [simulation] timeout_s: other parameters may take longer" if tight else "",
         )
     proposed = max(LEAST_TIMEOUT_S, float(f"{SLOWER * simulation_s:.1g}"))
     return Finding(
         "time-out",
         "ok",
-        f"none; if simulations can hang: [simulation] timeout_s = {proposed:g}",
+        f"{case.policy.limit_s(simulation_s):g} s or more, {SLOWER_THAN_ANY:g} times the slowest so far; for "
+        f"another: [simulation] timeout_s = {proposed:g}, or inf for never",
     )
 
 

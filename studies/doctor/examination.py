@@ -37,6 +37,7 @@ from studies.doctor.declared import base_point, look_at_data, look_at_declaratio
 from studies.doctor.finding import Diagnosis, Finding
 from studies.doctor.keeping import KeepingModel
 from studies.doctor.patience import Patience
+from studies.doctor.region import N_HALVINGS, look_at_bounds
 from studies.doctor.repeats import (
     MEMORY_S,
     N_MEMORY,
@@ -147,10 +148,11 @@ def _in_the_box(surgery: Surgery, patience: Patience, estimates: Estimates) -> I
     with surgery.open_model(_policy(case, patience.row_timeout_s)) as model:
         model.keep(estimates.nominal)
         if n := patience.rows("influence of the parameters", 2 * p, 2):
-            yield [_influence(case, model, estimates, n - n % 2)]
+            yield _influence(case, model, estimates, n - n % 2, patience)
         what = "corners of the box"
         if n := patience.rows(what, len(corner_points(case, N_CORNERS)), 2):
-            yield [look_at_corners(_in_pieces(model, corner_points(case, n), what, patience))]
+            answer = _in_pieces(model, corner_points(case, n), what, patience)
+            yield [look_at_corners(case.parameter_space, answer)]
         what = "coverage of the measurement"
         if n := patience.rows(what, N_COVERAGE, 8):
             yield [look_at_coverage(case, _in_pieces(model, coverage_points(case, n), what, patience))]
@@ -168,9 +170,21 @@ def _in_pieces(model: ForwardModel, theta: FloatArray, what: str, patience: Pati
     return Trajectories.concatenate(parts)
 
 
-def _influence(case: Case, model: ForwardModel, estimates: Estimates, n: int) -> Finding:
-    """Move every parameter; where one does nothing, ask once more from another point of the box."""
-    share = influence(case, estimates, model.simulate(moved_points(case, estimates.theta)[:n]))
+def _influence(
+    case: Case, model: ForwardModel, estimates: Estimates, n: int, patience: Patience
+) -> list[Finding]:
+    """Move every parameter; where a bound fails, find out from where on."""
+    answer = model.simulate(moved_points(case, estimates.theta)[:n])
+    found = [_moves(case, model, influence(case, estimates, answer))]
+    n_rows = N_HALVINGS * int(answer.failed.sum())
+    is_told = n_rows > 0 and patience.rows("from where on bounds fail", n_rows, n_rows) > 0
+    bounds = look_at_bounds(case, estimates.theta, answer, model if is_told else None)
+    return found if bounds is None else [*found, bounds]
+
+
+def _moves(case: Case, model: ForwardModel, share: FloatArray) -> Finding:
+    """Judge what every parameter moves; where one does nothing, ask once more from another point."""
+    n = 2 * len(share)
     if (share > SAME).all():
         return look_at_influence(case, share, None)
     other = coverage_points(case, 1)[0]

@@ -14,6 +14,8 @@ from studies.doctor.finding import Finding
 
 STEP_SHARE = 0.2
 """Halving the communication step may change the output by this share of the sensor's uncertainty."""
+HALVING = "half the communication step"
+"""What the finding of that is called, before the step."""
 INPUT_SHARE = 0.1
 """A constant input is changed by this share of its size."""
 EVEN = 1e-3
@@ -34,7 +36,7 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
 
 def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Trajectories) -> Finding:
     """Tell what half the communication step changes."""
-    what = f"half the communication step ({halved.communication_step_s:g} s)"
+    what = f"{HALVING} ({halved.communication_step_s:g} s)"
     if answer.failed[0]:
         return Finding(what, "warn", f"failed: {answer.failures[0]}", "check the FMU's smallest step")
     change = np.abs(answer.y[0] - estimates.nominal.y[0]).max(axis=0)

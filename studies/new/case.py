@@ -50,13 +50,15 @@ class MadeCase:
     Attributes:
         case: Its content.
         file: The case file.
-        files: All files, the case file first; not the FMU where it was there.
+        files: All files, the case file first.
+        kept: Files that were there already, which are left as they are.
         to_edit: Lines of the case file that are marked EDIT, with their numbers.
     """
 
     case: NewCase
     file: Path
     files: tuple[Path, ...]
+    kept: tuple[Path, ...]
     to_edit: tuple[tuple[int, str], ...]
 
 
@@ -69,12 +71,13 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         wishes: What the user asks for.
 
     Raises:
-        InputError: The FMU cannot be used, a wish cannot be met, a file of that name exists already, or the
-            folder cannot be written.
+        InputError: The FMU cannot be used, a wish cannot be met, there is a case file or another FMU of that
+            name, or the folder cannot be written.
     """
     fmu = describe(fmu_file)
     folder = _folder(fmu_file, paths, wishes.folder)
     name = case_name(folder.name)
+    parameters = choose_parameters(fmu, wishes.parameters)
     is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
     data = paths.data / name if is_named else folder
     case = NewCase(
@@ -84,10 +87,10 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
         interface=choose_interface(fmu, wishes.interface),
-        inputs=inputs_of(fmu),
+        inputs=tuple(one for one in inputs_of(fmu) if one not in parameters.used),
         held_inputs=held_inputs(fmu),
         outputs=choose_outputs(fmu, wishes.outputs),
-        parameters=choose_parameters(fmu, wishes.parameters),
+        parameters=parameters,
         fixable=other_parameters(fmu),
         times=choose_times(fmu),
         show_all=wishes.show_all,
@@ -97,8 +100,11 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     texts |= {data / file: content for file, content in example_files(case).items()}
     copied = folder / fmu_file.name
     try:
-        is_there = copied.exists() and copied.samefile(fmu_file)
+        is_there = copied.exists() and copied.read_bytes() == fmu_file.read_bytes()
         copies = () if is_there else (copied,)
+        # One's own data and what was written beside them stay as they are.
+        kept = tuple(file for file in texts if file.name != "case.toml" and file.exists())
+        texts = {file: text for file, text in texts.items() if file not in kept}
         _write(texts, fmu_file, copies, paths)
     except OSError as error:
         place = paths.show(Path(error.filename or folder))
@@ -106,7 +112,7 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
             f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
             "--to FOLDER"
         ) from None
-    return MadeCase(case, folder / "case.toml", (*texts, *copies), tuple(lines_to_edit(text)))
+    return MadeCase(case, folder / "case.toml", (*texts, *copies), kept, tuple(lines_to_edit(text)))
 
 
 def _write(texts: Mapping[Path, str], fmu_file: Path, copies: Sequence[Path], paths: ProjectPaths) -> None:

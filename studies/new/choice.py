@@ -24,6 +24,12 @@ WIDEST_RATIO, WIDEST_SHIFT = 1e3, 1e2
 N_STEPS = 500
 """Communication steps of a new case whose FMU names no step."""
 
+_OF_A_SOLVER = re.compile(
+    r"(^|\.)(cpu_?time|event_?counter|solver(_\w+)?|integrator(_\w+)?|log_?level"
+    r"|((rel|abs)(ative|olute)?_?|solver_?)tol(erance)?|(min|max|initial|solver)_?step_?(size)?)(\.|$)",
+    re.IGNORECASE,
+)
+
 
 @dataclass(frozen=True)
 class Bounds:
@@ -91,9 +97,11 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     Args:
         fmu: The FMU.
         patterns: Names, or globs like "wall.*"; empty for the first parameters at the top level whose start
-            values tell their order of magnitude.
+            values tell their order of magnitude. One that matches no parameter may match inputs.
     """
-    candidates = parameter_candidates(fmu)
+    candidates, inputs = parameter_candidates(fmu), [v for v in inputs_of(fmu) if _is_number(v)]
+    if patterns and inputs:
+        return _matching(fmu, candidates, patterns, "parameter", beside=inputs)
     if not candidates:
         raise InputError(
             f"{fmu.path}: has no real parameter that can be set; export it with parameters that are neither "
@@ -110,20 +118,20 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
 def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     """Choose what is compared with a measurement: the named outputs, or the first one.
 
-    An FMU without outputs offers its local variables.
+    An FMU without outputs offers its local variables. A pattern that matches no output may match these.
 
     Args:
         fmu: The FMU.
         patterns: Names or globs.
     """
-    candidates = [v for v in _of(fmu, "output") if _is_number(v)]
+    outputs = [v for v in _of(fmu, "output") if _is_number(v)]
+    candidates = [v for v in outputs if not is_internal(v)] or outputs
     # Local variables can be read as well, where somebody asks for one or there is nothing else.
     local = [v for v in _of(fmu, "local") if _is_number(v) and not is_internal(v) and v.name[:4] != "der("]
     if not candidates and not local:
         raise InputError(f"{fmu.path}: has no real output; export it with the measured variables as outputs")
     if patterns:
-        named = [v for v in local if not candidates or v.name in patterns]
-        return _matching(fmu, [*candidates, *named], patterns, "output")
+        return _matching(fmu, outputs or local, patterns, "output", beside=local)
     candidates = candidates or local
     return _split(candidates, candidates[:1])
 
@@ -145,8 +153,9 @@ def other_parameters(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
 
 
 def is_internal(variable: FmuVariable) -> bool:
-    """Tell whether a variable belongs to the exporting tool, as JModelica's `_cs_rel_tol` does."""
-    return variable.name.startswith(("_", "$")) or "._" in variable.name
+    """Tell whether a variable belongs to the tool or its solver, as `_cs_rel_tol` and `CPUtime` do."""
+    name = variable.name
+    return name.startswith(("_", "$")) or "._" in name or _OF_A_SOLVER.search(name) is not None
 
 
 def bounds_for(variable: FmuVariable) -> Bounds:
@@ -213,12 +222,17 @@ def _matching(
     candidates: list[FmuVariable],
     patterns: Sequence[str],
     what: Literal["parameter", "output"],
+    *,
+    beside: Sequence[FmuVariable] = (),
 ) -> Choice:
+    """Choose the candidates that patterns match; a pattern that matches none may match others beside."""
     used: dict[str, FmuVariable] = {}
     for pattern in patterns:
         # A name may hold brackets (wall[2].k), which a glob would read as a set of characters.
-        found = [v for v in candidates if v.name == pattern]
-        found = found or [v for v in candidates if fnmatchcase(v.name, pattern.replace("[", "[[]"))]
+        glob = pattern.replace("[", "[[]")
+        found = [v for v in (*candidates, *beside) if v.name == pattern][:1]
+        found = found or [v for v in candidates if fnmatchcase(v.name, glob)]
+        found = found or [v for v in beside if fnmatchcase(v.name, glob)]
         if not found:
             # A plain name that is missing or of another kind: the description knows what to say.
             if not set(pattern) & set("*?"):

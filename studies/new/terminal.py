@@ -35,6 +35,8 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
     case, name = made.case, paths.show(made.file)
     for file in made.files:
         console.result(f"wrote {paths.show(file)}")
+    for file in made.kept:
+        console.result(f"kept {paths.show(file)}, which was there")
     console.result(
         f"{case.name}: {case.interface}, {count(len(case.parameters.used), 'parameter')} to calibrate"
         f"{_of(case.parameters.used, case.parameters.others)}, {count(len(case.inputs), 'input')}, "
@@ -61,7 +63,7 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
 def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
     """Show what an FMU can be given and asked."""
     fmu = describe(Path(options.fmu).expanduser())
-    kinds = ("output" if fmu.names("output") else "local", "input", "parameter")
+    kinds = [*["output"] * bool(fmu.names("output")), "input", "parameter", "local"]
     groups = {what: [fmu.variables[n] for n in fmu.names(what)] for what in kinds}
     named = options.parameter or ()
     is_any = named or parameter_candidates(fmu)

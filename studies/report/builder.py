@@ -70,8 +70,9 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
 
     headline, mse_unit = data.headline, captions.mse_unit(data.measurement)
 
-    def fixed(c: CalibrationRecord) -> tuple[str, ...]:
-        return restriction_sentences(c, unrestricted(c, data.calibrations), mse_unit)
+    def told(c: CalibrationRecord) -> tuple[str, ...]:
+        said = tuple(f"{line}." for line in (*filter(None, [c.state_equations]), *c.left_open))
+        return said + restriction_sentences(c, unrestricted(c, data.calibrations), mse_unit)
 
     folded = tuple(
         Section(
@@ -80,7 +81,7 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
             f"in {count(c.calls_paper, 'call')}",
             place(pictures),
             tables(*_names(c)),
-            paragraphs=fixed(c),
+            paragraphs=told(c),
         )
         for c, pictures in contents.others
     )
@@ -91,7 +92,7 @@ def _sections(data: ReportData, contents: Contents, folder: Path) -> list[Sectio
             "Calibration",
             place(contents.calibration),
             tables(*_names(headline)) if headline else (),
-            paragraphs=fixed(headline) if headline else (),
+            paragraphs=told(headline) if headline else (),
         ),
         *(
             Section(

@@ -40,6 +40,9 @@ from studies.report.wording import (
     significant,
 )
 
+MOST_BAND = 3.0
+"""The axis of a residual reaches the end of the sensor's band where that is at most so many times as far."""
+
 
 def calibration_figure(
     measurement: MeasuredSeries,
@@ -99,6 +102,20 @@ def _draw_output(
     end_labels(axes, labels)
 
 
+def residual_reach(largest: float, uncertainty: float) -> float:
+    """Return how far the axis of a residual reaches: a band much wider than it would make a line of it.
+
+    Args:
+        largest: The largest residual in size. [unit]
+        uncertainty: The sensor's, infinite or NaN where it is not known. [unit]
+
+    Returns:
+        Above 0. [unit]
+    """
+    band = 1.25 * uncertainty if math.isfinite(uncertainty) else 0.0
+    return max(1.12 * largest, band if not largest or band <= MOST_BAND * largest else 0.0) or 1.0
+
+
 def _draw_residual(
     axes: Axes, measurement: MeasuredSeries, calibration: CalibrationRecord, output: int
 ) -> None:
@@ -107,12 +124,12 @@ def _draw_residual(
     residual = measurement.residual(calibration.y_polished, output)
     uncertainty = float(measurement.uncertainty[output])
     largest = float(np.nanmax(np.abs(residual))) if np.isfinite(residual).any() else 0.0
-    reach = max(1.12 * largest, 1.25 * uncertainty if math.isfinite(uncertainty) else 0.0) or 1.0
+    reach = residual_reach(largest, uncertainty)
     axes.set_ylim(-reach, reach)
     labels = []
     if math.isfinite(uncertainty) and uncertainty > 0:
         axes.axhspan(-uncertainty, uncertainty, color=TRAINING, alpha=0.75, linewidth=0, zorder=0)
-        labels.append(EndLabel(uncertainty, f"sensor\n±{uncertainty:g} {unit}", MUTED))
+        labels.append(EndLabel(min(uncertainty, reach), f"sensor\n±{uncertainty:g} {unit}", MUTED))
     axes.axhline(0.0, color=INK, linewidth=0.8)
     measured_at = unit_of_time.of_seconds(measurement.samples[output].time)
     line_with_gaps(axes, measured_at, residual, color=POLISHED, linewidth=1.1)

@@ -172,6 +172,8 @@ class CalibrationRecord:
         n_known: Stored simulations that it began with, which are none of its calls.
         restriction: What was fixed; None where all parameters were calibrated.
         knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
+        state_equations: What became of state equations, in a sentence; empty where nobody looked for any.
+        left_open: What the data do not determine, in sentences; empty where nothing is known of that.
     """
 
     n_train: int
@@ -198,6 +200,8 @@ class CalibrationRecord:
     n_known: int = 0
     restriction: RestrictionRecord | None = None
     knowledge: tuple[str, ...] = ()
+    state_equations: str = ""
+    left_open: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_shape("the polish history's MSE", self.history_mse, self.history_calls.shape)

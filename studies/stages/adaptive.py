@@ -22,6 +22,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
 from studies.calibration.state_guide import LEAST_CALLS
 from studies.console import OnBar
+from studies.doctor.region import commonest
 from studies.physical_model import (
     failed_numbers,
     open_physical_model,
@@ -33,6 +34,7 @@ from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, mse_text, quantity, squared
 from studies.stages.adaptive_known import check_design, known_arrays, known_of, offer_stored
 from studies.stages.calibrate import write_arrays
+from studies.stages.determined import determined_numbers
 from studies.stages.guided import asked_twice, guide_of, guided_numbers
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.known_rows import ChooseRows, KnownRows
@@ -298,6 +300,14 @@ def calibrate_adaptively(
         "without_effect": [
             name for name, flat in zip(model.parameter_space.names, result.is_flat, strict=True) if flat
         ],
+        **determined_numbers(
+            model.parameter_space.names,
+            case.measurement,
+            prior,
+            u=result.u,
+            y=result.y,
+            slopes=result.slopes,
+        ),
         "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,
         **validated,
         **prior_numbers(case, theta),
@@ -342,6 +352,9 @@ def _teller(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progr
         nonlocal last_said
         if now.n_done >= N_HOPELESS and not np.isfinite(now.best_mse):
             raise _hopeless(study, physical)
+        n_failed = len(physical.failures)
+        if study.case.policy.is_hopeless(now.n_done, n_failed):
+            raise _mostly_failed(study, physical, now)
         best = f"best MSE {quantity(now.best_mse, unit)}"
         bars("adaptive", now.n_done, now.n_total or now.n_done, f", {count(now.n_done, 'call')}, {best}")
         if not study.console.is_live and time.monotonic() - last_said > NEWS_EVERY_S:
@@ -349,6 +362,17 @@ def _teller(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progr
             study.console.say(f"{STAGE}: {count(now.n_done, 'call')}, {best}")
 
     return tell
+
+
+def _mostly_failed(study: Study, physical: StoredModel, now: Progress) -> StageError:
+    unit = squared(difference_unit(study.case.outputs[0].unit))
+    return StageError(
+        f"{len(physical.failures)} of {count(now.n_done, 'simulation')} failed, more than "
+        f"simulation.max_failed_share = {study.case.policy.max_failed_share:g} allows; the commonest reason: "
+        f"{commonest(physical.failures)}; the best MSE so far is {quantity(now.best_mse, unit, 4)}, and the "
+        f"finished simulations are kept; narrow the bounds (studies check {study.command} says where it "
+        "fails) or raise the share"
+    )
 
 
 def _hopeless(study: Study, physical: StoredModel) -> StageError:

@@ -8,6 +8,7 @@ from studies.physical_model import warn_failed
 from studies.report.wording import count, difference_unit, percent, quantity, squared
 from studies.stages.adaptive import adaptive_command
 from studies.stages.calibrated_values import show_parameters
+from studies.stages.check import found_of_the_step
 from studies.stages.guided import equations_in_words
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import is_of_this_density, show_prior
@@ -47,7 +48,8 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:
-        console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {_doubt(found)}")
+        doubt = _doubt(found, found_of_the_step(study))
+        console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {doubt}")
     for known in study.case.references:
         if known.is_target:
             reached = calls_to(study, known.mse, n_free)
@@ -64,19 +66,29 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(f"How sure it is: studies uncertainty {study.command}{most_relevant(n_free)}")
 
 
-def _doubt(found: Summary) -> str:
-    """Say what an error that is too large may come from."""
+def _doubt(found: Summary, of_the_step: str | None) -> str:
+    """Say what an error that is too large may come from.
+
+    Args:
+        found: A calibration's numbers.
+        of_the_step: What studies check found wrong with the communication step, see `found_of_the_step`.
+    """
+    lacks = "the model lacks something"
+    if of_the_step:
+        lacks = f"studies check found that {of_the_step}; else {lacks}"
+    elif of_the_step is None:
+        lacks += ", or outputs lag behind inputs by a part of the communication step (studies check tells)"
     target = found["settings"]["target_mse"]
     if target is not None and found["mse"] <= target:
         return "the search ended at its target; without --target it goes on"
     if found["converged"]:
         is_guided = found.get("state_equations", {}).get("are_believed", False)
         who = "state equations know of" if is_guided else "surrogate expects"
-        return f"the {who} no deeper valley in the box: the model lacks something, or a bound is in the way"
+        return f"the {who} no deeper valley in the box: {lacks}, or a bound is in the way"
     is_spent = found["ledger"]["total_paper"] >= found["settings"]["max_calls"]
     more = "more --max-calls, " if is_spent else ""
     try_ = f"try {more}another --seed, or studies run"
-    return f"there may be a deeper valley, or the model lacks something; {try_}"
+    return f"there may be a deeper valley, or {lacks}; {try_}"
 
 
 def stored_before(study: Study, n_free: int | None) -> Summary | None:

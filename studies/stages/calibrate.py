@@ -14,6 +14,7 @@ from studies.paths import size_name
 from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
 from studies.recipe import Recipe, recipe_of
 from studies.report.wording import mse_text
+from studies.stages.determined import determined_numbers
 from studies.stages.knowledge import prior_inputs, prior_numbers
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage, write_json
 from studies.stages.restriction import (
@@ -174,6 +175,7 @@ def calibrate(
     )
     with open_physical_model(study) as physical, study.console.bars() as bars:
         model = parts_of(physical, restriction)
+        prior = Prior.of(model.parameter_space, measurement)
         result = calibrate_two_phase(
             parts_of(predicting, restriction),
             model,
@@ -184,7 +186,7 @@ def calibrate(
             n_train=n_train,
             n_validation=profile.data.n_validation,
             n_test=profile.data.n_test,
-            prior=Prior.of(model.parameter_space, measurement),
+            prior=prior,
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
@@ -200,6 +202,14 @@ def calibrate(
         "theta_screened": dict(zip(space.names, screened.tolist(), strict=True)),
         "ledger": replace(result.ledger, n_relevance=n_before + n_checks).to_dict(),
         **failed_numbers(physical),
+        **determined_numbers(
+            model.parameter_space.names,
+            measurement,
+            prior,
+            u=result.u,
+            y=result.y_polished,
+            slopes=result.slopes,
+        ),
     }
     wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
     arrays = {

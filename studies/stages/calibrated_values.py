@@ -9,6 +9,7 @@ import numpy as np
 from studies.console import Column
 from studies.physical_model import warn_failed
 from studies.report.wording import bound_at, difference_unit, mse_text, significant, squared
+from studies.stages.determined import open_in_words, open_note
 from studies.stages.guideline import Periods, judge_calibration, show_guideline
 from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
@@ -102,7 +103,7 @@ def judged_values(study: Study, found: Mapping[str, Any]) -> Periods:
 
 
 def show_parameters(study: Study, numbers: Mapping[str, Any], how: str) -> None:
-    """Print calibrated parameters, and which of them were fixed.
+    """Print calibrated parameters, which of them were fixed, and which the data leave open.
 
     Args:
         study: the study.
@@ -121,7 +122,8 @@ def show_parameters(study: Study, numbers: Mapping[str, Any], how: str) -> None:
             # A bound that it happens to lie at says nothing.
             note = "the error hardly depends on it"
         else:
-            note = f"at the {bound} bound: widen it?" if bound else ""
+            note = open_note(parameter.name, numbers)
+            note = note or (f"at the {bound} bound: widen it?" if bound else "")
         rows.append(
             [
                 parameter.name,
@@ -144,6 +146,8 @@ def show_parameters(study: Study, numbers: Mapping[str, Any], how: str) -> None:
         ],
         rows,
     )
+    for line in open_in_words(numbers):
+        study.console.result(line)
 
 
 def _error(outcome: Outcome) -> float:

@@ -9,10 +9,11 @@ from simulation.workers.execution import ExecutionPolicy
 from studies.doctor import Diagnosis, Finding, examine
 from studies.doctor.examination import Surgery
 from studies.doctor.keeping import KeepingModel
+from studies.doctor.variants import HALVING
 from studies.physical_model import open_physical_model
 from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Study, Summary, run_stage
+from studies.stages.pipeline import Outcome, Study, Summary, read_json, run_stage
 
 
 def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
@@ -59,6 +60,21 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
         again=again,
     )
     return outcome, _diagnosis(outcome.summary)
+
+
+def found_of_the_step(study: Study) -> str | None:
+    """Return what the last examination of this case found of its communication step.
+
+    Returns:
+        "" where it found nothing wrong, None where nobody has examined the case.
+    """
+    manifest = read_json(study.results / "check.json")
+    if manifest is None or manifest["inputs"]["case"] != study.case.digest:
+        return None
+    for one in _diagnosis(manifest["summary"]).findings:
+        if one.what.startswith(HALVING) and one.level == "warn":
+            return f"{one.what} {one.found}: {one.remedy}"
+    return ""
 
 
 def _diagnosis(summary: Summary) -> Diagnosis:

@@ -18,6 +18,8 @@ from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterB
 from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_restriction import restriction_record
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
+from studies.stages.determined import open_in_words
+from studies.stages.guided import equations_in_words
 from studies.stages.knowledge import is_of_this_density, known_before
 from studies.stages.pipeline import Study, read_json
 
@@ -178,7 +180,14 @@ def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
     """Return a calibration as a record."""
     record = _adaptive_record(stored) if stored.is_adaptive else _polished_record(stored)
     numbers = stored.numbers
-    return replace(record, restriction=restriction_record(numbers), knowledge=known_before(numbers))
+    told = numbers.get("state_equations")
+    return replace(
+        record,
+        restriction=restriction_record(numbers),
+        knowledge=known_before(numbers),
+        state_equations="" if told is None else equations_in_words(told),
+        left_open=tuple(open_in_words(numbers)),
+    )
 
 
 def _polished_record(stored: StoredCalibration) -> CalibrationRecord:

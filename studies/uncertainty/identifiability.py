@@ -238,12 +238,47 @@ def judged(
         step: The step of the differences. [1]
         prior: What is known beforehand, or None.
     """
-    u, p = answer.u[0], answer.u.shape[1]
-    m = answer.residuals.shape[1]
-    jacobian = _slopes(answer).T
+    p = answer.u.shape[1]
+    found = judged_slopes(
+        names, answer.u[0], _slopes(answer).T, raised, null=max(NULL, NULL_PER_STEP * step), prior=prior
+    )
+    return replace(
+        found,
+        theta=answer.theta[0],
+        mse=float(answer.mse[0]),
+        n_samples=answer.residuals.shape[1],
+        n_independent=n_independent,
+        n_calls=len(answer.u),
+        is_unknown=np.array([all(answer.failures[row] for row in (j + 1, j + 1 + p)) for j in range(p)]),
+    )
+
+
+def judged_slopes(
+    names: tuple[str, ...],
+    u: FloatArray,
+    jacobian: FloatArray,
+    raised: float,
+    *,
+    null: float = NULL,
+    prior: Prior | None = None,
+) -> Identifiability:
+    """Read off what slopes of residuals at a point determine, however these are known.
+
+    Args:
+        names: Names of the p parameters.
+        u: The point. Shape (p,). [1]
+        jacobian: The slopes, in any orthonormal basis of the residuals. Shape (m, p).
+            [first output's unit per range]
+        raised: Noise, raised for residuals that follow each other; above 0. [first output's unit]
+        null: Share of the largest singular value below which the others are none. [1]
+        prior: What is known beforehand, or None.
+
+    Returns:
+        All but the point as parameters, its error and where the slopes come from, which are left empty.
+    """
+    p = len(u)
     _, values, directions = np.linalg.svd(jacobian, full_matrices=len(jacobian) < p)
     values = np.pad(values, (0, p - len(values)))
-    null = max(NULL, NULL_PER_STEP * step)
     covariance = (directions.T / ((values / raised) ** 2 + 1.0 / BOX_VARIANCE)) @ directions
     known = np.full(p, 1.0 / BOX_VARIANCE)
     if prior is not None:
@@ -252,8 +287,8 @@ def judged(
     lengths = np.linalg.norm(jacobian, axis=0)
     return Identifiability(
         names=names,
-        theta=answer.theta[0],
-        mse=float(answer.mse[0]),
+        theta=np.full(p, np.nan),
+        mse=np.nan,
         on_bound=(u < ON_BOUND) | (u > 1.0 - ON_BOUND),
         singular_values=values,
         directions=directions,
@@ -262,10 +297,10 @@ def judged(
         before=1.0 / np.sqrt(known),
         correlation=_normed(covariance, np.sqrt(np.diag(covariance))),
         alignment=_normed(jacobian.T @ jacobian, lengths),
-        n_samples=m,
-        n_independent=n_independent,
-        n_calls=len(answer.u),
-        is_unknown=np.array([all(answer.failures[row] for row in (j + 1, j + 1 + p)) for j in range(p)]),
+        n_samples=len(jacobian),
+        n_independent=float(len(jacobian)),
+        n_calls=0,
+        is_unknown=np.zeros(p, dtype=np.bool_),
         null=null,
     )
 

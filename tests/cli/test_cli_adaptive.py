@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -88,6 +89,11 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     assert f"after {calls['n_adaptive']} model calls" in told.out
     assert f"it ended because {stage['stop_reason']}" in told.out
     assert "qIntOcc" in told.out
+    left_open = stage["determined_by_data"]["open"]
+    assert {"rExt1", "rExt2", "cExt1"} <= {*left_open}
+    assert "qIntOcc" not in left_open
+    assert told.out.count("not determined: ±") == len(left_open)
+    assert f"The data do not determine {len(left_open)} of 14 parameters" in " ".join(told.out.split())
     page = studies("report", "--window", "0-10", "--json")
     assert page.code == 0, page.err
     folder = (project / page.document["stages"][0]["index"]).parent
@@ -201,6 +207,20 @@ def test_what_does_not_go_together_is_one_line(
     assert not parts_of(project)
 
 
+def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    text = case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.03")
+    case.write_text(text.replace("communication_step_s = 600", "communication_step_s = 1800"))
+    lacks = "the model lacks something"
+    unexamined = " ".join(studies(*ADAPTIVE).out.split())
+    assert f"{lacks}, or outputs lag behind inputs by a part of the communication step" in unexamined
+    assert studies("check", "office", "--profile", "quick", "-q").code == 0
+    examined = " ".join(studies(*ADAPTIVE).out.split())
+    found = r"studies check found that half the communication step \(900 s\) changes TAir by 0\.\d+ degC"
+    assert re.search(found, examined), examined
+    assert "lower communication_step_s in the case file" in examined
+
+
 def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     case = project / "fmus" / "office" / "case.toml"
     case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [20, 26]"))
@@ -219,6 +239,24 @@ def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     n_failed = studies(*without, "--json").stage["n_failed"]
     again = studies(*without, "--retry-failed", "--json").stage
     assert again["n_simulated"] == again["n_failed"] == n_failed
+
+
+def test_a_calibration_whose_simulations_mostly_fail_ends_and_says_why(project: Path, studies: Run) -> None:
+    case = project / "fmus" / "office" / "case.toml"
+    narrow = "uncertainty = 0.5\naccepted = [20.8, 25.2]"
+    text = case.read_text().replace("uncertainty = 0.5", narrow)
+    case.write_text(text + "\n[simulation]\nmax_failed_share = 0.2\n")
+    answer = studies(*ADAPTIVE, "--no-state-equations")
+    assert answer.code == 1
+    told = answer.err.splitlines()[-1]
+    assert re.match(r"studies: error: \d+ of \d\d simulations failed, more than simulation", told)
+    assert "max_failed_share = 0.2 allows; the commonest reason: output TAir" in told
+    assert "the finished simulations are kept; narrow the bounds (studies check office" in told
+    # Who allows more goes on with them.
+    case.write_text(text + "\n[simulation]\nmax_failed_share = 1.0\n")
+    n_before = n_stored(project)
+    stage = studies(*ADAPTIVE, "--no-state-equations", "--max-calls", str(n_before + 1), "--json").stage
+    assert stage["n_simulated"] == 1
 
 
 def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: Run) -> None:

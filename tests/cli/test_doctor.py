@@ -13,10 +13,13 @@ from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
+from simulation.design import uniform_design
+from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import look_at_influence
 from studies.doctor.declared import look_at_data, look_at_declaration, temperature_doubt
 from studies.doctor.patience import EXAMINATION_S, FIRST_S, SLOWER, Patience
+from studies.doctor.region import failing_region
 from studies.doctor.repeats import look_at_order
 from studies.doctor.variants import changed_input
 
@@ -144,8 +147,17 @@ def test_an_unsound_case_ends_with_one(project: Path, studies: Run, command: str
 @pytest.mark.parametrize(
     ("behaviour", "code", "what", "level", "found", "remedy"),
     [
-        ("CRASH", 0, "corners of the box", "warn", "SIGSEGV", "narrow the bounds"),
-        ("HANG", 0, "corners of the box", "warn", "did not answer within 1 s", "narrow the bounds"),
+        # `trouble` does nothing but make the FMU fail: no effect, though one of its bounds fails.
+        ("CRASH", 1, "corners of the box", "warn", "all with trouble above 0.5; the reason: ", "narrow"),
+        (
+            "ERROR",
+            1,
+            "every parameter moves an output",
+            "fail",
+            "no effect: trouble",
+            "leave the parameter out",
+        ),
+        ("HANG", 1, "corners of the box", "warn", "did not answer within 1 s", "narrow the bounds"),
         ("LICENCE", 1, "opening the FMU", "fail", "no licence for", "max_workers"),
         ("UNITS", 0, "units of the outputs", "warn", "K is very cold: rather degC", "compare"),
         ("STICKY", 0, "starting the FMU over", "warn", "each row gets a new instance", "results are right"),
@@ -173,6 +185,31 @@ def test_an_fmu_that_misbehaves_costs_one_line(
     assert line["level"] == level
     assert found in line["found"]
     assert remedy in line["remedy"]
+
+
+def test_a_bound_that_fails_is_named_with_where_that_begins_and_why(project: Path, studies: Run) -> None:
+    make_bad_case(project, "ERROR")
+    answer = studies("check", "bad", "--profile", "smoke", "--json")
+    line = finding(answer, "every parameter reaches its bounds")
+    assert line["level"] == "warn"
+    # Half of the way that is left, five times.
+    told = re.match(
+        r"trouble fails above (0\.9\d+), at its upper bound 1 \(17 % of the bounds\)", line["found"]
+    )
+    assert told
+    assert 0.96 < float(told[1]) < 0.995
+    assert line["found"].endswith("the valve is stuck")
+
+
+def test_a_region_that_fails_is_told_where_one_parameter_explains_it() -> None:
+    space = ToyRC().parameter_space
+    theta = uniform_design(space, 64, seed=0)
+    assert re.match(r"all with R above 2\.\d* K/W$", failing_region(space, theta, theta[:, 0] > 2.5))
+    assert re.match(r"all with C below 9\.\d*e\+03 J/K$", failing_region(space, theta, theta[:, 1] < 1e4))
+    noisy = (theta[:, 0] > 2.5) ^ (np.arange(64) == 3)
+    assert failing_region(space, theta, noisy).startswith("mostly with R above")
+    assert failing_region(space, theta, np.arange(64) % 2 == 0) == ""
+    assert failing_region(space, theta, np.ones(64, dtype=np.bool_)) == ""
 
 
 def test_what_the_doctor_simulates_is_kept(

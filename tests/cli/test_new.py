@@ -172,6 +172,59 @@ def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None
     assert "exists" in studies("new", str(room), "--to", str(file.parent)).err
 
 
+def test_an_input_can_be_a_parameter(project: Path, studies: Run, room: Path) -> None:
+    document = studies("new", str(room), "--parameter", "UA", "TAmb", "--json").document
+    assert document["parameters"] == ["UA", "TAmb"]
+    assert "TAmb" not in document["inputs"]
+    case = case_of(project, "my-room-v2")
+    assert [one["name"] for one in case["parameters"]] == ["UA", "TAmb"]
+    assert "TAmb" not in [one["name"] for one in case.get("inputs", ())]
+
+
+def test_it_can_be_repeated_beside_ones_own_data(project: Path, studies: Run, room: Path) -> None:
+    assert studies("new", str(room)).code == 0
+    data, case = project / "data" / "my-room-v2", project / "fmus" / "my-room-v2" / "case.toml"
+    (data / "README.md").write_text("my own words", encoding="utf-8")
+    (data / "measured.csv").write_text("time_s,T\n0,1\n", encoding="utf-8")
+    case.unlink()
+    answer = studies("new", str(room), "--output", "Q")
+    assert answer.code == 0, answer.err
+    assert "wrote fmus/my-room-v2/case.toml" in answer.out
+    assert "kept data/my-room-v2/README.md, which was there" in answer.out
+    assert (data / "README.md").read_text(encoding="utf-8") == "my own words"
+    case.unlink()
+    (case.parent / room.name).write_bytes(b"another FMU")
+    assert "exists and is never overwritten" in studies("new", str(room)).err
+
+
+def test_local_variables_are_listed_and_patterns_match_them(
+    project: Path, studies: Run, tmp_path: Path
+) -> None:
+    variables = real("UA", 1, "parameter", 'start="1"') + real("T", 2, "output")
+    variables += real("wall.T1", 3, "local") + real("wall.T2", 4, "local") + real("Tx", 5, "local")
+    fmu = make_fmu(tmp_path / "inside.fmu", variables)
+    listed = studies("new", str(fmu), "--list", "--json").document
+    assert [one["name"] for one in listed["locals"]] == ["wall.T1", "wall.T2", "Tx"]
+    assert [one["name"] for one in listed["outputs"]] == ["T"]
+    # What matches an output means outputs.
+    words = ("--output", "T*", "wall.*", "--json")
+    assert studies("new", str(fmu), *words).document["outputs"] == ["T", "wall.T1", "wall.T2"]
+
+
+def test_what_belongs_to_a_solver_is_not_proposed(project: Path, studies: Run, tmp_path: Path) -> None:
+    of_a_solver = ("solver.absTol", "relativeTolerance", "maxStepSize", "integrator_order")
+    variables = real("CPUtime", 1, "output") + real("T", 2, "output")
+    # Not everything that sounds like one is.
+    names = ("UA", "tolerantPlants", "stepHeight", *of_a_solver)
+    variables += "".join(real(name, 3 + i, "parameter", 'start="1"') for i, name in enumerate(names))
+    fmu = make_fmu(tmp_path / "solver.fmu", variables)
+    document = studies("new", str(fmu), "--json").document
+    assert document["outputs"] == ["T"]
+    assert document["parameters"] == ["UA", "tolerantPlants", "stepHeight"]
+    wanted = studies("new", str(fmu), "--to", str(tmp_path / "x"), "--output", "CPUtime", "--json")
+    assert wanted.document["outputs"] == ["CPUtime"]
+
+
 def test_a_folder_of_ones_own_holds_everything(project: Path, studies: Run, room: Path) -> None:
     folder = project / "elsewhere"
     answer = studies("new", str(room), "--to", str(folder), "--json")
@@ -274,7 +327,7 @@ def test_a_temperature_without_a_unit_is_known_by_its_name(
         (["nowhere.fmu"], ["nowhere.fmu", "no such file"]),
         (["{room}", "--output", "Tx"], ["--output Tx", "did you mean T"]),
         (["{room}", "--output", "X*"], ["--output X*", "--list"]),
-        (["{room}", "--parameter", "TAmb"], ["--parameter TAmb", "input"]),
+        (["{room}", "--parameter", "Q"], ["--parameter Q", "output"]),
         (["{room}", "--parameter", "n.windows"], ["n.windows", "Integer", "[fixed]"]),
         (["{room}", "--interface", "model-exchange"], ["model-exchange", "co-simulation"]),
         (["{bare}"], ["no real output"]),

@@ -51,6 +51,7 @@ REASONS = {
     "DISCARD": r"Discard.*the step does not converge",
     "FATAL": r"Fatal.*the heap is broken",
     "ONCE": r"Error.*the valve is stuck",
+    "ASSERTS": r"Error.*assertion: the flow reverses",
 }
 
 

@@ -33,7 +33,7 @@ from simulation.measurement import Samples
 from simulation.time_unit import period_text
 from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
 from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart, time_axis
-from studies.report.figures_calibration import calibration_figure, polish_figure
+from studies.report.figures_calibration import calibration_figure, polish_figure, residual_reach
 from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
 from studies.report.figures_overview import overview_figure
 from studies.report.figures_sensitivity import sensitivity_figure
@@ -189,6 +189,15 @@ def test_an_overview_of_equal_errors_tells_one(tmp_path: Path, monkeypatch: pyte
     overview_figure([equal[0], replace(equal[1], mse_polished=5e-6)], (), tmp_path / "o.png", mse_unit="bar²")
     assert "ends at an MSE of 3.28e-06 bar²;" in titles[0]
     assert "ends at 3.28e-06 to 5.00e-06 bar²;" in titles[1]
+
+
+def test_a_residual_is_no_line_within_a_wide_band() -> None:
+    assert residual_reach(0.4, 0.5) == 1.25 * 0.5
+    assert residual_reach(2.0, 0.5) == 1.12 * 2.0
+    # A hundredth of the band: the axis is the residual's.
+    assert residual_reach(0.005, 0.5) == 1.12 * 0.005
+    assert residual_reach(0.0, 0.5) == 1.25 * 0.5
+    assert residual_reach(0.0, np.nan) == 1.0
 
 
 def test_a_parameter_without_effect_explains_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -484,6 +484,14 @@ def test_an_adaptive_calibration_alone_has_a_report_without_a_surrogate(tmp_path
     assert not {"test_mae", "mse_screened", "n_polish"} & set(row)
 
 
+def test_the_page_says_what_became_of_state_equations_and_what_is_left_open(tmp_path: Path) -> None:
+    failed = "State equations of 3 states: not learnt, for they move too fast; the search did without"
+    left_open = ("The data do not determine 1 of 14 parameters: cInt",)
+    data = small(calibrations=(replace(adaptive(), state_equations=failed, left_open=left_open),))
+    page = build(data, tmp_path).read_text(encoding="utf-8")
+    assert f"<p>{failed}.</p><p>{left_open[0]}.</p>" in page
+
+
 def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> None:
     data = small(calibrations=(calibration(64), adaptive()))
     assert data.headline is not None

@@ -1,5 +1,6 @@
 """The keys of a case file beyond the plain case: units, bands, patience, warm-up, validation, other kinds."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -117,6 +118,31 @@ def test_fixed_that_is_no_table_is_one_line(decay_case: Path):
         load_case(decay_case)
 
 
+def test_an_input_is_calibrated_as_a_constant(decay_case: Path):
+    text = (decay_case / "case.toml").read_text()
+    begin, end = text.index("[[inputs]]"), text.index("[[outputs]]")
+    inputs = text[begin:end]
+    constant = '[[parameters]]\nname = "u"\nlower = 0.0\nupper = 3.6\nunit = "K/h"\n\n'
+    (decay_case / "case.toml").write_text(text.replace(inputs, "").replace("[fixed]", constant + "[fixed]"))
+    case = load_case(decay_case)
+    assert case.parameter_space.names == ("k", "mode", "u")
+    assert case.scenario.input_names == ()
+    k, heating = 1e-4, 1.8
+    with case.open_model() as model:
+        answer = model.simulate(np.array([[k, 0.0, 0.0], [k, 0.0, heating], [k, 0.0, 0.0]]))
+    assert answer.failures == ("", "", "")
+    cold, warm, again = answer.y[:, :, 0]
+    np.testing.assert_array_equal(again, cold)
+    # x' = -k x + u: a constant input adds u / k (1 - exp(-k t)).
+    since_start = case.scenario.time - case.scenario.time[0]
+    expected = heating / 3600.0 / k * -np.expm1(-k * since_start)
+    np.testing.assert_allclose(warm - cold, expected, atol=1e-9)
+    both = text.replace("[fixed]", constant + "[fixed]")
+    (decay_case / "case.toml").write_text(both)
+    with pytest.raises(InputError, match=r"inputs\[u\] is also under \[\[parameters\]\]; drop one"):
+        load_case(decay_case)
+
+
 def test_patience_is_declared_and_changes_no_digest(decay_case: Path):
     before = load_case(decay_case)
     assert before.policy == ExecutionPolicy()
@@ -132,6 +158,9 @@ def test_patience_is_declared_and_changes_no_digest(decay_case: Path):
         timeout_s=30, opening_s=30, retries=2, max_failed_share=0.9, max_workers=1
     )
     assert (after.digest, after.model_digest) == (before.digest, before.model_digest)
+    edit(decay_case, ("timeout_s = 30", "timeout_s = inf"))
+    never = load_case(decay_case).policy
+    assert (never.timeout_s, never.opening_s) == (math.inf, None)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """What models do to their processes costs exactly the row that did it, with a reason."""
 
 import logging
+import math
+import re
 import sys
 import time
 from pathlib import Path
@@ -257,6 +259,30 @@ def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
     (warning,) = warnings
     assert warning.startswith(f"row {int(np.argmax(rows[:, 0]))} has been running for 0.")
     assert warning.endswith("it will be stopped after 1 s")
+
+
+def test_without_a_time_out_the_slowest_row_so_far_tells_how_long_to_wait():
+    rows = _rows(20, 1)
+    policy = ExecutionPolicy(least_limit_s=0.3)
+    with ParallelModel(HangingToy().open, 2, policy=policy) as model:
+        answer = model.simulate(rows)
+        # The next batch remembers.
+        again = model.simulate(rows[rows[:, 0] > 4.0])
+    assert answer.failed.sum() == 1
+    for reason in (max(answer.failures), again.failures[0]):
+        assert re.match(
+            r"did not answer within .* s and was stopped \(no \[simulation\] timeout_s is", reason
+        )
+
+
+def test_a_row_may_take_as_long_as_it_likes_where_the_time_out_is_infinite():
+    assert ExecutionPolicy(timeout_s=math.inf).limit_s(1e-3) == math.inf
+    assert ExecutionPolicy().limit_s(None) == math.inf
+    assert ExecutionPolicy().limit_s(3.0) == 300.0
+    assert ExecutionPolicy().limit_s(1e-3) == 60.0
+    policy = ExecutionPolicy(timeout_s=math.inf, least_limit_s=0.01)
+    with ParallelModel(SlowToy(row_s=0.4).open, 1, policy=policy) as model:
+        assert not model.simulate(_rows(3, 0)).failed.any()
 
 
 def test_a_slow_row_holds_up_no_other():

@@ -22,6 +22,7 @@
 #define DISCARD 6 /* fmi2Discard with a message */
 #define FATAL 7   /* fmi2Fatal with a message; nothing works in this process afterwards */
 #define ONCE 8    /* fmi2Error; no reset after it, and a process gives only one instance, even after it is freed */
+#define ASSERTS 9 /* fmi2Error after a message whose status is fmi2Warning */
 /* Always: */
 #define LEAK 20     /* a simulation keeps 1 MiB */
 #define STICKY 21   /* fmi2Reset says fmi2OK and keeps the state */
@@ -267,6 +268,9 @@ static fmi2Status go_wrong(Instance *m)
         case ERROR:
         case ONCE:
             return say(m, fmi2Error, "the valve is stuck");
+        case ASSERTS:
+            say(m, fmi2Warning, "assertion: the flow reverses");
+            return fmi2Error;
         case DISCARD:
             return say(m, fmi2Discard, "the step does not converge");
         case FATAL:

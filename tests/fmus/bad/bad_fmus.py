@@ -12,7 +12,7 @@ import pytest
 
 SOURCE = Path(__file__).with_name("bad.c")
 # Those that go wrong where `trouble` exceeds BAD_ABOVE, and those that always do; named as in bad.c.
-SOMETIMES = ("CRASH", "HANG", "EXIT", "NANS", "ERROR", "DISCARD", "FATAL", "ONCE")
+SOMETIMES = ("CRASH", "HANG", "EXIT", "NANS", "ERROR", "DISCARD", "FATAL", "ONCE", "ASSERTS")
 ALWAYS = (
     "LEAK",
     "STICKY",

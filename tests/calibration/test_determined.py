@@ -1,0 +1,60 @@
+"""What a search knows at its end of what the data determine, against differences of the model."""
+
+import numpy as np
+import pytest
+from problems_for_tests import TRUE_RC, problem_on, product_problem, rc_problem
+
+from simulation.arrays import FloatArray
+from simulation.toy import ProductToy
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.polish import LeastSquaresTRF
+from studies.calibration.problem import CalibrationProblem
+from studies.stages.determined import determined_numbers, open_in_words, open_note
+from studies.uncertainty.identifiability import identifiability
+
+# Of standard deviations by slopes of a surrogate, whose rows lie up to a tenth of the range away.
+SPREAD_RTOL = 0.1
+
+
+def adaptive(problem: CalibrationProblem) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    found = Adaptive(max_calls=60).minimize(problem, seed=0)
+    return found.u, found.y, found.slopes
+
+
+def polished(problem: CalibrationProblem) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    found = LeastSquaresTRF().minimize(problem, np.array([0.7, 0.4]))
+    return found.u, found.y, found.slopes
+
+
+def polished_in_linear_coordinates(
+    problem: CalibrationProblem,
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    found = LeastSquaresTRF(coordinates="linear").minimize(problem, np.array([0.7, 0.4]))
+    return found.u, found.y, found.slopes
+
+
+@pytest.mark.parametrize("search", [adaptive, polished, polished_in_linear_coordinates])
+@pytest.mark.parametrize("is_product", [False, True])
+def test_a_search_knows_what_differences_would_tell(search, is_product: bool) -> None:
+    problem = problem_on(ProductToy(), TRUE_RC, noise=0.05) if is_product else rc_problem(noise=0.05)
+    u, y, slopes = search(problem)
+    found = determined_numbers(problem.space.names, problem.measurement, None, u=u, y=y, slopes=slopes)
+    told = found["determined_by_data"]
+    truth = identifiability(problem.model, problem.measurement, problem.space.from_unit(u))
+    np.testing.assert_allclose(list(told["spread"].values()), truth.spread, rtol=SPREAD_RTOL)
+    assert told["open"] == (["R", "C"] if is_product else [])
+    assert [one["strength"] < -0.9 for one in told["pairs"]] == [True] * is_product
+    assert [bool(open_note(name, found)) for name in problem.space.names] == [is_product] * 2
+    assert len(open_in_words(found)) == 2 * is_product
+
+
+def test_of_a_first_design_alone_nothing_is_told() -> None:
+    problem = product_problem()
+    found = Adaptive(max_calls=4).minimize(problem, seed=0)
+    assert found.slopes is None
+    # Nor of what fits to the last digit: it shows no noise.
+    exact = {"u": found.u, "y": problem.model.simulate(TRUE_RC[None]).y[0], "slopes": np.eye(2)}
+    assert not determined_numbers(("R", "C"), problem.measurement, None, **exact)
+    assert not determined_numbers(("R", "C"), problem.measurement, None, u=found.u, y=found.y, slopes=None)
+    assert open_in_words({}) == []
+    assert open_note("R", {}) == ""
