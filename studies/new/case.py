@@ -1,5 +1,6 @@
 """`studies new`: from an FMU's own description to a case file, a data folder and example CSV files."""
 
+import filecmp
 import re
 import shlex
 import shutil
@@ -69,8 +70,8 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         wishes: What the user asks for.
 
     Raises:
-        InputError: The FMU cannot be used, a wish cannot be met, a file of that name exists already, or the
-            folder cannot be written.
+        InputError: The FMU cannot be used, a wish cannot be met, the case file or another file in the place
+            of one of its own exists already, or the folder cannot be written.
     """
     fmu = describe(fmu_file)
     folder = _folder(fmu_file, paths, wishes.folder)
@@ -97,32 +98,46 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     texts |= {data / file: content for file, content in example_files(case).items()}
     copied = folder / fmu_file.name
     try:
-        is_there = copied.exists() and copied.samefile(fmu_file)
-        copies = () if is_there else (copied,)
-        _write(texts, fmu_file, copies, paths)
+        is_copied = _write(texts, fmu_file, copied, paths)
     except OSError as error:
         place = paths.show(Path(error.filename or folder))
         raise InputError(
             f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
             "--to FOLDER"
         ) from None
-    return MadeCase(case, folder / "case.toml", (*texts, *copies), tuple(lines_to_edit(text)))
+    files = (*texts, copied) if is_copied else tuple(texts)
+    return MadeCase(case, folder / "case.toml", files, tuple(lines_to_edit(text)))
 
 
-def _write(texts: Mapping[Path, str], fmu_file: Path, copies: Sequence[Path], paths: ProjectPaths) -> None:
-    """Write the texts and copy the FMU, or nothing where one of the files is there already."""
-    for file in (*texts, *copies):
-        if file.exists():
-            raise InputError(
-                f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
-            )
-    for folder in dict.fromkeys(file.parent for file in (*copies, *texts)):
-        folder.mkdir(parents=True, exist_ok=True)
-    for copied in copies:
-        shutil.copyfile(fmu_file, copied)
-    for file, content in texts.items():
+def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
+    """Write the texts and copy the FMU, or nothing where something else lies in the place of one of them.
+
+    The first text is the case file. It is written last, so that a command that was killed can be typed again:
+    what it had written is there already.
+
+    Returns:
+        Whether the FMU was copied.
+    """
+    case_file, is_copied = next(iter(texts)), not copied.exists()
+    wanted = {file: text.encode() for file, text in texts.items()}
+    taken = [file for file in wanted if file.exists() and not _holds(file, wanted[file])]
+    if not is_copied and not (copied.is_file() and filecmp.cmp(copied, fmu_file, shallow=False)):
+        taken.append(copied)
+    for file in [case_file] if case_file.exists() else taken:
+        raise InputError(
+            f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
+        )
+    if is_copied:
+        with fmu_file.open("rb") as source, whole_file(copied) as stream:
+            shutil.copyfileobj(source, stream)
+    for file, content in reversed(wanted.items()):
         with whole_file(file) as stream:
-            stream.write(content.encode())
+            stream.write(content)
+    return is_copied
+
+
+def _holds(file: Path, content: bytes) -> bool:
+    return file.is_file() and file.stat().st_size == len(content) and file.read_bytes() == content
 
 
 def describe(fmu_file: Path) -> FmuDescription:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from simulation.time_unit import told_period
+from simulation.whole_file import whole_file
 from studies.report import captions
 from studies.report.contents import Contents, Picture, contents_of
 from studies.report.data import ReportData
@@ -199,6 +199,5 @@ def _files_of_earlier_report(folder: Path) -> set[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_text(text, encoding="utf-8", newline="\n")
-    partial.replace(path)
+    with whole_file(path) as file:
+        file.write(text.encode())

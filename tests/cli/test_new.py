@@ -172,6 +172,36 @@ def test_nothing_is_overwritten(project: Path, studies: Run, room: Path) -> None
     assert "exists" in studies("new", str(room), "--to", str(file.parent)).err
 
 
+def test_a_command_killed_between_any_two_writes_can_be_typed_again(
+    project: Path, studies: Run, room: Path
+) -> None:
+    assert studies("new", str(room)).code == 0
+    folder, data = project / "fmus" / "my-room-v2", project / "data" / "my-room-v2"
+    made = {file: file.read_bytes() for place in (data, folder) for file in place.iterdir()}
+    # The order in which they are written: the case file last.
+    order = sorted(made, key=lambda file: (file.name == "case.toml", file.suffix != ".fmu"))
+    for n_written in range(len(order)):
+        for file in order[n_written:]:
+            file.unlink()
+        (folder / ".case.toml.0123abcd.tmp").write_text("half of")
+        assert studies("new", str(room)).code == 0
+        found = {file: file.read_bytes() for place in (data, folder) for file in place.iterdir()}
+        assert found == made
+
+
+def test_another_file_in_the_place_of_one_of_the_case_is_not_taken_for_it(
+    project: Path, studies: Run, room: Path
+) -> None:
+    for number, name in enumerate(("My Room.v2.fmu", "README.md", "measured.example.csv")):
+        folder = project / f"taken-{number}"
+        folder.mkdir()
+        (folder / name).write_text("mine", encoding="utf-8")
+        answer = studies("new", str(room), "--to", str(folder))
+        assert answer.code == 2
+        assert f"{name} exists and is never overwritten" in answer.err
+        assert [file.name for file in folder.iterdir()] == [name]
+
+
 def test_a_folder_of_ones_own_holds_everything(project: Path, studies: Run, room: Path) -> None:
     folder = project / "elsewhere"
     answer = studies("new", str(room), "--to", str(folder), "--json")
