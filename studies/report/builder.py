@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from simulation.foreign_file import RECORD, read_limited
 from simulation.time_unit import told_period
 from simulation.whole_file import whole_file
 from studies.report import captions
@@ -186,8 +187,8 @@ def _summary(data: ReportData, contents: Contents, lead: str, cards: list[Card])
 def _files_of_earlier_report(folder: Path) -> set[str]:
     """Return what an earlier report says it wrote here; a name that points elsewhere is not believed."""
     try:
-        names = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
+        names = json.loads(read_limited(folder / SUMMARY, RECORD))["files"]
+    except (ValueError, KeyError, TypeError, RecursionError):
         return set()
     if not isinstance(names, list):
         return set()

@@ -50,7 +50,9 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("run", *STUDY, "--seed", "1"),
 )
 GRACE_S, LIMIT_S = 60.0, 1800.0
-VOLATILE = ("wall", "environment", "run_id", "n_reused", "finished", "recipe", "per_second", "_s")
+# Beside times and places: of the rows that a stage asked for, how many were stored before, and how many not.
+COUNTS_OF_THIS_TIME = ("n_reused", "n_simulated")
+VOLATILE = ("wall", "environment", "run_id", "finished", "recipe", "per_second", "_s", *COUNTS_OF_THIS_TIME)
 
 
 class Watched:
@@ -225,7 +227,7 @@ def attacked(
             return n_kills, f"files are left: {files[:5]}"
         if runs := open_runs(project):
             return n_kills, f"runs of MLflow are left open: {runs[:5]}"
-        now = held(project) | answered(answer)
+        now = held(project) | answered(answer, project)
         lost = after["rows"] - now["rows"]
         other = list(differences(after | {"rows": 0}, now | {"rows": 0}))
         return n_kills, "; ".join([f"{len(lost)} rows lost"] * bool(lost) + other[:10])
@@ -240,8 +242,9 @@ def is_finished_before(words: tuple[str, ...], code: int, said: str) -> bool:
     return words[0] == "new" and code == 2 and "case.toml exists and is never overwritten" in said
 
 
-def answered(answer: str) -> dict[str, Any]:
+def answered(answer: str, project: Path) -> dict[str, Any]:
     """Return the numbers that a command with `--json` answers."""
+    answer = answer.replace(str(project), "project")
     return {"answer": numbers_of(json.loads(answer))} if answer.startswith("{") else {}
 
 
@@ -264,7 +267,9 @@ def main() -> int:
             began = time.monotonic()
             code, answer, said = Watched(project, words, scratch).ended()
             assert code == 0, f"{words}: {said}"
-            states.append((words, before, held(project) | answered(answer), time.monotonic() - began))
+            states.append(
+                (words, before, held(project) | answered(answer, project), time.monotonic() - began)
+            )
             print(f"{states[-1][3]:.1f} s without a kill: {' '.join(words)}", flush=True)
         states = [state for state in states if chosen.only in (None, state[0][0])]
         told: dict[tuple[str, ...], list[tuple[int, str]]] = {state[0]: [] for state in states}
