@@ -157,6 +157,11 @@ def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: st
             "sampler is a table with",
         ),
         ("beta = [1.0, 2.0]", "", "tuning.search.beta"),
+        (
+            f'n_latent = {{ kind = "int", low = 1, high = 1{"0" * 400} }}',
+            "",
+            "tuning.search.n_latent.high",
+        ),
     ],
 )
 def test_a_wrong_profile_is_told_in_one_line(tmp_path: Path, search: str, more: str, message: str) -> None:
