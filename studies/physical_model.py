@@ -8,7 +8,6 @@ from typing import Any
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from simulation.states import StateSignals, watching_states
-from simulation.store.folder import users
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.store.watched_model import StoredWatchedModel
@@ -44,7 +43,6 @@ def open_physical_model(
     case = case or study.case
     console = study.console
     with (
-        simulations_in_use(study, case),
         SimulationStore(
             store_folder(study.paths, case),
             model_digest=case.model_digest,
@@ -83,26 +81,6 @@ def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator[StoredWatc
     ):
         signals = StateSignals.of(study.case)
         yield StoredWatchedModel(plain, watched, signals, retry_failed=study.retry_failed, n_first=n_first)
-
-
-@contextmanager
-def simulations_in_use(study: Study, case: Case | None = None) -> Iterator[None]:
-    """Keep others from removing a case's simulations, after waiting for who does so now.
-
-    What is made of simulations holds it until it is stored: only then are they dispensable.
-
-    Args:
-        study: the study.
-        case: another case instead of the study's.
-    """
-    lock = users(store_folder(study.paths, case or study.case), shared=True)
-    if not lock.try_acquire():
-        study.console.say("waiting: studies gc removes simulations of this case")
-        lock.acquire()
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:

@@ -178,26 +178,10 @@ def load_profile(profile: str) -> Profile:
     try:
         return _READER.validate_python(content)
     except ValidationError as error:
-        raise InputError(f"{file}: {_in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
+        raise InputError(f"{file}: {in_one_line(error)} (compare with those in {PROFILE_FOLDER})") from None
 
 
-def profile_from(content: Mapping[str, Any], where: str) -> Profile:
-    """Rebuild a profile from the values that `Profile.to_dict` gave.
-
-    Args:
-        content: the values.
-        where: where they were kept, for the message.
-
-    Raises:
-        InputError: a key or a value that this version does not know.
-    """
-    try:
-        return _READER.validate_python(dict(content))
-    except ValidationError as error:
-        raise InputError(f"{where}: profile: {_in_one_line(error)}; use the version that wrote it") from None
-
-
-def _in_one_line(error: ValidationError) -> str:
+def in_one_line(error: ValidationError) -> str:
     """Say the fault a user can best act on: a misspelt key before the missing one that it leaves."""
     faults = error.errors(include_url=False)
     unknown = [fault for fault in faults if fault["type"] == "unexpected_keyword_argument"]

@@ -5,11 +5,8 @@ the project was moved or changed since, and in another clone.
 """
 
 import hashlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from simulation.errors import InputError
 
 if TYPE_CHECKING:
     from studies.stages.pipeline import Study
@@ -67,26 +64,6 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         "seed": study.profile.seed,
         **more,
     }
-
-
-def checked(recipe: Mapping[str, Any], owner: str) -> Recipe:
-    """Return a recipe that this version can follow.
-
-    Args:
-        recipe: the recipe as it was kept.
-        owner: what it belongs to, for the message.
-
-    Raises:
-        InputError: there is none, or it is of another version.
-    """
-    if not recipe:
-        raise InputError(f"{owner} was recorded without a recipe; make it again with this version")
-    if recipe.get("schema") != SCHEMA:
-        raise InputError(
-            f"the recipe of {owner} has schema {recipe.get('schema')}, this version follows {SCHEMA}; "
-            "use the version that wrote it"
-        )
-    return dict(recipe)
 
 
 def text_digest(text: str) -> str:

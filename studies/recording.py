@@ -1,14 +1,15 @@
 """Import a published recording: check it and write it as the CSV files of the recorded case."""
 
 import math
-import os
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from simulation.errors import InputError
+from simulation.whole_file import whole_file
 from studies.recording_files import FILES, SIGNALS, Array, read_series
 
 DAY_S = 86_400.0
@@ -143,8 +144,6 @@ def _cell(value: float, is_switch: bool) -> str:
 
 def _write_atomically(texts: Mapping[Path, str]) -> None:
     """Write all the files or none: each beside its place first, then all put in place."""
-    partial = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in texts}
-    for file, text in texts.items():
-        partial[file].write_text(text, encoding="utf-8")
-    for file in texts:
-        partial[file].replace(file)
+    with ExitStack() as begun:
+        for file, text in texts.items():
+            begun.enter_context(whole_file(file)).write(text.encode())

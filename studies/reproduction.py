@@ -18,12 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from simulation.case import load_case
 from simulation.errors import InputError
-from simulation.foreign_text import shortened
+from simulation.foreign_text import quoted, shortened
 from studies.comparison import Compared, compare
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
-from studies.profile import profile_from
-from studies.recipe import checked, text_digest
+from studies.provenance import FollowedRecipe, Provenance, provenance_of
+from studies.recipe import text_digest
 from studies.stages.pipeline import Study, read_json
 from studies.stages.results import read_arrays
 from studies.tracking.origin import environment
@@ -63,24 +63,21 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
         record = read_json(runs.fetch(run_id, "provenance.json", Path(scratch))) or {}
-        recipe = checked(record.get("recipe") or {}, f"MLflow's run {run_id}")
+        made = provenance_of(record, f"MLflow's run {run_id}")
+        recipe = made.recipe
         study = _study(paths, recipe, console, n_jobs)
-        _say_differences(console, record.get("environment", {}))
-        kind = recipe.get("kind")
-        if kind not in ("training", "calibration", "adaptive"):
-            raise InputError(f"MLflow's run {run_id} is a {kind!r}, which this version cannot make again")
-        threads = str(record.get("environment", {}).get("n_threads", "1"))
+        _say_differences(console, made.environment)
         with (
             console.stage("reproduce", f"{run.info.run_name} of {study.label} once more"),
-            threadpool_limits(int(threads) if threads.isdecimal() else None),
+            threadpool_limits(made.n_threads),
         ):
-            if kind == "training":
-                (numbers, arrays), (numbers_now, arrays_now) = _trial(run, runs, study, record)
+            if made.declaration is not None:
+                (numbers, arrays), (numbers_now, arrays_now) = _trial(run, runs, study, made)
             else:
                 numbers, arrays = _recorded(run, runs, Path(scratch))
                 # In a folder of its own, so that stored rows are simulated again as well.
                 apart = replace(study, paths=ProjectPaths(Path(scratch) / "project"))
-                again = _adaptive if kind == "adaptive" else _calibration
+                again = _calibration if recipe.settings is None else _adaptive
                 numbers_now, arrays_now = again(apart, recipe, (numbers, arrays), runs)
     # A stage notes more of its circumstances than what it calculates.
     kept = {k: v for k, v in numbers.items() if k in numbers_now and not k.startswith(LOOSE)}
@@ -124,34 +121,38 @@ def _find(runs: RunStore, name: str) -> "Run":
     )
 
 
-def _study(paths: ProjectPaths, recipe: Mapping[str, Any], console: Console, n_jobs: int) -> Study:
+def _study(paths: ProjectPaths, recipe: FollowedRecipe, console: Console, n_jobs: int) -> Study:
     """Put a recipe's study together from the case that is here.
 
     Raises:
-        InputError: the case, one of its files or a key of the profile is not as it was.
+        InputError: the case or one of its files is not as it was.
     """
-    told = recipe["case"]
-    file = paths.located(str(told["place"]))
+    told = recipe.case
+    file = paths.located(told.place)
     if file is None:
-        raise InputError(f"the case file {told['place']!r} of this run is not in the project; put it there")
-    case = load_case(file, window_d=tuple(recipe["window_d"]))
-    digests = {
-        "the file itself": ("text_sha256", text_digest(file.read_text(encoding="utf-8-sig"))),
-        "its FMU or its inputs": ("digest", case.digest),
-        "its measurement": ("measurement_digest", case.measurement.digest),
-    }
-    for what, (key, now) in digests.items():
-        if (was := str(told[key])) != now:
+        raise InputError(
+            f"the case file {quoted(told.place)} of this run is not in the project; put it there"
+        )
+    case = load_case(file, window_d=recipe.window_d)
+    checks = (
+        (told.text_sha256, text_digest(file.read_text(encoding="utf-8-sig")), "the file itself"),
+        (told.digest, case.digest, "its FMU or its inputs"),
+        (told.measurement_digest, case.measurement.digest, "its measurement"),
+    )
+    for was, now, what in checks:
+        if was != now:
             place = paths.show(file)
-            raise InputError(f"{place}: {what} changed since this was made; restore it ({was[:12]})")
+            raise InputError(
+                f"{place}: {what} changed since this was made; restore it ({shortened(was[:12])})"
+            )
     return Study(
         case=case,
-        profile=profile_from(recipe["profile"], "the recipe"),
+        profile=recipe.profile,
         paths=paths,
         console=console,
         n_jobs=n_jobs,
-        label=str(recipe["label"]),
-        command=str(recipe["command"]),
+        label=recipe.label,
+        command=recipe.command,
     )
 
 
@@ -160,17 +161,22 @@ def _say_differences(console: Console, was: Mapping[str, str]) -> None:
     now = environment()
     for key in sorted(set(was) | set(now)):
         if was.get(key) != now.get(key) and key != "device":
-            before, after = (shortened(str(one.get(key, "–")), 40) for one in (was, now))
+            before, after = (shortened(one.get(key, "–"), 40) for one in (was, now))
             console.say(f"  {key}: {before} -> {after}")
 
 
-def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) -> tuple[Result, Result]:
+def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[Result, Result]:
     """Train a trial's surrogate again, as far as it was trained."""
     from studies.stages.simulate import simulate_stage
-    from studies.tuning.declaration import Declaration
     from studies.tuning.training import load_data, train
 
-    spec = Declaration.from_dict(record["declaration"])
+    spec = made.declaration
+    assert spec is not None, "of every trial"
+    try:
+        config = spec.config(made.params)
+    except ValueError as error:
+        said = f"MLflow's run {run.info.run_id}: provenance.json: {shortened(str(error))}"
+        raise InputError(f"{said}; use the version that wrote it") from None
     simulate_stage(study)  # what is stored is not simulated again
     data = load_data(spec, study.paths)
     history = {
@@ -189,10 +195,9 @@ def _trial(run: "Run", runs: RunStore, study: Study, record: Mapping[str, Any]) 
         if is_pruned and report.epoch >= last:
             raise _LastEpochError
 
-    config = spec.config(record["params"])
     numbers: dict[str, float] = {}
     with suppress(_LastEpochError):
-        _, numbers = train(spec, config, record["seed"], data, on_epoch=hear, on_report=lambda *_: None)
+        _, numbers = train(spec, config, made.seed, data, on_epoch=hear, on_report=lambda *_: None)
     was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
     curves, curves_now = (
         {name: np.array([of[name][step] for step in sorted(of[name])]) for name in history}
@@ -208,30 +213,28 @@ def _recorded(run: "Run", runs: RunStore, folder: Path) -> Result:
     return numbers, read_arrays(runs.fetch(run.info.run_id, f"{stem}.npz", folder))
 
 
-def _calibration(study: Study, recipe: Mapping[str, Any], _: Result, runs: RunStore) -> Result:
+def _calibration(study: Study, recipe: FollowedRecipe, _: Result, runs: RunStore) -> Result:
     from studies.stages.calibrate import calibrate
-    from studies.stages.restriction import restriction_of
     from studies.tracking.registry import load_surrogate
 
-    surrogate = load_surrogate(runs, str(recipe["surrogate"]["run_id"]))
-    numbers, arrays, _wall = calibrate(study, surrogate, int(recipe["n_train"]), restriction_of(recipe))
+    surrogate = load_surrogate(runs, str(recipe.surrogate.get("run_id")))
+    numbers, arrays, _wall = calibrate(study, surrogate, recipe.n_train, recipe.restriction)
     return numbers, arrays
 
 
-def _adaptive(study: Study, recipe: Mapping[str, Any], recorded: Result, _: RunStore) -> Result:
-    from studies.calibration.adaptive import Adaptive
+def _adaptive(study: Study, recipe: FollowedRecipe, recorded: Result, _: RunStore) -> Result:
     from studies.stages.adaptive import calibrate_adaptively
     from studies.stages.known_rows import Known
-    from studies.stages.restriction import restriction_of
 
+    assert recipe.settings is not None, "of every adaptive calibration"
     has_equations, known = "state_equations" in recorded[0], None
     if (theta := recorded[1].get("known_theta")) is not None:
         watched = recorded[1].get("known_watched", np.full(len(theta), has_equations))
         known = Known(theta, np.asarray(watched, dtype=np.bool_))
     numbers, arrays, _n_simulated = calibrate_adaptively(
         study,
-        Adaptive(**recipe["settings"]),
-        restriction_of(recipe),
+        recipe.settings,
+        recipe.restriction,
         None if known is None else lambda *_: known,
         state_equations=has_equations,
     )

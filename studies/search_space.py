@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 STRICT = ConfigDict(extra="forbid", strict=False)
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Positive = Annotated[float, Field(gt=0.0)]
+# What a double holds to the last digit; Optuna counts no further.
+Bound = Annotated[int | float, Field(ge=-(2**53), le=2**53)]
 Value = int | float | str | bool
 
 OF_PCA_GP = ("n_scales", "degree", "n_members", "n_latent", "theta_features", "max_epochs")
@@ -41,8 +43,8 @@ class SearchParameter:
     """
 
     kind: Literal["int", "float", "categorical"]
-    low: int | float | None = None
-    high: int | float | None = None
+    low: Bound | None = None
+    high: Bound | None = None
     log: bool = False
     step: Positive | None = None
     choices: tuple[Value, ...] = ()

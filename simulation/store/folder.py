@@ -44,11 +44,6 @@ simulated again.
 """
 
 
-def users(folder: Path, *, shared: bool) -> FileLock:
-    """Return the lock that commands share while they ask a store's rows; who removes rows holds it alone."""
-    return FileLock(folder / ".users.lock", shared=shared)
-
-
 class StoreFolder:
     """The files of a store, shared with other processes."""
 

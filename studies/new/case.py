@@ -1,5 +1,6 @@
 """`studies new`: from an FMU's own description to a case file, a data folder and example CSV files."""
 
+import filecmp
 import re
 import shlex
 import shutil
@@ -100,35 +101,46 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
     texts |= {data / file: content for file, content in example_files(case).items()}
     copied = folder / fmu_file.name
     try:
-        is_there = copied.exists() and copied.read_bytes() == fmu_file.read_bytes()
-        copies = () if is_there else (copied,)
         # One's own data and what was written beside them stay as they are.
-        kept = tuple(file for file in texts if file.name != "case.toml" and file.exists())
-        texts = {file: text for file, text in texts.items() if file not in kept}
-        _write(texts, fmu_file, copies, paths)
+        kept = tuple(file for file in texts if file.name != "case.toml" and _holds_other(file, texts[file]))
+        is_copied = _write({f: text for f, text in texts.items() if f not in kept}, fmu_file, copied, paths)
     except OSError as error:
         place = paths.show(Path(error.filename or folder))
         raise InputError(
             f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
             "--to FOLDER"
         ) from None
-    return MadeCase(case, folder / "case.toml", (*texts, *copies), kept, tuple(lines_to_edit(text)))
+    files = tuple(file for file in (*texts, copied) if file not in kept and (is_copied or file != copied))
+    return MadeCase(case, folder / "case.toml", files, kept, tuple(lines_to_edit(text)))
 
 
-def _write(texts: Mapping[Path, str], fmu_file: Path, copies: Sequence[Path], paths: ProjectPaths) -> None:
-    """Write the texts and copy the FMU, or nothing where one of the files is there already."""
-    for file in (*texts, *copies):
-        if file.exists():
-            raise InputError(
-                f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
-            )
-    for folder in dict.fromkeys(file.parent for file in (*copies, *texts)):
-        folder.mkdir(parents=True, exist_ok=True)
-    for copied in copies:
-        shutil.copyfile(fmu_file, copied)
-    for file, content in texts.items():
+def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
+    """Write the texts and copy the FMU, or nothing where there is a case file or another FMU already.
+
+    The first text is the case file. It is written last, so that a command that was killed can be typed again:
+    what it had written is there already.
+
+    Returns:
+        Whether the FMU was copied.
+    """
+    is_copied = not copied.exists()
+    is_another = not is_copied and not (copied.is_file() and filecmp.cmp(copied, fmu_file, shallow=False))
+    case_file = next(iter(texts))
+    for file in [case_file] if case_file.exists() else [copied] if is_another else []:
+        raise InputError(
+            f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
+        )
+    if is_copied:
+        with fmu_file.open("rb") as source, whole_file(copied) as stream:
+            shutil.copyfileobj(source, stream)
+    for file, text in reversed(list(texts.items())):
         with whole_file(file) as stream:
-            stream.write(content.encode())
+            stream.write(text.encode())
+    return is_copied
+
+
+def _holds_other(file: Path, text: str) -> bool:
+    return file.exists() and not (file.is_file() and file.read_bytes() == text.encode())
 
 
 def describe(fmu_file: Path) -> FmuDescription:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from simulation.foreign_file import RECORD, read_limited
 from simulation.time_unit import period_text
+from simulation.whole_file import whole_file
 from studies.report import captions
 from studies.report.contents import Contents, Picture, contents_of
 from studies.report.data import ReportData
@@ -187,8 +188,8 @@ def _summary(data: ReportData, contents: Contents, lead: str, cards: list[Card])
 def _files_of_earlier_report(folder: Path) -> set[str]:
     """Return what an earlier report says it wrote here; a name that points elsewhere is not believed."""
     try:
-        names = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
+        names = json.loads(read_limited(folder / SUMMARY, RECORD))["files"]
+    except (ValueError, KeyError, TypeError, RecursionError):
         return set()
     if not isinstance(names, list):
         return set()
@@ -200,6 +201,5 @@ def _files_of_earlier_report(folder: Path) -> set[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_text(text, encoding="utf-8", newline="\n")
-    partial.replace(path)
+    with whole_file(path) as file:
+        file.write(text.encode())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import textwrap
 import warnings
@@ -22,6 +21,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from simulation.time_unit import TimeUnit, unit_for
+from simulation.whole_file import whole_file
 from studies.report.records import Floats
 
 # Every common kind of color vision tells blue from orange; a color means the same in all pictures.
@@ -101,14 +101,11 @@ def drawing(path: Path, *, title: str, height_in: float, footnote: str = "") -> 
 
 
 def _save(canvas: FigureCanvasAgg, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with warnings.catch_warnings():
+    with whole_file(path) as file, warnings.catch_warnings():
         # A title in a script that the font lacks is drawn with boxes; that is no reason to fail.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         # Figure.savefig would draw it twice for the same picture.
-        canvas.print_png(partial, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    partial.replace(path)
+        canvas.print_png(file, metadata={"Software": None})  # type: ignore[no-untyped-call]
 
 
 def decimal_log(axes: Axes, lower: float, upper: float) -> None:

@@ -225,6 +225,35 @@ def test_what_belongs_to_a_solver_is_not_proposed(project: Path, studies: Run, t
     assert wanted.document["outputs"] == ["CPUtime"]
 
 
+def test_a_command_killed_between_any_two_writes_can_be_typed_again(
+    project: Path, studies: Run, room: Path
+) -> None:
+    assert studies("new", str(room)).code == 0
+    folder, data = project / "fmus" / "my-room-v2", project / "data" / "my-room-v2"
+    made = {file: file.read_bytes() for place in (data, folder) for file in place.iterdir()}
+    # The order in which they are written: the case file last.
+    order = sorted(made, key=lambda file: (file.name == "case.toml", file.suffix != ".fmu"))
+    for n_written in range(len(order)):
+        for file in order[n_written:]:
+            file.unlink()
+        (folder / ".case.toml.0123abcd.tmp").write_text("half of")
+        assert studies("new", str(room)).code == 0
+        found = {file: file.read_bytes() for place in (data, folder) for file in place.iterdir()}
+        assert found == made
+
+
+def test_another_fmu_in_the_place_of_its_copy_is_not_taken_for_it(
+    project: Path, studies: Run, room: Path
+) -> None:
+    folder = project / "taken"
+    folder.mkdir()
+    (folder / room.name).write_text("mine", encoding="utf-8")
+    answer = studies("new", str(room), "--to", str(folder))
+    assert answer.code == 2
+    assert f"{room.name} exists and is never overwritten" in answer.err
+    assert [file.name for file in folder.iterdir()] == [room.name]
+
+
 def test_a_folder_of_ones_own_holds_everything(project: Path, studies: Run, room: Path) -> None:
     folder = project / "elsewhere"
     answer = studies("new", str(room), "--to", str(folder), "--json")

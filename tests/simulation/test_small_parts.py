@@ -1,4 +1,4 @@
-"""Counting, toys, locks, scratch folders and nouns."""
+"""Counting, toys, locks, whole files, scratch folders and nouns."""
 
 import errno
 import fcntl
@@ -16,6 +16,7 @@ from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
 from simulation.toy import ToyRC
+from simulation.whole_file import whole_file
 from studies.report.wording import noun_of
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
@@ -106,6 +107,47 @@ def test_a_scratch_folder_is_never_seen_without_its_lock_and_goes_after_its_owne
     for scratch in (first, second):
         scratch.remove()
     assert not list(tmp_path.iterdir())
+
+
+WRITING = """
+import os, sys, time
+from pathlib import Path
+from simulation.whole_file import whole_file
+with whole_file(Path(sys.argv[1])) as file:
+    file.write(b"half")
+    file.flush()
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_what_a_killed_process_had_written_goes_when_the_file_is_written_and_what_a_living_one_writes_stays(
+    tmp_path: Path,
+):
+    path = tmp_path / "[a] table.json"
+    other = tmp_path / ".another.json.0123abcd.tmp"
+    other.write_bytes(b"of somebody else")
+    command = [sys.executable, "-c", WRITING, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "ready\n"
+        (partial,) = set(tmp_path.iterdir()) - {other}
+        with whole_file(path) as file:
+            file.write(b"whole")
+        assert set(tmp_path.iterdir()) == {partial, path, other}
+        writer.kill()
+    with whole_file(path, synced=True) as file:
+        file.write(b"again")
+    assert set(tmp_path.iterdir()) == {path, other}
+    assert path.read_bytes() == b"again"
+
+
+def test_a_file_that_cannot_be_finished_leaves_the_old_one_and_nothing_beside_it(tmp_path: Path):
+    path = tmp_path / "table.json"
+    path.write_bytes(b"old")
+    with pytest.raises(TypeError, match="bytes-like"), whole_file(path) as file:
+        file.writelines([b"half", 2])  # type: ignore[list-item]
+    assert [(one, one.read_bytes()) for one in tmp_path.iterdir()] == [(path, b"old")]
 
 
 def test_a_link_in_the_place_of_a_scratch_folder_is_left_alone(

@@ -5,12 +5,13 @@ from typing import Any
 
 import optuna
 import pytest
+from pydantic import TypeAdapter
 from toy_study_for_tests import SEARCH, plain_study, toy_study
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.profile import load_profile, profile_from, profile_names
+from studies.profile import Profile, load_profile, profile_names
 from studies.search_space import (
     NETWORK_SPACE,
     PCA_GP_SPACE,
@@ -156,6 +157,11 @@ def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: st
             "sampler is a table with",
         ),
         ("beta = [1.0, 2.0]", "", "tuning.search.beta"),
+        (
+            f'n_latent = {{ kind = "int", low = 1, high = 1{"0" * 400} }}',
+            "",
+            "tuning.search.n_latent.high",
+        ),
     ],
 )
 def test_a_wrong_profile_is_told_in_one_line(tmp_path: Path, search: str, more: str, message: str) -> None:
@@ -176,7 +182,7 @@ def test_a_profile_survives_json_with_its_search(tmp_path: Path) -> None:
     more = 'enqueue = [{ activation = "relu" }]\npruner = { name = "PatientPruner", patience = 2 }'
     file.write_text(PROFILE.format(search=search, more=more))
     profile = load_profile(str(file))
-    again = profile_from(profile.to_dict(), "here")
+    again = TypeAdapter(Profile).validate_python(profile.to_dict())
     assert again.to_dict() == profile.to_dict()
     assert again.tuning.space == profile.tuning.space
     assert again.tuning.enqueue == ({"activation": "relu"},)
