@@ -12,7 +12,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.states import watching_states, why_unwatched
+from simulation.states import why_unwatched
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.known_rows import best_and_far
@@ -27,7 +27,6 @@ from studies.physical_model import (
     open_physical_model,
     open_watched_model,
     say_reused,
-    simulations_in_use,
 )
 from studies.recipe import recipe_of
 from studies.report.wording import count, difference_unit, mse_text, quantity, squared
@@ -180,8 +179,6 @@ def adaptive_stage(
         is_finished = (study.results / f"{stage}.json").is_file()
         known_rows = KnownRows(files.rows, digest_of(question), best_and_far, anew=again and is_finished)
 
-    @simulations_in_use(study)
-    @simulations_in_use(study, watching_states(case) if state_equations else None)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         restriction = None if n_free is None else find_restriction(study, n_free)

@@ -11,7 +11,7 @@ import numpy as np
 from simulation.errors import InputError
 from simulation.whole_file import whole_file
 from studies.paths import size_name
-from studies.physical_model import failed_numbers, open_physical_model, say_reused, simulations_in_use
+from studies.physical_model import failed_numbers, open_physical_model, say_reused
 from studies.recipe import Recipe, recipe_of
 from studies.report.wording import mse_text
 from studies.stages.knowledge import prior_inputs, prior_numbers
@@ -118,7 +118,6 @@ def calibrate_stage(study: Study, n_train: int, *, n_free: int | None = None, ag
     files = calibration_files(study, n_train, n_free)
     stage = f"calibrate-{size_name(n_train)}{restricted(n_free)}"
 
-    @simulations_in_use(study)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         surrogate = _surrogate_of(study, tuned)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.states import watching_states
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import (
@@ -20,7 +19,6 @@ from studies.physical_model import (
     open_physical_model,
     open_watched_model,
     say_reused,
-    simulations_in_use,
 )
 from studies.recipe import recipe_of
 from studies.report.uncertainty import FITS_BETTER
@@ -108,8 +106,6 @@ def uncertainty_stage(
     files = posterior_files(study, calibration.name)
     stage = f"uncertainty-{calibration.name}"
 
-    @simulations_in_use(study)
-    @simulations_in_use(study, watching_states(case) if calibration.learnt_equations else None)
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
         known = KnownRows(files.rows, digest_of(asked))
