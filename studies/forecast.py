@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from studies.console import Column, Table, format_seconds
-from studies.physical_model import store_folder
+from studies.physical_model import store_file
 from studies.report.wording import MISSING
 from studies.stages.pipeline import Study
 
@@ -38,5 +38,5 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
         rows.append(["simulations for polishing, at most", n_polish, MISSING])
     columns = [Column("what"), Column("to do", True), Column("training time on one core", True)]
     title = f"{study.label}: what would be done (times from the mean of earlier trials; nothing is written)"
-    store = study.paths.show(store_folder(study.paths, study.case))
+    store = study.paths.show(store_file(study.paths, study.case))
     return Table(title, columns, rows), {"n_simulations": n_missing, "sizes": sizes, "store": store}

@@ -18,9 +18,9 @@ from studies.report.wording import count
 from studies.stages.pipeline import StageError, Study
 
 
-def store_folder(paths: ProjectPaths, case: Case) -> Path:
-    """Return the folder of a case's simulations; cases that simulate the same share it."""
-    return paths.generated(case.name) / "simulations" / case.model_digest[:16]
+def store_file(paths: ProjectPaths, case: Case) -> Path:
+    """Return the file of a case's simulations; cases that simulate the same share it."""
+    return paths.generated(case.name) / "simulations" / f"{case.model_digest[:16]}.db"
 
 
 @contextmanager
@@ -41,24 +41,24 @@ def open_physical_model(
         StageError: too many simulations fail; those that are finished are kept.
     """
     case = case or study.case
-    console = study.console
+    file = store_file(study.paths, case)
+    if file.with_suffix("").is_dir():
+        older = study.paths.show(file.with_suffix(""))
+        study.console.warn(f"{older}: simulations of an older version, which run again; remove the folder")
     with (
         SimulationStore(
-            store_folder(study.paths, case),
+            file,
             model_digest=case.model_digest,
             parameter_names=case.parameter_space.names,
             output_names=case.settings.output_names,
             time=case.scenario.time,
-            on_warning=console.warn,
         ) as store,
+        _supervised(study, case, policy or case.policy) as model,
     ):
-        if store.n_recovered:
-            console.say(f"kept of an interrupted run: {count(store.n_recovered, 'simulation')}")
-        with _supervised(study, case, policy or case.policy, store.spool) as model:
-            try:
-                yield StoredModel(model, store, retry_failed=study.retry_failed)
-            except CampaignStopped as stopped:
-                raise StageError(f"{stopped}; the finished simulations are kept") from stopped
+        try:
+            yield StoredModel(model, store, retry_failed=study.retry_failed)
+        except CampaignStopped as stopped:
+            raise StageError(f"{stopped}; the finished simulations are kept") from stopped
 
 
 @contextmanager
@@ -80,7 +80,7 @@ def open_watched_model(study: Study, *, n_first: int = 1) -> Iterator[StoredWatc
         open_physical_model(study, case=watching_states(study.case)) as watched,
     ):
         signals = StateSignals.of(study.case)
-        yield StoredWatchedModel(plain, watched, signals, retry_failed=study.retry_failed, n_first=n_first)
+        yield StoredWatchedModel(plain, watched, signals, n_first=n_first)
 
 
 def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int = 0) -> None:
@@ -117,19 +117,17 @@ def warn_failed(study: Study, found: Mapping[str, Any]) -> None:
 
 
 @contextmanager
-def _supervised(study: Study, case: Case, policy: ExecutionPolicy, spool: Path) -> Iterator[ForwardModel]:
+def _supervised(study: Study, case: Case, policy: ExecutionPolicy) -> Iterator[ForwardModel]:
     """Open the model in processes of this machine, or of the cluster that was asked for."""
     warn = study.console.warn
     if study.dask is None:
-        with ParallelModel(
-            case.make_model, study.n_jobs, policy=policy, spool=spool, on_warning=warn
-        ) as model:
+        with ParallelModel(case.make_model, study.n_jobs, policy=policy, on_warning=warn) as model:
             yield model
         return
     from simulation.workers.executors import ExecutorModel, dask_executor
 
     with (
         dask_executor(study.dask) as executor,
-        ExecutorModel(case.make_model, executor, policy=policy, spool=spool, on_warning=warn) as cluster,
+        ExecutorModel(case.make_model, executor, policy=policy, on_warning=warn) as cluster,
     ):
         yield cluster

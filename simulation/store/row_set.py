@@ -22,7 +22,7 @@ class RowSet:
 
     Attributes:
         theta: Their parameters. Shape (n, p). [per parameter]
-        store: The store's folder.
+        store: The store's file.
         file: Where the set lies; messages name it.
     """
 

@@ -1,139 +1,160 @@
-"""Every simulated row of one model, kept once: a folder of Parquet parts that many processes may share."""
+"""Every simulated row of one model, kept once: one SQLite file that the processes of a machine may share.
 
-import logging
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+Two tables, both for readers as well: `model` has one row that says whose rows these are, `simulations` has
+one row per simulation. An output is a blob of doubles, one per time; parameters are columns, and beside them
+`_theta` holds their exact bytes, by which a row is known.
+"""
+
+import json
+import os
+import sqlite3
+import tempfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
-from simulation.store.catalog import Catalog
-from simulation.store.folder import StoreFolder, read_layout
-from simulation.store.rows import Layout, Rows
+from simulation.errors import InputError, MachineError
+from simulation.file_lock import FileLock
+from simulation.foreign_text import quoted
 from simulation.trajectories import Trajectories
-from simulation.workers.arena import recover_arenas
 
 BLOCK_BYTES: Final = 64 * 2**20
 """Outputs that a stream holds at once."""
-# Reading begins again when parts are merged under it; nobody merges as often as this in a row.
-_PATIENCE: Final = 20
-_CHEAP_S: Final = 1.0
-
-_log = logging.getLogger(__name__)
+_FORMAT: Final = 1
+_PATIENCE_S: Final = 60.0
+_NEVER: Final = 2**63 - 1
+_OWN_COLUMNS: Final = ("_id", "_theta", "_failure", "_written", "_check")
+_DAMAGED: Final = "it is damaged: remove it, with -wal and -shm beside it, and its simulations run again"
+_NOT_WRITTEN: Final = "allow writing there, then type the command again"
+_REMEDIES: Final = {
+    sqlite3.SQLITE_FULL: "free some space, then type the command again: what is stored is kept",
+    sqlite3.SQLITE_IOERR: "see to the disk, then type the command again: what is stored is kept",
+    sqlite3.SQLITE_CORRUPT: _DAMAGED,
+    sqlite3.SQLITE_NOTADB: _DAMAGED,
+    sqlite3.SQLITE_BUSY: "another process writes to it; wait, then type the command again",
+    sqlite3.SQLITE_READONLY: _NOT_WRITTEN,
+    sqlite3.SQLITE_CANTOPEN: _NOT_WRITTEN,
+}
 
 
 class SimulationStore:
     """The rows of one model on disk.
 
     A row is known by the exact bytes of its parameters. Failed rows are rows; a good row for the same
-    parameters takes their place, and so does a newer failed one.
+    parameters takes their place, and so does a newer failed one. Rows are numbered as they are written.
+    Whatever SQLite complains of is a MachineError of one line.
     """
 
     def __init__(
         self,
-        folder: Path,
+        file: Path,
         *,
         model_digest: str,
         parameter_names: tuple[str, ...],
         output_names: tuple[str, ...],
         time: FloatArray,
-        on_warning: Callable[[str], None] | None = None,
     ) -> None:
-        """Open a store; its folder is made when missing.
+        """Open a store; it is made when missing.
 
         Args:
-            folder: Where the parts lie; one folder per model.
+            file: Where the rows lie; one file per model.
             model_digest: Digest of all that decides what the model answers to given parameters.
             parameter_names: Names of the p parameters.
             output_names: Names of the k outputs.
             time: Output times. Shape (t,). [s]
-            on_warning: Told in one line of what was lost or set aside; logged when not given.
 
         Raises:
-            InputError: If the folder belongs to another model or to another version of this program.
+            InputError: If the file belongs to another model or to another version of this program.
         """
-        self._layout = Layout(model_digest, tuple(parameter_names), tuple(output_names), np.asarray(time))
-        self._folder = Path(folder)
-        files = StoreFolder(self._folder, self._layout)
-        self._catalog = Catalog(files, self._layout, on_warning or _log.warning)
-        self._dear_from = -np.inf
-        self.n_recovered = self._recover()
+        self._file = Path(file)
+        self._names = tuple(parameter_names), tuple(output_names)
+        self._time = np.ascontiguousarray(time, dtype="<f8")
+        self._model = zlib.crc32(model_digest.encode())
+        outputs, parameters = _columns(parameter_names, output_names)
+        self._read = f"select _check, _failure, {', '.join(outputs)} from simulations where _theta = ?"
+        values = ", ".join("?" * len(parameters + outputs))
+        self._insert = (
+            "insert or ignore into simulations "
+            f"values (null, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'), ?, {values})"
+        )
+        described = {
+            "format": _FORMAT,
+            "model_digest": model_digest,
+            "parameters": json.dumps(parameter_names),
+            "outputs": json.dumps(output_names),
+            "time_s": json.dumps(self._time.tolist()),
+        }
+        if not self._file.exists():
+            _make(self._file, described, [*(f"{name} real" for name in parameters), *outputs])
+        _check_model(self._file, described)
+        self._database = _connect(self._file)
 
     @classmethod
-    def at(cls, folder: Path, *, on_warning: Callable[[str], None] | None = None) -> "SimulationStore":
+    def at(cls, file: Path) -> "SimulationStore":
         """Open a store that exists.
 
         Args:
-            folder: Where the parts lie.
-            on_warning: Told in one line of what was lost or set aside.
+            file: Where the rows lie.
 
         Raises:
             InputError: If there is none.
         """
-        found = read_layout(folder)
-        return cls(
-            folder,
-            model_digest=found.model_digest,
-            parameter_names=found.parameter_names,
-            output_names=found.output_names,
-            time=found.time,
-            on_warning=on_warning,
-        )
+        if not Path(file).is_file():
+            raise InputError(f"{file}: no simulations are stored there; type: studies simulate")
+        with _in_words(file), closing(_connect(file)) as database:
+            _, digest, parameters, outputs, time = _model_of(database)
+            return cls(
+                file,
+                model_digest=digest,
+                parameter_names=tuple(json.loads(parameters)),
+                output_names=tuple(json.loads(outputs)),
+                time=np.array(json.loads(time)),
+            )
 
     @property
-    def folder(self) -> Path:
-        """Where the parts lie."""
-        return self._folder
-
-    @property
-    def spool(self) -> Path:
-        """Where rows may lie that are simulated and not yet stored."""
-        return self.folder / ".spool"
-
-    @property
-    def rows_per_block(self) -> int:
-        """Rows of a stream's blocks."""
-        return max(1, BLOCK_BYTES // self._layout.row_bytes)
+    def file(self) -> Path:
+        """Where the rows lie."""
+        return self._file
 
     @property
     def theta(self) -> FloatArray:
-        """Parameters of all rows, in the order in which they are read fastest. Shape (n, p)."""
-        self._catalog.refresh()
-        return self._catalog.theta()
+        """Parameters of all rows, in the order of writing. Shape (n, p). [per parameter]."""
+        with _in_words(self._file):
+            rows = sorted(self._database.execute("select _id, _theta from simulations"))
+        whole = np.frombuffer(b"".join(key for _, key in rows), dtype="<f8")
+        return whole.reshape(len(rows), len(self._names[0])).astype(np.float64)
 
-    def now(self) -> int:
-        """Return a moment after all that is stored, and not after what will be. [µs since 1970]."""
-        return self._catalog.now()
+    @property
+    def n_written(self) -> int:
+        """Number of the row that was written last, 0 for none."""
+        with _in_words(self._file):
+            found = self._database.execute("select max(_id) from simulations").fetchone()
+        return int(found[0] or 0)
 
-    def find(self, theta: FloatArray) -> BoolArray:
-        """Say which rows are stored, failed ones included.
+    def find(self, theta: FloatArray, *, failed_after: int = 0) -> BoolArray:
+        """Say which rows are stored.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
+            failed_after: Number of a row, see `n_written`; failed rows count if they were written later.
 
         Returns:
             Shape (n,).
         """
-        self._catalog.refresh()
-        return self._catalog.look_up(theta)[0]
+        select = "select exists (select 1 from simulations where _theta = ? and (_id > ? or _failure = ''))"
+        with _in_words(self._file):
+            found = [self._database.execute(select, (key, failed_after)).fetchone() for key in _keys(theta)]
+        return np.array(found, dtype=np.bool_).reshape(len(theta))
 
-    def find_failed(self, theta: FloatArray, *, before: int | None = None) -> BoolArray:
-        """Say which rows are stored and failed.
-
-        Args:
-            theta: Parameters. Shape (n, p). [per parameter]
-            before: Only those written before this moment, since 1970. [µs]
-
-        Returns:
-            Shape (n,).
-        """
-        self._catalog.refresh()
-        known, found = self._catalog.look_up(theta)
-        return known & ~found.good & (True if before is None else found.written < before)
+    def find_good(self, theta: FloatArray) -> BoolArray:
+        """Say which rows are stored and did not fail. Shapes (n, p) and (n,)."""
+        return self.find(theta, failed_after=_NEVER)
 
     def read(self, theta: FloatArray) -> Trajectories:
         """Read rows.
@@ -145,68 +166,72 @@ class SimulationStore:
             The rows in the order asked for, exactly as the model answered.
 
         Raises:
-            LookupError: If a row is not stored, or was and has turned out damaged.
+            LookupError: If a row is not stored.
+            MachineError: If a row is not what was written: it is removed, to be simulated again.
         """
-        theta = np.ascontiguousarray(theta, dtype=np.float64)
-        for _ in range(_PATIENCE):
-            known, found = self._catalog.look_up(theta)
-            if not known.all():
-                self._catalog.refresh()
-                known, found = self._catalog.look_up(theta)
-            if not known.all():
-                raise LookupError(f"{int((~known).sum())} of {len(theta)} rows are not in {self.folder}")
-            answer = self._catalog.read(theta, found)
-            if answer is not None:
-                return answer
-            self._catalog.refresh()
-        raise LookupError(f"{self.folder}: parts vanish faster than they can be read")
+        keys, failures, damaged = _keys(theta), list[str](), set[bytes]()
+        y = np.empty((len(keys), len(self._time), len(self._names[1])))
+        with _in_words(self._file):
+            for i, key in enumerate(keys):
+                found = self._database.execute(self._read, (key,)).fetchone()
+                if found is None:
+                    n_missing = int((~self.find(theta)).sum())
+                    raise LookupError(f"{n_missing} of {len(keys)} rows are not in {self._file}")
+                check, failure, *outputs = found
+                if check != self._sum(key, failure, *outputs):
+                    damaged.add(key)
+                    continue
+                failures.append(failure)
+                for k, values in enumerate(outputs):
+                    y[i, :, k] = np.frombuffer(values, dtype="<f8")
+        if damaged:
+            with self._writing() as database:
+                database.executemany("delete from simulations where _theta = ?", [(key,) for key in damaged])
+            raise MachineError(
+                f"{self._file}: {len(damaged)} of {len(keys)} simulations were damaged and are removed; type "
+                "the command again to repeat them"
+            )
+        return Trajectories(np.array(theta, dtype=np.float64), y, self._time, *self._names, tuple(failures))
 
-    def stream(self, theta: FloatArray | None = None) -> Iterator[Trajectories]:
+    def stream(self, theta: FloatArray) -> Iterator[Trajectories]:
         """Read rows block by block, in bounded memory.
 
         Args:
-            theta: Parameters, None for all rows. Shape (n, p). [per parameter]
+            theta: Parameters. Shape (n, p). [per parameter]
 
         Yields:
-            Consecutive blocks.
-
-        Raises:
-            LookupError: If a row is not stored.
+            Consecutive blocks; see `read` for what it raises.
         """
-        theta = self.theta if theta is None else np.asarray(theta, dtype=np.float64)
-        for start in range(0, len(theta), self.rows_per_block):
-            yield self.read(theta[start : start + self.rows_per_block])
+        size = max(1, BLOCK_BYTES // max(1, 8 * len(self._time) * len(self._names[1])))
+        for start in range(0, len(theta), size):
+            yield self.read(theta[start : start + size])
 
     def append(self, rows: Trajectories) -> None:
-        """Store rows; when this returns they survive the death of any process.
-
-        They survive that of the machine, too, unless they came within a second of the rows before: such rows
-        are simulated again sooner than a disk is made to write them.
+        """Store rows, all or none; when this returns they survive the death of process and machine.
 
         Args:
             rows: Answers of this store's model.
 
         Raises:
             ValueError: If they are another model's.
-            OSError: If they cannot be written; nothing of them is stored then.
         """
-        layout = self._layout
-        if (
-            rows.parameter_names != layout.parameter_names
-            or rows.output_names != layout.output_names
-            or not np.array_equal(rows.time, layout.time)
-        ):
+        names = rows.parameter_names, rows.output_names
+        if names != self._names or not np.array_equal(rows.time, self._time):
             raise ValueError("these rows have other names or times than the store")
+        y = np.asarray(rows.y, dtype="<f8")
         if rows.n:
-            moment = np.full(rows.n, self.now(), dtype=np.int64)
-            rows = replace(rows, failures=tuple(_as_utf8(reason) for reason in rows.failures))
-            self._catalog.add(Rows(rows, moment), synced=time.monotonic() > self._dear_from)
-            self._catalog.merge_small()
-            self._dear_from = time.monotonic() + _CHEAP_S
+            with self._writing() as database:
+                for i, (key, reason) in enumerate(zip(_keys(rows.theta), rows.failures, strict=True)):
+                    # What an FMU says may be in any encoding.
+                    failure = reason.encode("utf-8", "backslashreplace").decode("utf-8")
+                    outputs = [values.tobytes() for values in y[i].T]
+                    check = self._sum(key, failure, *outputs)
+                    database.execute("delete from simulations where _theta = ? and _failure <> ''", (key,))
+                    database.execute(self._insert, (key, failure, check, *rows.theta[i].tolist(), *outputs))
 
     def close(self) -> None:
-        """Let go of all files; the store can be used on."""
-        self._catalog.close()
+        """Let go of the file."""
+        self._database.close()
 
     def __enter__(self) -> "SimulationStore":
         """Return the store."""
@@ -218,19 +243,98 @@ class SimulationStore:
         """Close the store."""
         self.close()
 
-    def _recover(self) -> int:
-        """Store rows that a killed process had finished; return their number."""
-        n_recovered = 0
-        for rows in recover_arenas(self.spool):
-            known, found = self._catalog.look_up(rows.theta)
-            new = rows.take(~(known & found.good))
-            # Nobody knows how long these took.
-            self._dear_from = -np.inf
-            self.append(new)
-            n_recovered += new.n
-        return n_recovered
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        with _in_words(self._file), self._database as database:
+            database.execute("begin immediate")
+            yield database
+
+    def _sum(self, *values: object) -> int:
+        """Return the CRC-32 of what a row says, of any type where it is damaged, and of which model."""
+        parts = [value if isinstance(value, bytes) else str(value).encode() for value in values]
+        return zlib.crc32(b"".join(parts), self._model)
 
 
-def _as_utf8(reason: str) -> str:
-    """Return a reason as a file can hold it: what an FMU says may be in any encoding."""
-    return reason.encode("utf-8", "backslashreplace").decode("utf-8")
+def _keys(theta: FloatArray) -> list[bytes]:
+    """Return each row's exact bytes."""
+    return [row.tobytes() for row in np.asarray(theta, dtype="<f8")]
+
+
+def _connect(file: Path) -> sqlite3.Connection:
+    is_fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
+    # Where nothing can be written, SQLite's files beside it cannot be made; nobody else changes it either.
+    place = f"{file.absolute().as_uri()}{'?immutable=1' if is_fixed else ''}"
+    database = sqlite3.connect(place, uri=True, timeout=_PATIENCE_S, isolation_level=None)
+    # A damaged text has another checksum: it need not stop the reading of others.
+    database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+    return database
+
+
+def _make(file: Path, described: dict[str, object], columns: list[str]) -> None:
+    """Make a store without rows, whole or not at all, unless another process just did."""
+    with (
+        FileLock(file.parent / ".making"),
+        tempfile.TemporaryDirectory(prefix=".", dir=file.parent) as folder,
+    ):
+        if file.exists():
+            return
+        made = Path(folder) / file.name
+        with _in_words(file), closing(_connect(made)) as database:
+            # What is committed is safe at once, and readers do not wait for writers.
+            database.execute("pragma journal_mode = wal")
+            database.execute(f"create table model ({', '.join(described)})")
+            database.execute("insert into model values (?, ?, ?, ?, ?)", tuple(described.values()))
+            # Outputs lie at a row's end: what is before them is found without reading them.
+            database.execute(
+                "create table simulations (_id integer primary key autoincrement, "
+                f"_theta blob unique, _failure text, _written text, _check integer, {', '.join(columns)})"
+            )
+        for rest in ("-wal", "-shm"):
+            # SQLite would add what a killed process left beside a file that was removed since.
+            file.with_name(file.name + rest).unlink(missing_ok=True)
+        made.rename(file)
+
+
+def _model_of(database: sqlite3.Connection) -> tuple[Any, ...]:
+    # None where that row is damaged.
+    return tuple(database.execute("select * from model").fetchone() or ())
+
+
+def _check_model(file: Path, described: dict[str, object]) -> None:
+    with _in_words(file), closing(_connect(file)) as database:
+        for (key, wanted), found in zip(described.items(), _model_of(database), strict=True):
+            if found != wanted:
+                raise InputError(
+                    f"{file}: {key} is {quoted(found)}, this model has {quoted(wanted)}; remove the file or "
+                    "name another one"
+                )
+
+
+def _columns(parameter_names: Iterable[str], output_names: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Return the columns of outputs and parameters, as SQL quotes them.
+
+    SQL does not tell "C" from "c", and an initial state may have the name of an output: who comes later has
+    underscores before it.
+    """
+    taken = set(_OWN_COLUMNS)
+
+    def free(name: str) -> str:
+        while name.casefold() in taken:
+            name = f"_{name}"
+        taken.add(name.casefold())
+        return '"{}"'.format(name.replace('"', '""'))
+
+    return [free(name) for name in output_names], [free(name) for name in parameter_names]
+
+
+@contextmanager
+def _in_words(file: Path) -> Iterator[None]:
+    """Turn what SQLite says of a file into one line with a remedy."""
+    try:
+        yield
+    except (InputError, sqlite3.ProgrammingError):
+        raise
+    except (sqlite3.DatabaseError, ValueError) as error:
+        number = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+        remedy = _REMEDIES.get(number & 0xFF, "it holds no simulations: move it away")
+        raise MachineError(f"{file}: {error}; {remedy}") from error

@@ -5,11 +5,10 @@ from contextlib import closing
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.arrays import BoolArray, FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.store.index import row_keys
 from simulation.store.store import SimulationStore
-from simulation.streaming import OnRows, streamed
+from simulation.streaming import OnRows, as_finished
 from simulation.trajectories import Trajectories
 
 
@@ -34,7 +33,7 @@ class StoredModel(WrappedModel):
         """
         super().__init__(model)
         self._store = store
-        self._retry_before = store.now() if retry_failed else None
+        self._retry_up_to = store.n_written if retry_failed else 0
         self.n_simulated = self.n_reused = 0
         self.failures: list[str] = []
 
@@ -57,10 +56,7 @@ class StoredModel(WrappedModel):
         Returns:
             Shape (n,); every repetition of a missing row is missing.
         """
-        missing = ~self._store.find(theta)
-        if self._retry_before is not None:
-            missing |= self._store.find_failed(theta, before=self._retry_before)
-        return missing
+        return ~self._store.find(theta, failed_after=self._retry_up_to)
 
     def watched(self, theta: FloatArray) -> BoolArray:
         """Say which rows are stored with what the model's states did: none, where nobody watches them.
@@ -82,13 +78,8 @@ class StoredModel(WrappedModel):
         Returns:
             The same as the model answers, bit for bit.
         """
-        theta = np.array(theta, dtype=np.float64)
-        new = self._first_missing(theta)
-        if len(new) == len(theta):
-            answer = self._ask_all(theta)
-        else:
-            self._ask(theta, new, None)
-            answer = self._read(theta)
+        self.complete(theta)
+        answer = self._store.read(theta)
         self.failures += filter(None, answer.failures)
         return answer
 
@@ -97,80 +88,34 @@ class StoredModel(WrappedModel):
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
-            on_progress: Called with the number of rows that are stored or finished so far.
+            on_progress: Called with the number of rows that are stored so far.
 
         Yields:
             Consecutive blocks of rows, in order.
         """
-        theta = np.array(theta, dtype=np.float64)
         self.complete(theta, on_progress=on_progress)
-        yield from self.stored(theta)
-
-    def stored(self, theta: FloatArray) -> Iterator[Trajectories]:
-        """Read rows that are complete, block by block; one that turns out to be damaged is simulated again.
-
-        Args:
-            theta: Parameters. Shape (n, p). [per parameter]
-
-        Yields:
-            Consecutive blocks of rows, in order.
-        """
-        size = self._store.rows_per_block
-        for start in range(0, len(theta), size):
-            yield self._read(np.array(theta[start : start + size], dtype=np.float64))
+        yield from self._store.stream(theta)
 
     def complete(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> None:
-        """Simulate and store the rows that are not stored, in bounded memory.
+        """Simulate the rows that are not stored, in bounded memory, and store each chunk as it finishes.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
-            on_progress: Called with the number of rows that are stored or finished so far.
+            on_progress: Called with the number of rows that are stored so far.
         """
         theta = np.array(theta, dtype=np.float64)
-        self._ask(theta, self._first_missing(theta), on_progress)
-
-    def _ask(self, theta: FloatArray, new: IntArray, on_progress: OnRows | None) -> None:
-        """Simulate and store some of the rows."""
-        n_known = len(theta) - len(new)
-        self.n_reused += n_known
-
-        def advance(n_done: int) -> None:
-            if on_progress is not None:
-                on_progress(n_known + n_done)
-
-        advance(0)
-        if len(new):
-            with closing(streamed(self._model, theta[new], on_progress=advance)) as blocks:
-                for block in blocks:
-                    self._store.append(block)
-                    self.n_simulated += block.n
-
-    def _read(self, theta: FloatArray) -> Trajectories:
-        """Read rows that are stored, and simulate again what turns out to be damaged."""
-        while True:
-            try:
-                return self._store.read(theta)
-            except LookupError:
-                new = self._first_missing(theta)
-                self.n_reused -= len(theta)
-                self._ask(theta, new, None)
-
-    def _ask_all(self, theta: FloatArray) -> Trajectories:
-        """Simulate rows of which none is stored, without reading them back."""
-        y = np.empty((len(theta), len(self.time), len(self.output_names)))
-        failures: list[str] = []
-        with closing(streamed(self._model, theta)) as blocks:
-            for block in blocks:
-                self._store.append(block)
-                y[len(failures) : len(failures) + block.n] = block.y
-                failures.extend(block.failures)
-                self.n_simulated += block.n
-        return Trajectories(
-            theta, y, self.time, self.parameter_space.names, self.output_names, tuple(failures)
-        )
-
-    def _first_missing(self, theta: FloatArray) -> IntArray:
-        """Return the first occurrence of each missing row, in order."""
-        missing = np.flatnonzero(self.missing(theta))
-        _, first = np.unique(row_keys(theta[missing]), return_index=True)
-        return np.asarray(missing[np.sort(first)])
+        # Each missing row once, by its exact bytes.
+        new = np.array(list({row.tobytes(): row for row in theta[self.missing(theta)]}.values()))
+        n_stored = len(theta) - len(new)
+        self.n_reused += n_stored
+        if on_progress is not None:
+            on_progress(n_stored)
+        if not len(new):
+            return
+        with closing(as_finished(self._model, new)) as chunks:
+            for _, chunk in chunks:
+                self._store.append(chunk)
+                self.n_simulated += chunk.n
+                n_stored += chunk.n
+                if on_progress is not None:
+                    on_progress(n_stored)

@@ -4,7 +4,6 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.forward_model import ForwardModel
-from simulation.parameters import ParameterSpace
 from simulation.states import StateRows, StateSignals, WatchedModel
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
@@ -27,13 +26,7 @@ class StoredWatchedModel(StoredModel):
     """
 
     def __init__(
-        self,
-        plain: StoredModel,
-        watched: StoredModel,
-        signals: StateSignals,
-        *,
-        retry_failed: bool = False,
-        n_first: int = 1,
+        self, plain: StoredModel, watched: StoredModel, signals: StateSignals, *, n_first: int = 1
     ) -> None:
         """Wrap two models.
 
@@ -41,34 +34,23 @@ class StoredWatchedModel(StoredModel):
             plain: Answers without states.
             watched: Answers with them, see `simulation.states.watching_states`.
             signals: What is known of them.
-            retry_failed: Ask again, once, for rows that failed before this object was made.
             n_first: Rows that are asked at once while none has succeeded yet.
         """
-        super().__init__(plain.unstored, plain.store, retry_failed=retry_failed)
+        self._watched = WatchedModel(watched, signals)
+        # What it looks like is asked of the model that answers: the other one may never be needed.
+        super().__init__(self._watched, plain.store)
         self.signals = signals
         self.why_unread = ""
         self.n_asked_twice = 0
-        self._rows = watched
-        self._watched = WatchedModel(watched, signals)
+        self._plain, self._rows = plain, watched
         self._n_first = n_first
         self._are_read = False
         self._n_unread = 0
 
-    # Asked of the model that answers: the other one's processes, and licences, may never be needed.
     @property
-    def parameter_space(self) -> ParameterSpace:
-        """The model's parameters."""
-        return self._watched.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The outputs, without what is watched."""
-        return self._watched.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """Times of the outputs. Shape (t,). [s]."""
-        return self._watched.time
+    def unstored(self) -> ForwardModel:
+        """The model itself, without states."""
+        return self._plain.unstored
 
     def watched(self, theta: FloatArray) -> BoolArray:
         """Say which rows are stored with their states, failed ones left out.
@@ -79,7 +61,7 @@ class StoredWatchedModel(StoredModel):
         Returns:
             Shape (n,).
         """
-        return self._rows.store.find(theta) & ~self._rows.store.find_failed(theta)
+        return self._rows.store.find_good(theta)
 
     def seen(self, theta: FloatArray) -> StateRows:
         """Return what states and outputs did in rows of the last simulation, NaN where that is not known.
@@ -103,13 +85,7 @@ class StoredWatchedModel(StoredModel):
         if watched.any():
             self._with_states(theta[watched])
             self._are_read = True
-        if not self.missing(theta).any():
-            return super().simulate(theta)
-        # One after the other: there may be a licence for one of them.
-        _end_processes(self._rows.unstored)
-        answer = super().simulate(theta)
-        _end_processes(self.unstored)
-        return answer
+        return self._counted(self._without_states(theta))
 
     def simulate(self, theta: FloatArray) -> Trajectories:
         """Read the rows that are stored with their states and simulate the others.
@@ -127,41 +103,42 @@ class StoredWatchedModel(StoredModel):
             parts.append(self._tried(theta[n_done : n_done + self._n_first]))
             n_done += parts[-1].n
         if n_done < len(theta) or not parts:
-            rest = theta[n_done:]
-            parts.append(super().simulate(rest) if self.why_unread else self._with_states(rest))
-        return Trajectories.concatenate(parts)
+            ask = self._plain.simulate if self.why_unread else self._with_states
+            parts.append(ask(theta[n_done:]))
+        return self._counted(Trajectories.concatenate(parts))
 
     def _tried(self, theta: FloatArray) -> Trajectories:
         """Ask rows with their states, and without where that fails: it may be the states that fail."""
-        n_failures = len(self.failures)
         answer = self._with_states(theta)
-        if not self._rows.store.find_failed(theta).all():
+        if self.watched(theta).any():
             # An output beyond its band makes its row a failed one, and the states were read all the same.
             self._are_read = True
             return answer
-        del self.failures[n_failures:]
-        # One after the other: there may be a licence for one of them.
-        _end_processes(self._rows.unstored)
-        plain = super().simulate(theta)
+        plain = self._without_states(theta)
         self.n_asked_twice += len(theta)
         self._n_unread += int((~plain.failed).sum())
         if self._n_unread >= N_UNREAD:
             self.why_unread = answer.failures[int(np.argmin(plain.failed))]
-        else:
-            _end_processes(self.unstored)
         return plain
 
     def _with_states(self, theta: FloatArray) -> Trajectories:
-        rows = self._rows
-        n_simulated, n_reused = rows.n_simulated, rows.n_reused
         answer = self._watched.simulate_more(theta)
-        self.n_simulated += rows.n_simulated - n_simulated
-        self.n_reused += rows.n_reused - n_reused
-        self.failures += filter(None, answer.failures)
         # What fails where states are read need not fail without.
-        is_answer = ~rows.store.find_failed(theta)
-        is_better = ~self.store.find(theta) | (self.store.find_failed(theta) & ~answer.failed)
-        self.store.append(answer.take(is_answer & is_better))
+        is_better = ~self.store.find(theta) | (~self.store.find_good(theta) & ~answer.failed)
+        self.store.append(answer.take(self.watched(theta) & is_better))
+        return answer
+
+    def _without_states(self, theta: FloatArray) -> Trajectories:
+        # One after the other: there may be a licence for one of them.
+        _end_processes(self._rows.unstored)
+        answer = self._plain.simulate(theta)
+        _end_processes(self._plain.unstored)
+        return answer
+
+    def _counted(self, answer: Trajectories) -> Trajectories:
+        self.n_simulated = self._plain.n_simulated + self._rows.n_simulated
+        self.n_reused = self._plain.n_reused + self._rows.n_reused
+        self.failures += filter(None, answer.failures)
         return answer
 
 

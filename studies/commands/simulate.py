@@ -10,10 +10,14 @@ HELP = "simulate the training, validation and test sets"
 MORE = """\
 what happens: the command simulates one training design, a validation set and a test set. The first n rows
 of the design are the training set of size n. All studies share these sets. Each simulation is stored in
-data/<case>/generated/simulations/, a folder of Parquet files; _README.txt there says how to read them. No
-stored simulation runs again: sampling, Sobol indices, screening and polishing share them. Failed
-simulations are stored with their reason, counted, and left out of training; --retry-failed repeats them. If
-too many fail, the command stops with exit code 1 (simulation.max_failed_share in the case file).
+data/<case>/generated/simulations/, one SQLite file per model. No stored simulation runs again: sampling,
+Sobol indices, screening and polishing share them. Failed simulations are stored with their reason, counted,
+and left out of training; --retry-failed repeats them. If too many fail, the command stops with exit code 1
+(simulation.max_failed_share in the case file).
+
+in pandas: one row per simulation, one column per parameter, one column of bytes per output:
+  rows = pandas.read_sql("select * from simulations", sqlite3.connect(FILE))
+  y = numpy.stack(rows["TAir"].map(numpy.frombuffer))  # shape (rows, times)
 
 examples:
   studies simulate --profile paper

@@ -79,7 +79,7 @@ def check_design(settings: Adaptive, known: Evaluation, n_kept: int, *, state_eq
 def offer_stored(study: Study, physical: StoredModel, model: PartlyFixedModel) -> None:
     """Say what is stored to somebody who does not begin with it."""
     theta = model.complete(fitting_theta(physical.store, model))
-    n_good = int((~physical.store.find_failed(theta)).sum()) if len(theta) else 0
+    n_good = int(physical.store.find_good(theta).sum())
     if not n_good:
         return
     stored, read = count(n_good, "stored simulation"), "read where asked for"

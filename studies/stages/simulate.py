@@ -15,7 +15,7 @@ from simulation.store.row_set import RowSet, SetContent, content_of
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from studies.console import Column, OnProgress
-from studies.physical_model import open_physical_model, say_reused, store_folder
+from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
 from studies.recipe import recipe_of
 from studies.report.wording import count
@@ -126,11 +126,9 @@ def missing_rows(study: Study) -> tuple[int, int]:
     data, space, seeds = study.profile.data, study.case.parameter_space, set_seeds(study.profile)
     sizes = {"train": max(data.n_train), "validation": data.n_validation, "test": data.n_test}
     designs = [uniform_design(space, n, seeds[name]) for name, n in sizes.items()]
-    total, folder = sum(sizes.values()), store_folder(study.paths, study.case)
-    if not folder.is_dir():
-        return total, total
+    total = sum(sizes.values())
     try:
-        with SimulationStore.at(folder) as store:
+        with SimulationStore.at(store_file(study.paths, study.case)) as store:
             return total - sum(int(store.find(theta).sum()) for theta in designs), total
     except InputError:
         return total, total
@@ -146,7 +144,7 @@ def show_sets(study: Study, outcome: Outcome) -> None:
         [[name, found["n"][name], found["n_failed"][name], file] for name, file in files.items()],
     )
     store = paths.show(paths.root / found["store"])
-    study.console.result(f"all simulations: {store} (its _README.txt says how to read them)")
+    study.console.result(f"all simulations: {store} (`studies simulate --help` shows how to read them)")
 
 
 def set_files(study: Study, summary: Summary) -> dict[str, Path]:
@@ -243,9 +241,7 @@ def _is_complete(study: Study, designs: dict[str, FloatArray]) -> bool:
     if not (study.results / "simulate.json").is_file():
         return True
     try:
-        with SimulationStore.at(
-            store_folder(study.paths, study.case), on_warning=study.console.warn
-        ) as store:
+        with SimulationStore.at(store_file(study.paths, study.case)) as store:
             return all(bool(store.find(theta).all()) for theta in designs.values())
     except InputError:
         return False
@@ -258,9 +254,9 @@ def _simulated(
     identity = digest_of({"case": study.case.digest, "set": name, "theta": theta.tobytes().hex()})
     file = study.paths.generated(study.case.name) / "sets" / f"{name}-n{len(theta):05d}-{identity[:12]}.npz"
     model.complete(theta, on_progress=lambda n_done: on_progress(n_done, len(theta)))
-    rows = RowSet(theta, model.store.folder, file)
+    rows = RowSet(theta, model.store.file, file)
     rows.save()
-    return SimulatedSet(rows, content_of(model.stored(theta)))
+    return SimulatedSet(rows, content_of(model.store.stream(theta)))
 
 
 def _summary(study: Study, sets: dict[str, SimulatedSet]) -> Summary:
@@ -273,7 +269,7 @@ def _summary(study: Study, sets: dict[str, SimulatedSet]) -> Summary:
         "first_failures": sorted(reasons)[:3],
         "files": {name: study.paths.relative(found.rows.file) for name, found in sets.items()},
         "digests": {name: found.content.digest for name, found in sets.items()},
-        "store": study.paths.relative(store_folder(study.paths, study.case)),
+        "store": study.paths.relative(store_file(study.paths, study.case)),
     }
 
 

@@ -2,10 +2,13 @@
 
 import json
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import pandas
 import pytest
 from made_up_recording import write_csv_files
 from mlflow_store_for_tests import give_store
@@ -87,6 +90,15 @@ def copy_of(template: Path, root: Path, patch: pytest.MonkeyPatch) -> Path:
     patch.setenv("STUDIES_ROOT", str(root))
     patch.chdir(root)
     return root
+
+
+def stored_simulations(project: Path, case: str = "office") -> dict[str, pandas.DataFrame]:
+    """Return the rows of a case's stores, by the name of the file; read as users read them."""
+    found = {}
+    for file in sorted(project.glob(f"data/{case}/generated/simulations/*.db")):
+        with closing(sqlite3.connect(file)) as database:
+            found[file.name] = pandas.read_sql("select * from simulations", database)
+    return found
 
 
 def make_project(root: Path, *, with_store: bool = True) -> Path:

@@ -13,9 +13,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet
 import pytest
-from project_for_tests import REPOSITORY, Run, make_project
+from project_for_tests import REPOSITORY, Run, make_project, stored_simulations
 
 from studies.paths import ProjectPaths
 from studies.tracking.quiet_mlflow import connect
@@ -71,13 +70,13 @@ def said(words: str) -> Callable[[Path, str], bool]:
 
 def stored_after(words: str) -> Callable[[Path, str], bool]:
     """Notice when simulations are stored that were not there when some words were said."""
-    before: set[Path] = set()
+    before: set[str] = set()
 
     def look(project: Path, text: str) -> bool:
-        parts = set(project.glob("data/office/generated/simulations/*/part-*.parquet"))
+        rows = stored_rows(project)
         if words not in text:
-            before.update(parts)
-        return bool(parts - before)
+            before.update(rows)
+        return bool(rows.keys() - before)
 
     return look
 
@@ -145,17 +144,12 @@ def open_runs(project: Path) -> list[str]:
 
 
 def stored_rows(project: Path) -> dict[str, int]:
-    """Return when each stored simulation was written; one that is done again is written later."""
-    written = {}
-    for file in project.glob("data/office/generated/simulations/*/part-*.parquet"):
-        try:
-            rows = pyarrow.parquet.read_table(file).to_pandas()
-        except FileNotFoundError:
-            continue
-        moments = rows.pop("_written").astype("int64")
-        keys = rows.drop(columns=["TAir", "_failure", "_check"]).itertuples(index=False, name=None)
-        written |= {f"{file.parent.name}: {key}": moment for key, moment in zip(keys, moments, strict=True)}
-    return written
+    """Return the number of each stored simulation; one that is done again has a later one."""
+    return {
+        f"{name}: {theta.hex()}": number
+        for name, rows in stored_simulations(project).items()
+        for theta, number in zip(rows["_theta"], rows["_id"], strict=True)
+    }
 
 
 def finished_work(project: Path) -> dict[str, object]:

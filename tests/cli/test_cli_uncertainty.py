@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall
+from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall, stored_simulations
 
 from simulation.case import load_case
 from studies.cli import main
@@ -81,8 +80,7 @@ def results_of(project: Path, name: str = "adaptive") -> dict[str, Any]:
 
 
 def n_stored(project: Path) -> int:
-    parts = project.glob("data/wall/generated/simulations/*/part-*.parquet")
-    return sum(pyarrow.parquet.read_metadata(part).num_rows for part in parts)
+    return sum(map(len, stored_simulations(project, "wall").values()))
 
 
 def test_it_says_how_sure_the_calibration_is(

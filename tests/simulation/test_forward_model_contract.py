@@ -39,7 +39,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     elif name == "stored":
         toy = ToyRC()
         with SimulationStore(
-            tmp_path_factory.mktemp("contract") / "store",
+            tmp_path_factory.mktemp("contract") / "toy.db",
             model_digest="toy",
             parameter_names=toy.parameter_space.names,
             output_names=toy.output_names,

@@ -1,437 +1,330 @@
-"""The store: every row once, exactly, whatever happens to its files and whoever else uses it."""
+"""The store and the model around it: every row once, exactly, whatever happens to the file."""
 
-import json
-import subprocess
-import sys
-from collections.abc import Callable
-from dataclasses import replace
+import multiprocessing
+import os
+import re
+import resource
+import shutil
+import tempfile
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow.parquet
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from simulation.arrays import FloatArray, IntArray
 from simulation.counting import CountingModel
 from simulation.design import uniform_design
-from simulation.errors import InputError
-from simulation.file_lock import FileLock
-from simulation.store.folder import groups_to_merge
-from simulation.store.index import Entries, RowIndex
-from simulation.store.parts import Part, write_part
-from simulation.store.rows import Layout, Rows
+from simulation.errors import InputError, MachineError
+from simulation.store.row_set import RowSet, content_of
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
-from simulation.workers.arena import Arena, Grid
+from studies.commands.simulate import MORE
 
-MODEL = ToyRC(fails_above_r=4.0)
-ROOT = Path(__file__).parents[2]
-Warnings = list[str]
-
-
-def design(n: int, seed: int = 0) -> np.ndarray:
-    return uniform_design(MODEL.parameter_space, n, seed)
+TOY = ToyRC(fails_above_r=4.0)
+OWN_FMU = Path(__file__).parents[2] / "docs" / "own-fmu.md"
+PROCESSES = multiprocessing.get_context("forkserver")
 
 
-def open_store(folder: Path, warnings: Warnings | None = None, *, digest: str = "abc") -> SimulationStore:
-    say = warnings.append if warnings is not None else pytest.fail
-    return SimulationStore(
-        folder,
-        model_digest=digest,
-        parameter_names=MODEL.parameter_space.names,
-        output_names=MODEL.output_names,
-        time=MODEL.time,
-        on_warning=say,
-    )
+def design(n: int, seed: int = 0) -> FloatArray:
+    return uniform_design(TOY.parameter_space, n, seed)
 
 
-def parts(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.parquet"))
+ANSWER = TOY.simulate(design(400))
 
 
-def failed(theta: np.ndarray, reason: str) -> Trajectories:
-    y = np.full((len(theta), len(MODEL.time), 1), np.nan)
-    return Trajectories(
-        theta, y, MODEL.time, MODEL.parameter_space.names, MODEL.output_names, (reason,) * len(theta)
-    )
+def open_store(file: Path, digest: str = "toy", rows: Trajectories = ANSWER) -> SimulationStore:
+    names = {"parameter_names": rows.parameter_names, "output_names": rows.output_names}
+    return SimulationStore(file, model_digest=digest, time=rows.time, **names)
 
 
-@pytest.mark.parametrize("n", [1, 7, 300])
-def test_rows_come_back_bit_for_bit_in_any_order_also_after_opening_again(tmp_path: Path, n: int) -> None:
-    answer = MODEL.simulate(design(n))
-    assert answer.failed.any() or n == 1
-    with open_store(tmp_path) as store:
-        assert not store.find(design(n)).any()
-        store.append(answer)
-    with open_store(tmp_path) as store:
-        assert store.find(design(n)).all()
-        assert not store.find(design(n, seed=1)).any()
-        order = np.random.default_rng(0).integers(n, size=2 * n)
-        assert store.read(design(n)[order]).digest == answer.take(order).digest
-        assert np.array_equal(store.find_failed(design(n)), answer.failed)
+def simulated(store: SimulationStore, n: int) -> bool:
+    return StoredModel(TOY, store).simulate(design(n)).digest == ANSWER.take(np.arange(n)).digest
 
 
-def test_a_row_is_known_by_its_exact_bytes(tmp_path: Path) -> None:
-    theta = np.array([[1.0, 0.0], [np.nan, 1.0]])
-    with open_store(tmp_path) as store:
-        store.append(failed(theta, "told"))
-        assert store.find(theta).all()
-        assert not store.find(np.array([[1.0, -0.0], [np.nextafter(1.0, 2.0), 0.0]])).any()
-        with pytest.raises(LookupError, match="1 of 2 rows are not in"):
-            store.read(np.array([[1.0, 0.0], [1.0, -0.0]]))
+def failed(rows: Trajectories, reason: str) -> Trajectories:
+    return replace(rows, y=np.full_like(rows.y, np.nan), failures=(reason,) * rows.n)
 
 
-def test_a_store_is_written_and_read_without_pandas(tmp_path: Path) -> None:
-    """Importing it takes as long as a small command."""
-    script = """
-import sys
-import numpy as np
-from simulation.design import uniform_design
-from simulation.store.store import SimulationStore
-from simulation.toy import ToyRC
-model = ToyRC(fails_above_r=4.0)
-names = {"parameter_names": model.parameter_space.names, "output_names": model.output_names}
-with SimulationStore(sys.argv[1], model_digest="abc", time=model.time, **names) as store:
-    rows = model.simulate(uniform_design(model.parameter_space, 20, 0))
-    store.append(rows)
-with SimulationStore(sys.argv[1], model_digest="abc", time=model.time, **names) as store:
-    again = store.read(rows.theta)
-assert rows.failed.any() and again.failures == rows.failures
-np.testing.assert_array_equal(again.y, rows.y)
-assert "pandas" not in sys.modules
-"""
-    subprocess.run([sys.executable, "-c", script, tmp_path], check=True, cwd=ROOT)
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "simulations" / "toy.db"
 
 
-def test_pandas_reads_a_store_in_one_line_as_its_readme_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def store(file: Path) -> Iterator[SimulationStore]:
+    with open_store(file) as store:
+        yield store
+
+
+def test_rows_come_back_bit_for_bit_in_any_order_and_in_blocks(
+    file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import pandas
-
-    answer = MODEL.simulate(design(20))
-    with open_store(tmp_path) as store:
-        store.append(answer.take(np.arange(12)))
-        store.append(answer.take(np.arange(12, 20)))
-        store.spool.mkdir()
-        (store.spool / "x.arena").touch()
-    (tmp_path / ".part-1.parquet.tmp").write_text("half")
-    monkeypatch.chdir(tmp_path)
-    (line,) = [line for line in (tmp_path / "_README.txt").read_text().splitlines() if "pandas.read" in line]
-    namespace = {"pandas": pandas}
-    exec(line.strip(), namespace)
-    rows = namespace["rows"]
-    assert np.array_equal(rows[list(MODEL.parameter_space.names)].to_numpy(), answer.theta)
-    assert np.array_equal(np.stack(rows[MODEL.output_names[0]]), answer.y[:, :, 0], equal_nan=True)
-    assert tuple(rows["_failure"]) == answer.failures
-    manifest = json.loads((tmp_path / "_store.json").read_text())
-    assert manifest["time_s"] == MODEL.time.tolist()
+    with open_store(file) as store:
+        assert not store.find(design(400)).any()
+        store.append(ANSWER.take([]))
+        store.append(ANSWER)
+        assert np.array_equal(store.theta, design(400))
+    monkeypatch.setattr("simulation.store.store.BLOCK_BYTES", 300 * 8 * len(TOY.time))
+    order = np.random.default_rng(0).integers(400, size=700)
+    with SimulationStore.at(file) as store:
+        assert np.array_equal(store.find_good(design(400)), ~ANSWER.failed)
+        blocks = list(store.stream(design(400)[order]))
+    assert [block.n for block in blocks] == [300, 300, 100]
+    assert Trajectories.concatenate(blocks).digest == ANSWER.take(order).digest
 
 
-def test_a_good_row_takes_the_place_of_a_failed_one_and_stays(tmp_path: Path) -> None:
-    theta = design(50)[MODEL.simulate(design(50)).failed == 0][:3]
-    good = MODEL.simulate(theta)
-    with open_store(tmp_path) as store:
-        store.append(failed(theta, "no licence"))
-        store.append(failed(theta[:1], "still no licence"))
-        assert store.read(theta).failures == ("still no licence", "no licence", "no licence")
-        store.append(good.take([0, 1]))
-        store.append(failed(theta, "too late"))
-    for _ in range(2):
-        with open_store(tmp_path) as store:
-            found = store.read(theta)
-            assert found.failures == ("", "", "too late")
-            assert found.take([0, 1]).digest == good.take([0, 1]).digest
-            assert len(store.theta) == 3
+def test_a_row_is_known_by_its_exact_bytes(store: SimulationStore) -> None:
+    StoredModel(TOY, store).complete(np.array([[1.0, 0.0], [np.nan, 1.0], [np.nan, 1.0]]))
+    theta = np.array([[np.nan, 1.0], [1.0, 0.0], [1.0, -0.0], [np.nextafter(1.0, 2.0), 0.0]])
+    assert store.find(theta).tolist() == [True, True, False, False]
+    with pytest.raises(LookupError, match="2 of 4 rows are not in"):
+        store.read(theta)
+    assert np.signbit(StoredModel(TOY, store).simulate(theta).theta[:, 1]).sum() == 1
 
 
-def test_a_reason_may_hold_bytes_that_are_no_text(tmp_path: Path) -> None:
-    with open_store(tmp_path) as store:
-        store.append(failed(design(2), "solver: \udcfc\n\tgröße"))
-        assert store.read(design(2)).failures == ("solver: \\udcfc\n\tgröße",) * 2
+def test_pandas_reads_a_store_as_the_page_and_the_help_say(store: SimulationStore) -> None:
+    store.append(ANSWER)
+    (shown,) = re.findall(r"^```py\n(.*?)^```$", OWN_FMU.read_text(), flags=re.MULTILINE | re.DOTALL)
+    found: dict[str, Any] = {"FILE": store.file}
+    exec(shown.replace('"TAir"', '"T"'), found)
+    assert np.array_equal(found["rows"][list(ANSWER.parameter_names)], ANSWER.theta)
+    assert np.array_equal(found["y"], ANSWER.y[:, :, 0], equal_nan=True)
+    assert tuple(found["rows"]["_failure"]) == ANSWER.failures
+    assert np.array_equal(found["time"], TOY.time)
+    assert all(line in MORE for line in re.findall(r"(?:pandas.read_sql|numpy.stack).*\)", shown)[:2])
 
 
-def test_many_small_appends_end_in_few_files(tmp_path: Path) -> None:
-    answer = MODEL.simulate(design(200))
-    with open_store(tmp_path) as store:
-        for row in range(200):
-            store.append(answer.take([row]))
-        assert len(parts(tmp_path)) < 50
-        assert store.read(design(200)).digest == answer.digest
-    with open_store(tmp_path) as store:
-        assert store.read(design(200)).digest == answer.digest
-        assert len(store.theta) == 200
+def test_names_may_differ_by_case_or_hold_quotes_or_be_those_of_outputs(file: Path) -> None:
+    for i, names in enumerate((("c", "C"), ("T", "t"), ("_theta", "_Theta"), ('wall "a", b', "x'"))):
+        rows = replace(ANSWER, parameter_names=names)
+        with open_store(file.with_name(f"{i}.db"), rows=rows) as store:
+            store.append(rows)
+            assert store.read(rows.theta).digest == rows.digest
 
 
-def test_merging_parts_whose_last_ones_are_replaced_leaves_no_empty_group(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("simulation.store.rows.GROUP_BYTES", 1)
-    good = MODEL.simulate(np.array([[1.0, 1e4]]))
-    with open_store(tmp_path) as store:
-        store.append(good)
-        for _ in range(15):
-            store.append(failed(good.theta, "too late"))
-        assert store.read(good.theta).digest == good.digest
-    (part,) = parts(tmp_path)
-    assert pyarrow.parquet.ParquetFile(part).num_row_groups == 1
+def test_a_good_row_takes_the_place_of_a_failed_one_and_stays(store: SimulationStore) -> None:
+    good = ANSWER.take(np.flatnonzero(~ANSWER.failed)[:3])
+    for rows in (
+        failed(good, "no licence"),
+        failed(good.take([0, 2]), "solver: \udcfc\n\tgröße"),
+        good.take([0, 1]),
+        failed(good.take([0, 1]), "too late"),
+    ):
+        store.append(rows)
+    assert store.read(good.theta).failures == ("", "", "solver: \\udcfc\n\tgröße")
+    assert store.read(good.theta[:2]).digest == good.take([0, 1]).digest
+    assert len(store.theta) == 3
 
 
-def test_an_empty_group_is_no_damage(tmp_path: Path) -> None:
-    rows = Rows(MODEL.simulate(design(2)), np.zeros(2, dtype=np.int64))
-    layout = Layout("abc", MODEL.parameter_space.names, MODEL.output_names, MODEL.time)
-    with (tmp_path / "part").open("wb") as file:
-        write_part(file, layout, [rows.take(np.zeros(2, dtype=np.bool_))])
-    part = Part(tmp_path / "part", layout)
-    assert [block.n for block in part.blocks()] == [0]
-    part.close()
-
-
-def test_parts_are_merged_by_size() -> None:
-    sizes = {f"small-{i:02d}": 9_000 for i in range(20)} | {f"large-{i:02d}": 3 * 2**20 for i in range(15)}
-    assert groups_to_merge(sizes) == [[f"small-{i:02d}" for i in range(20)]]
-    final = {f"block-{i}": 64 * 2**20 for i in range(100)}
-    assert groups_to_merge(final) == []
-
-
-def test_two_processes_share_a_store_while_parts_are_merged_under_them(tmp_path: Path) -> None:
-    answer = MODEL.simulate(design(120))
-    with open_store(tmp_path) as one, open_store(tmp_path) as other:
-        for row in range(0, 120, 2):
-            one.append(answer.take([row]))
-            assert other.read(design(120)[: row + 1 : 2]).n == row // 2 + 1
-            other.append(answer.take([row + 1]))
-        for store in (one, other):
-            assert store.find(design(120)).all()
-            assert store.read(design(120)).digest == answer.digest
-    assert len(parts(tmp_path)) < 60
-
-
-def test_a_stream_is_the_same_rows_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    answer = MODEL.simulate(design(100))
-    with open_store(tmp_path) as store:
-        store.append(answer)
-        monkeypatch.setattr("simulation.store.store.BLOCK_BYTES", 30 * 8 * len(MODEL.time))
-        blocks = list(store.stream(design(100)[::-1]))
-        assert [block.n for block in blocks] == [30, 30, 30, 10]
-        assert Trajectories.concatenate(blocks).digest == answer.take(np.arange(100)[::-1]).digest
-        assert Trajectories.concatenate(list(store.stream())).digest == answer.digest
-
-
-def test_a_store_of_another_model_is_refused_in_one_line(tmp_path: Path) -> None:
-    open_store(tmp_path).close()
-    with pytest.raises(
-        InputError, match=r"_store\.json: model_digest is 'abc', this model has 'xyz'; remove"
-    ) as told:
-        open_store(tmp_path, digest="xyz")
-    assert "\n" not in str(told.value)
-    manifest = tmp_path / "_store.json"
-    manifest.write_text(manifest.read_text().replace('"schema": 1', '"schema": 0'))
-    with pytest.raises(InputError, match="schema is 0, this model has 1"):
-        open_store(tmp_path)
-    manifest.write_text("{")
-    with pytest.raises(InputError, match="not readable; remove the file"):
-        open_store(tmp_path)
-    with pytest.raises(InputError, match="not readable; remove the file"):
-        SimulationStore.at(tmp_path)
-    with pytest.raises(InputError, match="no such file; simulate first"):
-        SimulationStore.at(tmp_path / "none")
-    with pytest.raises(InputError, match="'_check' names two columns"):
-        SimulationStore(
-            tmp_path, model_digest="a", parameter_names=("_check",), output_names=("R",), time=MODEL.time
-        )
-
-
-def test_an_initial_state_may_be_an_output_as_well(tmp_path: Path) -> None:
-    answer = replace(MODEL.simulate(design(20)), output_names=("C",))
-    for is_new in (True, False):
-        with SimulationStore(
-            tmp_path, model_digest="a", parameter_names=("R", "C"), output_names=("C",), time=MODEL.time
-        ) as store:
-            if is_new:
-                store.append(answer)
-            assert store.read(answer.theta).digest == answer.digest
-    (part,) = parts(tmp_path)
-    assert pyarrow.parquet.read_schema(part).names[:3] == ["R", "_parameter_C", "C"]
-
-
-def test_rows_of_other_names_are_refused(tmp_path: Path) -> None:
-    rows = MODEL.simulate(design(3))
-    other = Trajectories(
-        rows.theta, rows.y, rows.time + 1.0, rows.parameter_names, rows.output_names, rows.failures
-    )
-    with open_store(tmp_path) as store, pytest.raises(ValueError, match="other names or times"):
-        store.append(other)
+def test_what_is_not_this_models_store_is_refused_in_one_line(file: Path, store: SimulationStore) -> None:
+    with pytest.raises(InputError, match=r"db: model_digest is 'toy', this model has 'x'; remove the file"):
+        open_store(file, "x")
+    for missing in (file.with_name("none.db"), file.parent):
+        with pytest.raises(InputError, match=f"{missing}: no simulations are stored there; type"):
+            SimulationStore.at(missing)
+    with pytest.raises(ValueError, match="other names or times"):
+        store.append(replace(ANSWER, time=TOY.time + 1.0))
 
 
 DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "truncated": lambda whole: whole[: len(whole) // 2],
-    "garbage": lambda whole: b"not a part",
-    "empty": lambda whole: b"",
-    "footer": lambda whole: whole[:-200] + bytes(150) + whole[-50:],
+    "garbage": lambda whole: b"no database at all" * 100,
+    "first page": lambda whole: whole[:100] + bytes(3996) + whole[4096:],
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_part_is_set_aside_and_its_rows_are_missing(tmp_path: Path, damage: str) -> None:
-    answer, warnings = MODEL.simulate(design(30)), []
-    with open_store(tmp_path) as store:
-        store.append(answer.take(np.arange(20)))
-        store.append(answer.take(np.arange(20, 30)))
-    first = parts(tmp_path)[0]
-    first.write_bytes(DAMAGES[damage](first.read_bytes()))
-    with open_store(tmp_path, warnings) as store:
-        assert store.find(design(30)).tolist() == [False] * 20 + [True] * 10
-    assert len(warnings) == 1
-    assert f"{first.name}: " in warnings[0]
-    assert "moved to _damaged/, its rows are simulated again when needed" in warnings[0]
-    assert (tmp_path / "_damaged" / first.name).is_file()
-    with open_store(tmp_path) as store:
-        assert len(store.theta) == 10
+def test_a_damaged_file_is_one_line_that_names_it_and_the_remedy(file: Path, damage: str) -> None:
+    with open_store(file) as store:
+        store.append(ANSWER)
+        left = file.with_name("toy.db-wal").read_bytes()
+    file.write_bytes(DAMAGES[damage](file.read_bytes()))
+    assert re.fullmatch(f"{file}: .*; it is damaged: remove it, with .* run again", what_is_said(file))
+    file.unlink()
+    # What a killed process left beside a file that was removed does not get into the next one.
+    file.with_name("toy.db-wal").write_bytes(left)
+    with open_store(file) as store:
+        assert len(store.theta) == 0
+    assert what_is_said(file) == ""
 
 
-def test_no_flipped_bit_becomes_a_wrong_number(tmp_path: Path) -> None:
-    answer = MODEL.simulate(design(30))
-    with open_store(tmp_path / "whole") as store:
-        store.append(answer)
-    whole = parts(tmp_path / "whole")[0].read_bytes()
-    rng, n_noticed, n_saved = np.random.default_rng(0), 0, 0
-    for trial in range(150):
-        folder, content = tmp_path / str(trial), bytearray(whole)
-        content[int(rng.integers(len(whole)))] ^= 1 << int(rng.integers(8))
-        folder.mkdir()
-        (folder / "part-1.parquet").write_bytes(content)
-        warnings: Warnings = []
-        with open_store(folder, warnings) as store:
-            model = StoredModel(MODEL, store)
-            assert model.simulate(design(30)).digest == answer.digest
-            n_noticed += bool(warnings)
-            n_saved += bool(warnings) and model.n_simulated < 30
-    assert n_noticed > 100
-    assert n_saved > 20
-
-
-def test_an_undamaged_row_of_a_damaged_part_is_kept(tmp_path: Path) -> None:
-    answer, warnings = MODEL.simulate(design(30)), []
-    with open_store(tmp_path) as store:
-        store.append(answer)
-    (part,) = parts(tmp_path)
-    table = pyarrow.parquet.read_table(part)
-    checks = table["_check"].to_numpy().copy()
-    checks[7] += 1
-    columns = [*table.columns[:-1], pyarrow.array(checks)]
-    pyarrow.parquet.write_table(pyarrow.table(columns, schema=table.schema), part)
-    theta, counting = design(30), CountingModel(MODEL)
-    with open_store(tmp_path, warnings) as store:
-        model = StoredModel(counting, store)
-        assert model.simulate(theta).digest == answer.digest
-        assert counting.n_calls == 1
-    assert "its undamaged rows are kept" in warnings[0]
-
-
-def test_leftovers_of_killed_writers_go_when_nobody_writes(tmp_path: Path) -> None:
-    open_store(tmp_path).close()
-    leftovers = [tmp_path / name for name in (".part-1-aaaaaaaa.parquet.tmp", "._store.json.aaaaaaaa.tmp")]
-    for leftover in leftovers:
-        leftover.write_bytes(b"half")
-    with FileLock(tmp_path / ".writers", shared=True):
-        open_store(tmp_path).close()
-        assert all(leftover.exists() for leftover in leftovers)
-    open_store(tmp_path).close()
-    assert not any(leftover.exists() for leftover in leftovers)
-
-
-def test_rows_that_a_killed_process_had_finished_are_taken_over_once(tmp_path: Path) -> None:
-    answer = MODEL.simulate(design(10))
-    with open_store(tmp_path) as store:
-        store.append(answer.take(np.arange(4)))
-        arena = Arena.create(
-            Grid(answer.parameter_names, answer.output_names, answer.time), 10, spool=store.spool
-        )
-    arena.load(answer.theta)
-    for row in range(8):
-        arena.y[row] = answer.y[row]
-        arena.states[row] = 2
-        if answer.failures[row]:
-            arena.fail(row, answer.failures[row])
-    assert open_store(tmp_path).n_recovered == 0
-    arena.release()
-    with open_store(tmp_path) as store:
-        # Failed rows are taken though they are known: they may have been asked again.
-        assert store.n_recovered == 4 + int(answer.failed[:4].sum())
-        assert store.find(design(10)).tolist() == [True] * 8 + [False] * 2
-        assert store.read(design(10)[:8]).digest == answer.take(np.arange(8)).digest
-        assert list(store.spool.iterdir()) == []
-    assert open_store(tmp_path).n_recovered == 0
-
-
-FULL_DISK = """
-import resource, sys
-from pathlib import Path
-sys.path.insert(0, {root!r})
-from simulation.design import uniform_design
-from simulation.store.store import SimulationStore
-from simulation.store.stored_model import StoredModel
-from simulation.toy import ToyRC
-
-model = ToyRC()
-store = SimulationStore(
-    Path({folder!r}),
-    model_digest="abc",
-    parameter_names=model.parameter_space.names,
-    output_names=model.output_names,
-    time=model.time,
-)
-stored = StoredModel(model, store)
-theta = uniform_design(model.parameter_space, 400, 0)
-stored.simulate(theta[:20])
-# No file may grow beyond this: what a full disk is to a part.
-resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, 8_000))
-for start in range(20, 400, 20):
+def what_is_said(file: Path) -> str:
     try:
-        stored.simulate(theta[start : start + (20 if start < 200 else 200)])
-    except OSError as error:
-        print(start, error.errno, error.strerror)
-        break
-"""
+        with open_store(file) as store:
+            assert simulated(store, 30)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
-def test_a_full_disk_is_one_error_and_loses_nothing(tmp_path: Path) -> None:
-    script = FULL_DISK.format(root=str(ROOT), folder=str(tmp_path))
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    n_stored, number, reason = done.stdout.split(maxsplit=2)
-    assert (int(number), reason.strip()) == (27, "File too large")
-    assert not list(tmp_path.glob(".*.tmp"))
-    model, theta = ToyRC(), uniform_design(ToyRC().parameter_space, 400, 0)
-    with SimulationStore.at(tmp_path, on_warning=pytest.fail) as store:
-        assert store.find(theta[: int(n_stored)]).all()
-        assert store.read(theta[: int(n_stored)]).digest == model.simulate(theta[: int(n_stored)]).digest
-        assert not store.find(theta[int(n_stored) :]).any()
+def test_no_flipped_bit_becomes_a_wrong_number(file: Path) -> None:
+    with open_store(file) as store:
+        simulated(store, 30)
+    whole, rng, n_removed = file.read_bytes(), np.random.default_rng(0), 0
+    for _ in range(150):
+        content = bytearray(whole)
+        content[int(rng.integers(len(whole)))] ^= 1 << int(rng.integers(8))
+        file.write_bytes(content)
+        while said := what_is_said(file):
+            # One row is removed by itself, a file by the user.
+            n_removed += "1 of 30 simulations were damaged and are removed; type" in said
+            if "are removed; type" not in said:
+                assert re.fullmatch(f"{file}: .*(remove (it|the file)|move it away).*", said)
+                file.unlink()
+    assert n_removed > 10
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.lists(st.tuples(st.integers(0, 20), st.booleans()), max_size=8), max_size=12))
-def test_an_index_is_a_dictionary_that_prefers_good_then_new(batches: list[list[tuple[int, bool]]]) -> None:
-    index, expected, moment = RowIndex(1), {}, 0
-    for number, batch in enumerate(batches):
-        theta = np.array([[float(key)] for key, _ in batch]).reshape(len(batch), 1)
-        good = np.array([is_good for _, is_good in batch], dtype=bool)
-        written = np.arange(moment, moment + len(batch), dtype=np.int64)
-        moment += len(batch)
-        index.add([Entries.of_part(number, theta, good, written)])
-        for row, (key, is_good) in enumerate(batch):
-            if is_good >= expected.get(key, (False,))[0]:
-                expected[key] = (is_good, number, row)
-    known, found = index.look_up(np.arange(25.0)[:, None])
-    assert {
-        key: (bool(found.good[key]), int(found.part[key]), int(found.row[key]))
-        for key in np.flatnonzero(known)
-    } == expected
-    assert len(index.all().keys) == len(expected)
-    gone = {part for _, part, _ in expected.values()}
-    index.drop(gone)
-    known, found = index.look_up(np.arange(25.0)[:, None])
-    assert gone.isdisjoint(found.part[known].tolist())
+def in_a_process(work: Callable[..., None], *arguments: object) -> multiprocessing.process.BaseProcess:
+    process = PROCESSES.Process(target=work, args=arguments)
+    process.start()
+    return process
+
+
+def write_until_the_disk_is_full(file: Path) -> None:
+    with open_store(file) as store:
+        simulated(store, 20)
+        # No file may grow beyond this: what a full disk is to a database.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        with pytest.raises(MachineError, match=f"{file}: .*; .*, then type .*: what is stored is kept"):
+            all(simulated(store, n) for n in range(40, 400, 20))
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(file: Path) -> None:
+    process = in_a_process(write_until_the_disk_is_full, file)
+    process.join()
+    with SimulationStore.at(file) as store:
+        n_stored = int(store.find(design(400)).sum())
+        assert (process.exitcode, n_stored % 20) == (0, 0)
+        assert 20 < n_stored < 400
+        assert store.read(design(n_stored)).digest == ANSWER.take(np.arange(n_stored)).digest
+        assert simulated(store, 400)
+
+
+def read_without_permission(file: Path) -> None:
+    if os.getuid() == 0:
+        os.setuid(65534)
+    with open_store(file) as store:
+        assert simulated(store, 30)
+        with pytest.raises(MachineError, match="readonly database; allow writing there"):
+            simulated(store, 31)
+
+
+def test_a_project_that_cannot_be_written_is_read(file: Path) -> None:
+    with open_store(file) as store:
+        simulated(store, 30)
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(file, folder)
+        Path(folder).chmod(0o555)
+        process = in_a_process(read_without_permission, Path(folder) / file.name)
+        process.join()
+        Path(folder).chmod(0o755)
+    assert process.exitcode == 0
+
+
+def write_every_third_row(file: Path, first: int) -> None:
+    with open_store(file) as store:
+        for row in range(first, 240, 3):
+            # Its own new row, and one that another process may just be storing.
+            theta = design(240)[[row, max(0, row - 1)]]
+            assert StoredModel(TOY, store).simulate(theta).n == 2
+            assert store.find(design(240)[first : row + 1 : 3]).all()
+
+
+def test_three_processes_make_write_and_read_one_store(file: Path) -> None:
+    writers = [in_a_process(write_every_third_row, file, first) for first in range(3)]
+    with open_store(file) as store:
+        while any(writer.is_alive() for writer in writers):
+            store.read(design(240)[store.find(design(240))])
+        assert [writer.exitcode for writer in writers] == [0, 0, 0]
+        assert store.read(design(240)).digest == ANSWER.take(np.arange(240)).digest
+        assert len(store.theta) == 240
+    assert sorted(one.name for one in file.parent.iterdir()) == [".making", "toy.db"]
+
+
+def test_known_and_new_rows_may_be_mixed_and_repeated(store: SimulationStore) -> None:
+    counting = CountingModel(TOY)
+    model = StoredModel(counting, store)
+    model.simulate(design(40)[::2])
+    order = np.random.default_rng(0).integers(40, size=100)
+    assert model.simulate(design(40)[order]).digest == ANSWER.take(order).digest
+    assert counting.n_calls == model.n_simulated == len(set(order.tolist()) | set(range(0, 40, 2)))
+    assert model.n_simulated + model.n_reused == 120
+
+
+class Licensed(CountingModel):
+    """The toy, every row of which fails while there is no licence."""
+
+    has_licence = False
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        answer = super().simulate(theta)
+        return answer if self.has_licence else failed(answer, "no licence")
+
+
+def test_failed_rows_are_asked_again_once_and_on_request(store: SimulationStore) -> None:
+    toy = Licensed(ToyRC())
+    for retry_failed, n_calls in ((False, 10), (False, 10), (True, 20)):
+        model = StoredModel(toy, store, retry_failed=retry_failed)
+        for _ in range(2):
+            model.simulate(design(10))
+        assert (toy.n_calls, model.failures) == (n_calls, ["no licence"] * 20)
+    toy.has_licence = True
+    again = StoredModel(toy, store, retry_failed=True)
+    for _ in range(2):
+        assert again.simulate(design(10)).digest == ToyRC().simulate(design(10)).digest
+    assert (toy.n_calls, again.failures) == (30, [])
+
+
+@dataclass(frozen=True, eq=False)
+class Finishing(ToyRC):
+    """The toy, which hands over seven rows at a time in any order, and may stop."""
+
+    most: int = 10_000
+
+    def as_finished(self, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
+        order = np.random.default_rng(0).permutation(len(theta))
+        for start in range(0, len(theta), 7):
+            if start >= self.most:
+                raise KeyboardInterrupt
+            yield order[start : start + 7], self.simulate(theta[order[start : start + 7]])
+
+
+@pytest.mark.parametrize("model", [ToyRC(), Finishing()])
+def test_each_chunk_is_stored_at_once_and_progress_begins_with_what_is_known(
+    store: SimulationStore, model: ToyRC
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        StoredModel(Finishing(most=70), store).complete(design(200))
+    seen: list[tuple[int, int]] = []
+    stored = StoredModel(model, store)
+    blocks = list(stored.stream(design(200), on_progress=lambda n: seen.append((n, len(store.theta)))))
+    assert Trajectories.concatenate(blocks).digest == ToyRC().simulate(design(200)).digest
+    assert (seen[0], seen[-1], stored.n_simulated) == ((70, 70), (200, 200), 130)
+    assert all(said == known for said, known in seen)
+
+
+def test_a_set_is_its_rows_and_moves_with_the_store(store: SimulationStore, tmp_path: Path) -> None:
+    simulated(store, 50)
+    (tmp_path / "sets").mkdir()
+    RowSet(design(50), store.file, tmp_path / "sets" / "train.npz").save()
+    moved = tmp_path.rename(tmp_path.with_name("moved"))
+    found = RowSet.load(moved / "sets" / "train.npz")
+    assert (found.n, found.read().digest) == (50, ANSWER.take(np.arange(50)).digest)
+    assert found.read(20).digest == ANSWER.take(np.arange(20)).digest
+    replace(found, theta=design(51)).save()
+    with pytest.raises(InputError, match=r"train\.npz: 1 of 51 rows are not in .*; type: studies simulate"):
+        RowSet.load(found.file).read()
+
+
+def test_the_content_of_a_set_does_not_depend_on_blocks() -> None:
+    answer = replace(ANSWER, theta=np.ones((400, 2)), y=np.zeros_like(ANSWER.y), failures=("why",) * 400)
+    blocks = [answer.take(np.arange(start, min(start + 7, 400))) for start in range(0, 400, 7)]
+    assert content_of(iter([answer])) == content_of(iter(blocks))
+    assert content_of(iter(blocks[:-1])).digest != content_of(iter(blocks)).digest
+    # Finished stages of earlier versions name their sets so.
+    assert content_of(iter(blocks)).digest[:16] == "1d4b782a038e1af0"

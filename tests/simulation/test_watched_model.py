@@ -85,7 +85,6 @@ class Opens:
             parameter_names=TOY.parameter_space.names,
             output_names=model.output_names,
             time=TOY.time,
-            on_warning=pytest.fail,
         )
         return StoredModel(model, self.stack.enter_context(store))
 

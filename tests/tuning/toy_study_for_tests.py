@@ -52,14 +52,14 @@ def add_sets(root: Path) -> None:
 def store_set(rows: Trajectories, file: Path) -> None:
     """Store rows beside a file, and write the set to it."""
     with SimulationStore(
-        file.parent / "simulations",
+        file.parent / "simulations.db",
         model_digest="toy",
         parameter_names=rows.parameter_names,
         output_names=rows.output_names,
         time=rows.time,
     ) as store:
         store.append(rows.take(~store.find(rows.theta)))
-        RowSet(rows.theta, store.folder, file).save()
+        RowSet(rows.theta, store.file, file).save()
 
 
 @cache

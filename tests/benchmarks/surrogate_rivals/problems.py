@@ -113,7 +113,7 @@ def simulated(problem: Problem, seed: int, n: int, folder: Path) -> Sets:
 def _model(case: Case, folder: Path) -> Iterator[StoredModel]:
     with (
         SimulationStore(
-            folder / case.name / case.model_digest[:16],
+            folder / case.name / f"{case.model_digest[:16]}.db",
             model_digest=case.model_digest,
             parameter_names=case.parameter_space.names,
             output_names=case.measurement.output_names,
