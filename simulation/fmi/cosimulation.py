@@ -9,7 +9,7 @@ from simulation.arrays import FloatArray
 from simulation.fmi.call import make_ready
 from simulation.fmi.instance import DISCARD, WARNING, FmuInstance
 from simulation.fmi.log import last_message
-from simulation.fmi.loop import EARLY, ENDED, FIRST_INPUT, FUNCTIONS, step_through
+from simulation.fmi.loop import EARLY, ENDED, FUNCTIONS, step_through
 from simulation.fmi.plan import RunPlan
 from simulation.fmi.start import Start
 
@@ -34,6 +34,7 @@ class CoSimulation:
         self._instance = instance
         self._plan = plan
         self._start = start
+        self._names = (*FUNCTIONS, *(one.function for one in start.inputs))
         self._addresses = instance.addresses(*FUNCTIONS)
         self._reached = np.zeros(1)
         # Before the first row, whose time may be limited: compiling takes seconds where nothing is cached.
@@ -63,8 +64,7 @@ class CoSimulation:
             return f"the FMU ended the simulation by itself in the step at {time:g} s{last_message(': {}')}"
         if status == EARLY:
             return f"the FMU returned early, at {self._reached[0]:g} s, from the step at {time:g} s"
-        name = FUNCTIONS[stage] if stage < FIRST_INPUT else self._start.inputs[stage - FIRST_INPUT].function
-        return self._instance.failure(name, status, time)
+        return self._instance.failure(self._names[stage], status, time)
 
     def _arguments(self, first: int, last: int, y: FloatArray) -> tuple[Any, ...]:
         """Return what the loop is called with for these steps."""

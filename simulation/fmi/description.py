@@ -154,11 +154,9 @@ class FmuDescription:
         variable = self.variables.get(name)
         if variable is None:
             candidates = self.names(causality) + (self.names("local") if causality == "output" else ())
-            close = difflib.get_close_matches(name, candidates, n=1, cutoff=0.5)
-            if not close:
-                by_lower = {candidate.lower(): candidate for candidate in candidates}
-                close = [by_lower[name.lower()]] if name.lower() in by_lower else []
-            hint = f"did you mean {close[0]}?" if close else f"it has: {_listed(candidates)}"
+            by_lower = {candidate.lower(): candidate for candidate in candidates}
+            close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.5)
+            hint = f"did you mean {by_lower[close[0]]}?" if close else f"it has: {_listed(candidates)}"
             raise InputError(f"{where}: {self.path.name} has no {causality} named {name}; {hint}")
         stands_in = causality == "output" and variable.causality == "local"
         stands_in |= causality == "parameter" and (

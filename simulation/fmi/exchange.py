@@ -47,6 +47,7 @@ class ModelExchange:
         self._plan = plan
         self._start = start
         self._states = description.states
+        self._names = (*calls.FUNCTIONS, *(one.function for one in start.inputs))
         self._tolerance = SHARE_OF_TOLERANCE * (
             plan.tolerance if plan.tolerance is not None and plan.tolerance > 0.0 else DEFAULT_TOLERANCE
         )
@@ -86,7 +87,7 @@ class ModelExchange:
         at, bad = f"at {time:g} s", int(self._table[calls.NOT_FINITE]) - 1
         failed = fault = ""
         if status := int(self._table[calls.STATUS]):
-            failed = self._instance.failure(self._name(int(self._table[calls.STAGE])), status, time)
+            failed = self._instance.failure(self._names[int(self._table[calls.STAGE])], status, time)
             fault = f"; {failed}"
         elif bad >= 0:
             fault = f"; the derivative of {self._states[bad]} is not finite"
@@ -103,8 +104,3 @@ class ModelExchange:
             loop.BAD_STATE: f"state {self._states[bad] if bad >= 0 else ''} is not finite {at}",
             loop.STUCK: f"the integrator's steps became too small to get on {at}{fault}",
         }[end]
-
-    def _name(self, stage: int) -> str:
-        """Return the function of a stage, without the version."""
-        is_input = stage >= calls.FIRST_INPUT
-        return self._start.inputs[stage - calls.FIRST_INPUT].function if is_input else calls.FUNCTIONS[stage]

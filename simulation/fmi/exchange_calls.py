@@ -37,8 +37,8 @@ STATUS, STAGE, NOT_FINITE = range(14, 17)
 SOLVE, RESTART, STOP_AT, INTERPOLATE, TOLERANCES = range(17, 22)
 SOLVER, X, X_BETWEEN, ABSOLUTE = range(22, 26)
 SIZE: Final = 26
-# The stages from here on are rows of the inputs' table (see loop).
-FIRST_INPUT: Final = SIZE
+# As a stage, this and what follows are rows of the inputs' table (see loop).
+FIRST_INPUT: Final = len(FUNCTIONS)
 
 _FATAL: Final = 4
 _Pointer: Any = types.CPointer

@@ -71,23 +71,11 @@ class FmuSettings:
         if self.shared_warmup and (self.warmup_theta is None or self.warmup_theta.shape != (p,)):
             raise ValueError(f"a shared warm-up needs warmup_theta of shape {(p,)}")
 
-    @property
-    def time(self) -> FloatArray:
-        """Output times. Shape (t,). [s]."""
-        return self.scenario.time
-
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
         """Convert a row from the declared units to the FMU's. Shape (p,)."""
         if self.parameter_factors is not None:
             row = row * self.parameter_factors
         return row if self.parameter_offsets is None else row + self.parameter_offsets
-
-    @property
-    def warmup_for_fmu(self) -> FloatArray | None:
-        """Parameters of the shared warm-up, None for none. Shape (p,). [FMU's units]."""
-        if not self.shared_warmup or self.warmup_theta is None:
-            return None
-        return self.parameters_for_fmu(self.warmup_theta)
 
     def plan(self, description: FmuDescription) -> RunPlan:
         """Find every variable in the FMU.
@@ -156,8 +144,13 @@ class FmuModel:
             stack.callback(scratch.remove)
             instance = FmuInstance(description, settings.interface, scratch.folder)
             stack.callback(instance.close)
+            warmup = settings.warmup_theta if settings.shared_warmup else None
             self._runner = runner_for(
-                instance, description, plan, interface=settings.interface, warmup=settings.warmup_for_fmu
+                instance,
+                description,
+                plan,
+                interface=settings.interface,
+                warmup=None if warmup is None else settings.parameters_for_fmu(warmup),
             )
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)

@@ -63,10 +63,10 @@ class RestartingRunner:
         self._instance = instance
         self._solver = solver
         self._ways = list(ways)
-        self._trusting = trusting and bool(ways)
+        self._trusting = trusting
         self._prepare = prepare
         self._n_ignored = n_ignored
-        self._proven = not ways
+        self._proven = False
         self._untouched = True
         self._prepared = False
         self._no_start = ""
@@ -145,15 +145,12 @@ class RestartingRunner:
         return self._make_ready()
 
     def _make_ready(self) -> str:
-        if self._prepare is not None:
-            # It is the same for every row, and so is its failure.
-            self._no_start = self._no_start or self._prepare()
-            if self._no_start:
-                return self._no_start
-        self._prepared = True
-        if "state" in self._ways[:1]:
+        # It is the same for every row, and so is its failure.
+        self._no_start = self._no_start or (self._prepare() if self._prepare is not None else "")
+        self._prepared = not self._no_start
+        if self._prepared and "state" in self._ways[:1]:
             self._instance.save_state()
-        return ""
+        return self._no_start
 
     def _back(self, way: Way) -> bool:
         """Bring the instance back by one of the ways; return whether the FMU says that it is."""
