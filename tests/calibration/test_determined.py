@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from problems_for_tests import TRUE_RC, problem_on, product_problem, rc_problem
+from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
-from simulation.toy import ProductToy
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
