@@ -31,8 +31,8 @@ from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
+from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
-from simulation.workers.execution import ExecutionPolicy
 
 
 @dataclass(frozen=True)

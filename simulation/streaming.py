@@ -3,7 +3,9 @@
 from collections.abc import Callable, Generator, Iterator
 from typing import Final, Protocol, runtime_checkable
 
-from simulation.arrays import FloatArray
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
 from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 
@@ -27,6 +29,40 @@ class StreamingModel(Protocol):
             Consecutive blocks of rows, in order; a block may be overwritten when the next is asked for.
         """
         ...
+
+
+@runtime_checkable
+class PoolingModel(Protocol):
+    """A model that hands over its answers as they finish, in any order."""
+
+    def as_finished(self, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
+        """Simulate every row.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Yields:
+            Which rows have finished, and their trajectories. Shape (m,).
+        """
+        ...
+
+
+def as_finished(model: ForwardModel, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
+    """Simulate every row and yield chunks as they finish, also of a model that simulates one after the other.
+
+    Args:
+        model: The model to ask.
+        theta: Parameters. Shape (n, p). [per parameter]
+
+    Yields:
+        Which rows have finished, and their trajectories. Shape (m,).
+    """
+    if isinstance(model, PoolingModel):
+        yield from model.as_finished(theta)
+        return
+    for start in range(0, len(theta), BLOCK_ROWS):
+        rows = np.arange(start, min(start + BLOCK_ROWS, len(theta)), dtype=np.int64)
+        yield rows, model.simulate(theta[rows])
 
 
 def streamed(

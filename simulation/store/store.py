@@ -15,7 +15,6 @@ from simulation.store.catalog import Catalog
 from simulation.store.folder import StoreFolder, read_layout
 from simulation.store.rows import Layout, Rows
 from simulation.trajectories import Trajectories
-from simulation.workers.arena import recover_arenas
 
 BLOCK_BYTES: Final = 64 * 2**20
 """Outputs that a stream holds at once."""
@@ -61,7 +60,6 @@ class SimulationStore:
         files = StoreFolder(self._folder, self._layout)
         self._catalog = Catalog(files, self._layout, on_warning or _log.warning)
         self._dear_from = -np.inf
-        self.n_recovered = self._recover()
 
     @classmethod
     def at(cls, folder: Path, *, on_warning: Callable[[str], None] | None = None) -> "SimulationStore":
@@ -88,11 +86,6 @@ class SimulationStore:
     def folder(self) -> Path:
         """Where the parts lie."""
         return self._folder
-
-    @property
-    def spool(self) -> Path:
-        """Where rows may lie that are simulated and not yet stored."""
-        return self.folder / ".spool"
 
     @property
     def rows_per_block(self) -> int:
@@ -217,18 +210,6 @@ class SimulationStore:
     ) -> None:
         """Close the store."""
         self.close()
-
-    def _recover(self) -> int:
-        """Store rows that a killed process had finished; return their number."""
-        n_recovered = 0
-        for rows in recover_arenas(self.spool):
-            known, found = self._catalog.look_up(rows.theta)
-            new = rows.take(~(known & found.good))
-            # Nobody knows how long these took.
-            self._dear_from = -np.inf
-            self.append(new)
-            n_recovered += new.n
-        return n_recovered
 
 
 def _as_utf8(reason: str) -> str:

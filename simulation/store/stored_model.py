@@ -9,7 +9,7 @@ from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.store.index import row_keys
 from simulation.store.store import SimulationStore
-from simulation.streaming import OnRows, streamed
+from simulation.streaming import OnRows, as_finished
 from simulation.trajectories import Trajectories
 
 
@@ -140,10 +140,13 @@ class StoredModel(WrappedModel):
 
         advance(0)
         if len(new):
-            with closing(streamed(self._model, theta[new], on_progress=advance)) as blocks:
-                for block in blocks:
-                    self._store.append(block)
-                    self.n_simulated += block.n
+            n_done = 0
+            with closing(as_finished(self._model, theta[new])) as chunks:
+                for _, chunk in chunks:
+                    self._store.append(chunk)
+                    self.n_simulated += chunk.n
+                    n_done += chunk.n
+                    advance(n_done)
 
     def _read(self, theta: FloatArray) -> Trajectories:
         """Read rows that are stored, and simulate again what turns out to be damaged."""
@@ -158,13 +161,14 @@ class StoredModel(WrappedModel):
     def _ask_all(self, theta: FloatArray) -> Trajectories:
         """Simulate rows of which none is stored, without reading them back."""
         y = np.empty((len(theta), len(self.time), len(self.output_names)))
-        failures: list[str] = []
-        with closing(streamed(self._model, theta)) as blocks:
-            for block in blocks:
-                self._store.append(block)
-                y[len(failures) : len(failures) + block.n] = block.y
-                failures.extend(block.failures)
-                self.n_simulated += block.n
+        failures = [""] * len(theta)
+        with closing(as_finished(self._model, theta)) as chunks:
+            for rows, chunk in chunks:
+                self._store.append(chunk)
+                y[rows] = chunk.y
+                for row, reason in zip(rows.tolist(), chunk.failures, strict=True):
+                    failures[row] = reason
+                self.n_simulated += chunk.n
         return Trajectories(
             theta, y, self.time, self.parameter_space.names, self.output_names, tuple(failures)
         )

@@ -9,7 +9,7 @@ import pytest
 from simulation.case import load_case
 from simulation.case_units import with_units
 from simulation.errors import InputError
-from simulation.workers.execution import ExecutionPolicy
+from simulation.pool.execution import ExecutionPolicy
 
 DAY = 86400
 

@@ -25,7 +25,6 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
-from simulation.workers.arena import Arena, Grid
 
 MODEL = ToyRC(fails_above_r=4.0)
 ROOT = Path(__file__).parents[2]
@@ -115,8 +114,6 @@ def test_pandas_reads_a_store_in_one_line_as_its_readme_says(
     with open_store(tmp_path) as store:
         store.append(answer.take(np.arange(12)))
         store.append(answer.take(np.arange(12, 20)))
-        store.spool.mkdir()
-        (store.spool / "x.arena").touch()
     (tmp_path / ".part-1.parquet.tmp").write_text("half")
     monkeypatch.chdir(tmp_path)
     (line,) = [line for line in (tmp_path / "_README.txt").read_text().splitlines() if "pandas.read" in line]
@@ -341,30 +338,6 @@ def test_leftovers_of_killed_writers_go_when_nobody_writes(tmp_path: Path) -> No
         assert all(leftover.exists() for leftover in leftovers)
     open_store(tmp_path).close()
     assert not any(leftover.exists() for leftover in leftovers)
-
-
-def test_rows_that_a_killed_process_had_finished_are_taken_over_once(tmp_path: Path) -> None:
-    answer = MODEL.simulate(design(10))
-    with open_store(tmp_path) as store:
-        store.append(answer.take(np.arange(4)))
-        arena = Arena.create(
-            Grid(answer.parameter_names, answer.output_names, answer.time), 10, spool=store.spool
-        )
-    arena.load(answer.theta)
-    for row in range(8):
-        arena.y[row] = answer.y[row]
-        arena.states[row] = 2
-        if answer.failures[row]:
-            arena.fail(row, answer.failures[row])
-    assert open_store(tmp_path).n_recovered == 0
-    arena.release()
-    with open_store(tmp_path) as store:
-        # Failed rows are taken though they are known: they may have been asked again.
-        assert store.n_recovered == 4 + int(answer.failed[:4].sum())
-        assert store.find(design(10)).tolist() == [True] * 8 + [False] * 2
-        assert store.read(design(10)[:8]).digest == answer.take(np.arange(8)).digest
-        assert list(store.spool.iterdir()) == []
-    assert open_store(tmp_path).n_recovered == 0
 
 
 FULL_DISK = """
