@@ -59,7 +59,8 @@ class _ForkServer:
 _lock: Final = threading.Lock()
 # By what they were given at their start, and the process that started them: a fork of it has its own.
 _servers: Final[dict[tuple[object, ...], _ForkServer]] = {}
-_known: Final[set[bytes]] = set()
+KNOWN: Final[set[bytes]] = set()
+"""What workers had to compile, see warm_code.learnt(), for the next ones."""
 
 
 def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection:
@@ -77,7 +78,7 @@ def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection
     """
     folder = str(Path.cwd())
     module = getattr(make_model, "__module__", "")
-    job = Job(packed(make_model), module, frozenset(_known), policy, folder)
+    job = Job(packed(make_model), module, frozenset(KNOWN), policy, folder)
     places = [place or folder for place in sys.path]
     environment = dict.fromkeys(_THREADS, "1") | as_for_fmus(os.environ)
     near, far = socket.socketpair()
@@ -89,15 +90,6 @@ def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection
             _servers[key].control.send(job)
             send_handle(_servers[key].control, far.fileno(), _servers[key].process.pid)
     return Connection(near.detach())
-
-
-def now_known(known: bytes) -> None:
-    """Remember what a worker had to compile, for the next ones.
-
-    Args:
-        known: From warm_code.learnt().
-    """
-    _known.add(known)
 
 
 def hang_up(connection: Connection) -> None:

@@ -13,6 +13,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import closing
+from math import inf
 from pathlib import Path
 from time import monotonic
 from typing import Final, Self
@@ -26,7 +27,7 @@ from simulation.pool.chunks import FailureCount, RowQueue
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, Facts, known_facts, packed
 from simulation.pool.messages import ChunkAnswer
-from simulation.pool.processes import CannotOpenError, Processes, ProcessLostError
+from simulation.pool.processes import Processes, ProcessLostError
 from simulation.pool.remote import RemoteModel
 from simulation.pool.worker import MAX_CHUNK_BYTES
 from simulation.trajectories import Trajectories
@@ -120,9 +121,7 @@ class PoolModel:
         if self._facts is None:
             try:
                 facts = self._submit(np.empty((0, 0)), 0.0).result()
-            except CannotOpenError as refused:
-                raise refused.args[0] from None
-            except KeyboardInterrupt:
+            except BaseException:
                 self.close()
                 raise
             assert isinstance(facts, Facts), "the answer to no rows"
@@ -262,9 +261,9 @@ class _Batch:
             return 2 * n
         if model._row_s is not None and model._n_answers >= _N_SURE:
             row_s = model._row_s
-        if processes.opened_at is not None:
-            spent_s = min(self._longest_s, monotonic() - processes.opened_at)
-            row_s = spent_s if spent_s > max(row_s, _SURELY_SLOW_S) else row_s
+        opened_s = monotonic() - max(list(processes.opened.values()), default=inf)
+        if (spent_s := min(self._longest_s, opened_s)) > max(row_s, _SURELY_SLOW_S):
+            row_s = spent_s
         n_now = max(1, processes.n, len(self.running))
         worth = n_now + int(self.queue.n_waiting * row_s / (n_now * START_PAYS_S))
         return min(n, worth, self._max_running or n)
@@ -274,19 +273,6 @@ class _Batch:
         model, (rows, _) = self._model, self.running.pop(future)
         try:
             answer = future.result()
-        except CannotOpenError as refused:
-            n_open = model._processes.n_open
-            if n_open == 0:
-                raise refused.args[0] from None
-            # Perhaps there are no more licences.
-            if self._max_running is None:
-                model._on_warning(
-                    f"only {n_open} of {model.n_workers} processes can open the model at once, which go on: "
-                    f"{refused}"
-                )
-            self._max_running = n_open
-            self.queue.put(rows)
-            return
         except (ProcessLostError, CancelledError, *getattr(model._executor, "lost", ())) as error:
             if model._executor is not None:
                 model._on_warning(
@@ -301,6 +287,19 @@ class _Batch:
                 return
             y = np.full((1, len(model.time), len(model.output_names)), np.nan)
             answer = ChunkAnswer(y, (f"the process that simulated it was lost {n_losses} times",), None)
+        except (InputError, RuntimeError) as refused:
+            n_open = len(model._processes.opened)
+            if n_open == 0:
+                raise
+            # Perhaps there are no more licences.
+            if self._max_running is None:
+                model._on_warning(
+                    f"only {n_open} of {model.n_workers} processes can open the model at once, which go on: "
+                    f"{refused}"
+                )
+            self._max_running = n_open
+            self.queue.put(rows)
+            return
         assert isinstance(answer, ChunkAnswer), "the answer to rows"
         done = rows[: len(answer.failures)]
         self.queue.put(rows[len(done) :])

@@ -11,7 +11,7 @@ from typing import Final
 from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, Facts
-from simulation.pool.fork_server import hang_up, now_known, spawn_supervisor
+from simulation.pool.fork_server import KNOWN, hang_up, spawn_supervisor
 from simulation.pool.messages import ChunkAnswer
 from simulation.pool.worker import Opened
 
@@ -23,15 +23,11 @@ class ProcessLostError(RuntimeError):
     """A process that supervises simulations was killed; what it was asked can be asked of another."""
 
 
-class CannotOpenError(Exception):
-    """A process cannot open the model, for the reason that is its argument."""
-
-
 class Processes:
     """Supervised processes that have a model open, as many as threads ask at a time.
 
     Attributes:
-        opened_at: When one of them last opened the model, on the monotonic clock; None for never. [s]
+        opened: Those that have the model open, and when they opened it, on the monotonic clock. [s]
     """
 
     def __init__(self, make_model: Factory, policy: ExecutionPolicy) -> None:
@@ -46,20 +42,15 @@ class Processes:
         self._lock = threading.Lock()
         self._is_ending = False
         self._all: list[Connection] = []
-        self._open: set[Connection] = set()
+        self.opened: dict[Connection, float] = {}
         self._idle: list[Connection] = []
-        self.opened_at: float | None = None
+        self._facts: Facts | None = None
         weakref.finalize(self, _close, self._all, getpid())
 
     @property
     def n(self) -> int:
         """How many there are."""
         return len(self._all)
-
-    @property
-    def n_open(self) -> int:
-        """How many have the model open."""
-        return len(self._open)
 
     def simulate(self, theta: FloatArray, budget_s: float) -> ChunkAnswer | Facts:
         """Have rows simulated.
@@ -72,29 +63,28 @@ class Processes:
             What became of them; where there are none, what the model looks like.
 
         Raises:
-            CannotOpenError: The model cannot be opened.
+            InputError: The model cannot be opened; a RuntimeError where that is a mistake in its code.
             ProcessLostError: The process was killed.
         """
         connection = self._taken()
         try:
             connection.send((theta, budget_s))
             while isinstance(message := connection.recv(), Opened):
-                self._open.add(connection)
-                self.opened_at = monotonic()
-                now_known(message.known)
+                self.opened[connection], self._facts = monotonic(), message.facts
+                KNOWN.add(message.known)
             if isinstance(message, Exception):
-                raise CannotOpenError(message)
+                raise message
         except Exception as error:
             with self._lock:
                 self._all.remove(connection)
-                self._open.discard(connection)
+                self.opened.pop(connection, None)
             _close([connection], getpid())
             if isinstance(error, EOFError | OSError):
                 raise ProcessLostError("killed") from None
             raise
         self._idle.append(connection)
-        answer: ChunkAnswer | Facts = message
-        return answer
+        answer: ChunkAnswer = message
+        return answer if len(theta) or self._facts is None else self._facts
 
     def _taken(self) -> Connection:
         with contextlib.suppress(IndexError):
@@ -120,7 +110,7 @@ class Processes:
         with self._lock:
             _close(self._all, getpid())
             self._idle.clear()
-            self._open.clear()
+            self.opened.clear()
             self._is_ending = False
 
 

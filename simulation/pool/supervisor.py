@@ -44,7 +44,7 @@ _MAX_IN_VAIN: Final = 5
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S: Final = 0.03
 _PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
-_MAX_LOG_BYTES: Final = 1_000_000
+_MAX_LOG_BYTES: Final = 10_000_000
 _MAX_SAID: Final = 300
 
 
@@ -52,8 +52,8 @@ def supervise(parent: Connection, job: Job) -> None:
     """Be a supervisor until the far end of a connection closes.
 
     Args:
-        parent: To the process that asks: theta and a time come, a ChunkAnswer goes (Facts for no rows).
-            Opened and lines for the user go before an answer; an exception is the last word.
+        parent: To the process that asks: theta and a time come, a ChunkAnswer goes. Opened goes before the
+            first answer; an exception is the last word.
         job: What to simulate.
     """
     adopt_orphans()
@@ -95,8 +95,7 @@ class _Worker:
 
 class _Supervisor:
     def __init__(self, parent: Connection, job: Job) -> None:
-        if job.folder is not None:
-            os.chdir(job.folder)
+        os.chdir(job.folder)
         self._parent = parent
         self._make_model: Factory = pickle.loads(job.make_model)
         self._policy = job.policy
@@ -117,11 +116,10 @@ class _Supervisor:
                 self._end(self._worker, 0.0)  # it ended by itself
             theta, budget_s = self._parent.recv()
             self._is_busy = True
-            opened = self._opened
-            if opened is None:
-                opened = self._open()
-                self._parent.send(opened)
-            self._parent.send(self._simulated(theta, monotonic() + budget_s) if len(theta) else opened.facts)
+            if self._opened is None:
+                self._open()
+                self._parent.send(self._opened)
+            self._parent.send(self._simulated(theta, monotonic() + budget_s))
 
     def close(self) -> None:
         """End the worker and all that it started, and remove what they wrote."""
@@ -131,15 +129,15 @@ class _Supervisor:
 
     # Workers
 
-    def _open(self) -> Opened:
-        """Have a worker with an open model."""
+    def _open(self) -> _Worker:
+        """Return a worker with an open model."""
         for pause_s in (*_PAUSES_S, None):
             worker = self._fork()
             answer = self._first_words(worker)
             if isinstance(answer, Opened):
                 self._opened = answer
                 self._rows.map(answer.facts)
-                return answer
+                return worker
             if pause_s is None:
                 raise answer
             if self._parent.poll(pause_s):
@@ -226,10 +224,7 @@ class _Supervisor:
         row, n_done, spent_s = 0, 0, 0.0
         tries: Counter[End] = Counter()
         while row < n and (row == 0 or tries or monotonic() < deadline):
-            if self._worker is None:
-                self._open()
-            worker = self._worker
-            assert worker is not None, "whoever opens the model is there"
+            worker = self._worker or self._open()
             left = (policy.max_rows_per_process or n + worker.n_rows) - worker.n_rows
             part = theta[row : row + min(left, self._rows.capacity)]
             failures[row : row + len(part)] = [""] * len(part)
@@ -261,17 +256,16 @@ class _Supervisor:
                 failures[row] = (f"{tries[end]} times: " if tries[end] > 1 else "") + how
                 row += 1
                 tries.clear()
-        if self._worker is not None:
-            log = self._worker.folder / LOG
-            if log.stat().st_size > _MAX_LOG_BYTES:
-                os.truncate(log, 0)
         return ChunkAnswer(y[:row], tuple(failures[:row]), spent_s / n_done if n_done else None)
 
     def _is_worn_out(self, worker: _Worker) -> bool:
         if worker.first_mb is None:
             worker.first_mb = worker.mb
-        has_grown = worker.mb - worker.first_mb > self._policy.max_growth_mb
-        return has_grown or worker.n_rows == self._policy.max_rows_per_process
+        return (
+            worker.mb - worker.first_mb > self._policy.max_growth_mb
+            or worker.n_rows == self._policy.max_rows_per_process
+            or (worker.folder / LOG).stat().st_size > _MAX_LOG_BYTES
+        )
 
     def _run(
         self, worker: _Worker, theta: FloatArray, deadline: float, failures: list[str], first: int

@@ -18,6 +18,7 @@ import pytest
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
+from simulation.pool.fork_server import end_fork_servers
 from simulation.pool.pool_model import PoolModel
 from simulation.toy import ToyRC
 
@@ -42,6 +43,7 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
     before = set(psutil.Process().children(recursive=True))
     with ThreadPoolExecutor(2) if request.param == "threads" else _spawning() as executor:
         yield executor
+    end_fork_servers()
     left = [
         process
         for process in set(psutil.Process().children(recursive=True)) - before
