@@ -6,7 +6,7 @@ import weakref
 from multiprocessing.connection import Connection
 from os import getpid
 from time import monotonic
-from typing import Final
+from typing import Any, Final
 
 from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
@@ -67,6 +67,7 @@ class Processes:
             ProcessLostError: The process was killed.
         """
         connection = self._taken()
+        message: Any = None
         try:
             connection.send((theta, budget_s))
             while isinstance(message := connection.recv(), Opened):
@@ -75,6 +76,7 @@ class Processes:
             if isinstance(message, Exception):
                 raise message
         except Exception as error:
+            message = None  # its traceback would keep itself, and these processes, alive
             with self._lock:
                 self._all.remove(connection)
                 self.opened.pop(connection, None)
