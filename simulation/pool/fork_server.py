@@ -71,7 +71,7 @@ def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection
         policy: What happens to rows that hang, crash or fail.
 
     Returns:
-        The connection to it, see `supervise`; it closes at once where the fork server has been killed.
+        The connection to it, see `supervise`; it closes at once where the fork server is killed meanwhile.
 
     Raises:
         RuntimeError: If no other process could read the factory.
@@ -84,11 +84,16 @@ def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection
     near, far = socket.socketpair()
     with _lock, far:
         key = os.getpid(), (*places,), frozenset(environment.items())
-        if key not in _servers or _servers[key].process.poll() is not None:
-            _servers[key] = _ForkServer(places, environment)
-        with contextlib.suppress(OSError):
-            _servers[key].control.send(job)
-            send_handle(_servers[key].control, far.fileno(), _servers[key].process.pid)
+        while True:
+            if key not in _servers or _servers[key].process.poll() is not None:
+                _servers[key] = _ForkServer(places, environment)
+            server = _servers[key]
+            try:
+                server.control.send(job)
+                send_handle(server.control, far.fileno(), server.process.pid)
+                break
+            except (BrokenPipeError, ConnectionResetError):
+                server.process.wait()  # it has just been killed
     return Connection(near.detach())
 
 
