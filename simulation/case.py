@@ -29,8 +29,8 @@ from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
+from simulation.pool.execution import ExecutionPolicy
 from simulation.scenario import Scenario
-from simulation.workers.execution import ExecutionPolicy
 
 _CHOSEN = ("relative_tolerance", "accepted", "warmup_theta", "parameter_factors", "parameter_offsets")
 """Settings that decide what a model answers; None is as usual."""

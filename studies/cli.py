@@ -20,7 +20,7 @@ from typing import Any, NoReturn, TextIO
 
 from simulation.errors import InputError, MachineError
 from simulation.foreign_text import escaped, shortened
-from simulation.workers.safe_start import start_safely
+from simulation.pool.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
 from studies.environment import check_surroundings, explain

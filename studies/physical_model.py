@@ -7,12 +7,12 @@ from typing import Any
 
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
+from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
+from simulation.pool.pool_model import PoolModel
 from simulation.states import StateSignals, watching_states
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.store.watched_model import StoredWatchedModel
-from simulation.workers.execution import CampaignStopped, ExecutionPolicy
-from simulation.workers.parallel import ParallelModel
 from studies.paths import ProjectPaths
 from studies.report.wording import count
 from studies.stages.pipeline import StageError, Study
@@ -57,7 +57,7 @@ def open_physical_model(
     ):
         try:
             yield StoredModel(model, store, retry_failed=study.retry_failed)
-        except CampaignStopped as stopped:
+        except TooManyFailuresError as stopped:
             raise StageError(f"{stopped}; the finished simulations are kept") from stopped
 
 
@@ -121,13 +121,14 @@ def _supervised(study: Study, case: Case, policy: ExecutionPolicy) -> Iterator[F
     """Open the model in processes of this machine, or of the cluster that was asked for."""
     warn = study.console.warn
     if study.dask is None:
-        with ParallelModel(case.make_model, study.n_jobs, policy=policy, on_warning=warn) as model:
+        with PoolModel(case.make_model, study.n_jobs, policy=policy, on_warning=warn) as model:
             yield model
         return
-    from simulation.workers.executors import ExecutorModel, dask_executor
+    # Dask takes a second to import.
+    from simulation.pool.dask_executor import DaskExecutor
 
     with (
-        dask_executor(study.dask) as executor,
-        ExecutorModel(case.make_model, executor, policy=policy, on_warning=warn) as cluster,
+        DaskExecutor(study.dask) as executor,
+        PoolModel(case.make_model, policy=policy, executor=executor, on_warning=warn) as cluster,
     ):
         yield cluster

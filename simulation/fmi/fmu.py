@@ -121,7 +121,7 @@ class FmuModel:
 
     One instance lives as long as the model and is started over between rows (a fresh one costs tens of times
     as much, and processes die after about a thousand). Not for use from several threads at once. The FMU's
-    code runs in this process, and takes it along when it crashes: ParallelModel keeps it in others.
+    code runs in this process, and takes it along when it crashes: PoolModel keeps it in others.
     """
 
     def __init__(self, settings: FmuSettings) -> None:

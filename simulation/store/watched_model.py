@@ -4,10 +4,10 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.forward_model import ForwardModel
+from simulation.pool.pool_model import PoolModel
 from simulation.states import StateRows, StateSignals, WatchedModel
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
-from simulation.workers.spooled_model import SpooledModel
 
 N_UNREAD = 2
 """Rows that fail with their states and not without before states are left alone: one may have bad luck."""
@@ -144,5 +144,5 @@ class StoredWatchedModel(StoredModel):
 
 def _end_processes(model: ForwardModel) -> None:
     """End what simulates for a model; work starts it again."""
-    if isinstance(model, SpooledModel):
+    if isinstance(model, PoolModel):
         model.close()

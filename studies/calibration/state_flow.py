@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from simulation.arrays import FloatArray, IntArray
+from simulation.pool.pool_model import available_cores
 from simulation.states import StateSignals
-from simulation.workers.parallel import available_cores
 from studies.calibration.state_terms import Sum
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.

@@ -34,7 +34,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from simulation.workers.parallel import available_cores
+    from simulation.pool.pool_model import available_cores
     from studies.commands.study import FAILED, OK
     from studies.paths import find_project
     from studies.reproduction import reproduce, show_reproduction

@@ -54,7 +54,7 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
         _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.case_reading import read_case_file
-    from simulation.workers.parallel import available_cores
+    from simulation.pool.pool_model import available_cores
     from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
 

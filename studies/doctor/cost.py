@@ -3,7 +3,7 @@
 import math
 
 from simulation.case import Case
-from simulation.workers.execution import SLOWER as SLOWER_THAN_ANY
+from simulation.pool.execution import SLOWER as SLOWER_THAN_ANY
 from studies.console import format_seconds
 from studies.doctor.finding import Finding
 from studies.doctor.patience import SLOWER

@@ -11,9 +11,9 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
+from simulation.pool.execution import ExecutionPolicy
+from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
-from simulation.workers.execution import ExecutionPolicy
-from simulation.workers.parallel import ParallelModel
 from studies.circumstances import RestartModel
 from studies.console import Console, format_seconds
 from studies.doctor.answers import (
@@ -105,7 +105,7 @@ def _simulated(surgery: Surgery, patience: Patience) -> Generator[list[Finding]]
     """Simulate, and judge what comes; ends early where the estimates fail."""
     case, base = surgery.case, base_point(surgery.case.parameter_space)
     policy, warn = _policy(case, patience.first_timeout_s), surgery.console.warn
-    with ParallelModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
+    with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
         try:
             nominal, patience.opening_s = _timed(alone, base)
             patience.simulation_s = patience.opening_s
@@ -135,7 +135,7 @@ def _restart(case: Case, patience: Patience, later: Trajectories, other: FloatAr
     """Ask a row as the first of a process that was answered after others in another."""
     model = RestartModel(case.settings, later.theta[0], other)
     policy = _policy(case, patience.with_opening(patience.first_timeout_s))
-    with ParallelModel(model.open, 1, policy=policy) as alone:
+    with PoolModel(model.open, 1, policy=policy) as alone:
         answer = alone.simulate(np.zeros((1, 1)))
     first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
     found = look_at_restart(answer)
@@ -202,7 +202,7 @@ def _elsewhere(
     case, names = surgery.case, surgery.case.scenario.input_names
     model = circumstances(case, surgery.halved, estimates.theta)
     policy = _policy(case, patience.with_opening(patience.row_timeout_s))
-    with ParallelModel(model.open, min(surgery.n_workers, 2 + len(names)), policy=policy) as elsewhere:
+    with PoolModel(model.open, min(surgery.n_workers, 2 + len(names)), policy=policy) as elsewhere:
         n = patience.rows("another process, half the step, other inputs", 3 + len(names), 3)
         if not n:
             return []

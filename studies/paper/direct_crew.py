@@ -15,13 +15,14 @@ from simulation.fmi.fmu import FmuModel
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
-from simulation.workers.held_interrupts import ignore_interrupts, interrupts_masked
-from simulation.workers.parallel import ParallelModel, exit_with_parent
-from simulation.workers.recipe import Recipe
+from simulation.pool.factory import Factory
+from simulation.pool.family import end_with_parent
+from simulation.pool.pool_model import PoolModel
 from studies.paper.direct_journal import Journal
 from studies.paper.direct_kept import KeptStarts
 from studies.paper.direct_optimizers import StartResult, StartStoppedError, minimize_from
 from studies.paper.direct_row import DirectRow
+from studies.paper.interrupts import ignore_interrupts, interrupts_masked
 from studies.stages.pipeline import StageError
 
 LOOK_EVERY = 50
@@ -36,13 +37,13 @@ class Task:
     """What worker processes need; plain data.
 
     Attributes:
-        make_model: Recipe for the model.
+        make_model: Factory of the model.
         measurement: What it is compared with.
         row: The row.
         journal: Where a single long start keeps its answers; None for no journal.
     """
 
-    make_model: Recipe
+    make_model: Factory
     measurement: Measurement
     row: DirectRow
     journal: Path | None
@@ -105,7 +106,7 @@ class _Worker:
         except NeedsFreshProcess:
             if isinstance(self._model, FmuModel):
                 self._model.close()
-            self._model = ParallelModel(self.task.make_model, 1)
+            self._model = PoolModel(self.task.make_model, 1)
             return self._minimize(theta0)
 
     def _minimize(self, theta0: FloatArray) -> StartResult:
@@ -130,7 +131,7 @@ def _begin(task: Task, stop: Event) -> None:
     """Open the model in a new worker process."""
     global _worker
     ignore_interrupts()
-    exit_with_parent()
+    end_with_parent()
     _worker = _Worker(task, stop)
 
 

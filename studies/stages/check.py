@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simulation.case import load_case
-from simulation.workers.execution import ExecutionPolicy
+from simulation.pool.execution import ExecutionPolicy
 from studies.doctor import Diagnosis, Finding, examine
 from studies.doctor.examination import Surgery
 from studies.doctor.keeping import KeepingModel

@@ -11,7 +11,7 @@ from contextlib import suppress
 from urllib.parse import quote, urlencode
 
 from simulation.errors import InputError, MachineError
-from simulation.workers.family import end_with_parent
+from simulation.pool.family import end_with_parent
 from studies.console import Console
 from studies.interrupts import interrupt_heeded
 from studies.paths import ProjectPaths

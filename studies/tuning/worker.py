@@ -22,7 +22,7 @@ from optuna.trial import FrozenTrial, TrialState
 from pelsvae.device import resolve_device
 from pelsvae.epochs import EpochReport
 from simulation.errors import InputError
-from simulation.workers.family import end_with_parent
+from simulation.pool.family import end_with_parent
 from studies.paths import ProjectPaths, find_project
 from studies.recipe import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested

@@ -22,7 +22,7 @@ sys.path[:0] = [str(ROOT)]
 from simulation.case import Case, load_case  # noqa: E402
 from simulation.design import uniform_design  # noqa: E402
 from simulation.errors import InputError  # noqa: E402
-from simulation.workers.parallel import ParallelModel  # noqa: E402
+from simulation.pool.pool_model import PoolModel  # noqa: E402
 from studies.embedded import EMBEDDED, case_files  # noqa: E402
 
 FILE = ROOT / "data" / "benchmarks" / "golden_results.json"
@@ -35,7 +35,7 @@ def rows_of(case: Case, n_rows: int) -> dict[str, str]:
     theta = uniform_design(case.parameter_space, n_rows, seed=0)
     with case.make_model() as alone:
         answer = alone.simulate(theta)
-    with ParallelModel(case.make_model, 2) as shared:
+    with PoolModel(case.make_model, 2) as shared:
         in_two = shared.simulate(theta)
     return {
         "case": case.digest,

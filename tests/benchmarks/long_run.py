@@ -20,7 +20,7 @@ from made_up_recording import write_csv_files  # noqa: E402
 
 from simulation.case import load_case  # noqa: E402
 from simulation.design import uniform_design  # noqa: E402
-from simulation.workers.parallel import ParallelModel  # noqa: E402
+from simulation.pool.pool_model import PoolModel  # noqa: E402
 
 GROWTH = 0.05
 N_PARTS = 10
@@ -49,7 +49,7 @@ def ran(n_rows: int, n_workers: int, batch: int) -> bool:
         case = load_case(folder / "fmus" / "office" / "case.toml")
         theta = uniform_design(case.parameter_space, batch, seed=1)
         seen: list[tuple[float, int, int]] = []
-        with ParallelModel(case.make_model, n_workers) as model:
+        with PoolModel(case.make_model, n_workers) as model:
             first, began, done = model.simulate(theta), time.monotonic(), 0
             while done < n_rows:
                 answer = model.simulate(theta)

@@ -25,8 +25,8 @@ from simulation.case import load_case  # noqa: E402
 from simulation.case_reading import read_case_file  # noqa: E402
 from simulation.fmi.fmu import FmuModel, FmuSettings  # noqa: E402
 from simulation.parameters import Parameter, ParameterSpace  # noqa: E402
+from simulation.pool.pool_model import PoolModel  # noqa: E402
 from simulation.scenario import Scenario  # noqa: E402
-from simulation.workers.parallel import ParallelModel  # noqa: E402
 
 FUNCTIONS = ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "DoStep")
 N_FMPY = 4
@@ -225,7 +225,7 @@ def on_all_cores(settings: FmuSettings) -> dict[str, object]:
     """Many rows in one process and in all of them, by the clock."""
     rng = np.random.default_rng(0)
     large = settings.parameter_space.from_unit(rng.random((20_000, settings.parameter_space.n_parameters)))
-    with FmuModel(settings) as model, ParallelModel(settings.open) as parallel:
+    with FmuModel(settings) as model, PoolModel(settings.open) as parallel:
         parallel.simulate(large[: 100 * parallel.n_workers])
         model.simulate(large[:100])
         alone_s, together_s = [], []

@@ -21,8 +21,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from simulation.case import load_case  # noqa: E402
-from simulation.workers.execution import ExecutionPolicy  # noqa: E402
-from simulation.workers.parallel import ParallelModel  # noqa: E402
+from simulation.pool.execution import ExecutionPolicy  # noqa: E402
+from simulation.pool.pool_model import PoolModel  # noqa: E402
 
 FOLDER = ROOT / "fmus" / "office"
 
@@ -87,8 +87,8 @@ def main() -> None:
     result: dict[str, object] = {"rows": n_rows, "rounds": rounds, "load_before": os.getloadavg()[0]}
     with (
         case.open_model() as here,
-        ParallelModel(case.make_model, 1) as one,
-        ParallelModel(case.make_model, 2) as two,
+        PoolModel(case.make_model, 1) as one,
+        PoolModel(case.make_model, 2) as two,
     ):
         result["first_row_s"] = timed(lambda: one.simulate(rows[:1]))
         models = {"here": here, "one": one, "two": two}
@@ -115,7 +115,7 @@ def main() -> None:
         single = [timed(lambda: here.simulate(rows[:1])) for _ in range(200)]
         result["single_call_here_us"] = round(statistics.median(single) * 1e6)
     result["ceiling"] = [round(value, 3) for value in ceilings(rows, rounds)]
-    with ParallelModel(case.make_model, 1, policy=ExecutionPolicy(max_rows_per_process=1)) as model:
+    with PoolModel(case.make_model, 1, policy=ExecutionPolicy(max_rows_per_process=1)) as model:
         model.simulate(rows[:3])
         result["fresh_process_and_row_s"] = round(
             min(timed(lambda: model.simulate(rows[:1])) for _ in range(5)), 3

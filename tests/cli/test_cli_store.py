@@ -68,7 +68,7 @@ def test_failed_simulations_are_asked_again_on_request_alone(project: Path, stud
     assert (after["_failure"] != "").sum() == (after["_id"] > before["_id"].max()).sum() == n_failed
 
 
-def test_a_campaign_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
+def test_a_batch_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     project: Path, studies: Run
 ) -> None:
     accept(project, 21.4, 23.6)
@@ -84,6 +84,7 @@ def test_a_campaign_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     assert "the finished simulations are kept" in line
     assert "Traceback" not in answer.err
     assert answer.document["error"] in line
+    assert len(rows_of(project)) >= 20
 
 
 @pytest.mark.parametrize("size", [200, 40_000])

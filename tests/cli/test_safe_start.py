@@ -10,7 +10,7 @@ import psutil
 import pytest
 from project_for_tests import REPOSITORY
 
-from simulation.workers.safe_start import as_for_fmus, start_safely
+from simulation.pool.safe_start import as_for_fmus, start_safely
 
 HOSTILE = ("mlflow", "multiprocessing", "numpy", "pickle", "random", "signal", "socket", "uvicorn")
 LIMIT_S = 120.0

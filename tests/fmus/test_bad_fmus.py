@@ -1,4 +1,4 @@
-"""Campaigns of 1,000 rows over FMUs that misbehave: exactly the bad rows fail, and nothing is left behind."""
+"""Batches of 1,000 rows over FMUs that misbehave: exactly the bad rows fail, and nothing is left behind."""
 
 import os
 import re
@@ -29,10 +29,10 @@ from bad_fmus import (
 from simulation.errors import InputError
 from simulation.fmi.fmu import FmuModel, FmuSettings
 from simulation.parameters import Parameter, ParameterSpace
+from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
+from simulation.pool.fork_server import end_fork_servers
+from simulation.pool.pool_model import PoolModel
 from simulation.scenario import Scenario
-from simulation.workers.execution import CampaignStopped, ExecutionPolicy
-from simulation.workers.nursery_process import end_resting
-from simulation.workers.parallel import ParallelModel
 
 N = 1000
 # Early, late, side by side and at both ends of a run of rows.
@@ -70,7 +70,7 @@ def bad_fmu(tmp_path_factory):
 
 @pytest.fixture
 def trace(tmp_path, monkeypatch):
-    """Folders of its own for all that a campaign may leave behind; checks that it leaves nothing."""
+    """Folders of its own for all that a batch may leave behind; checks that it leaves nothing."""
     temporary, working = tmp_path / "temporary", tmp_path / "working"
     temporary.mkdir()
     working.mkdir()
@@ -82,8 +82,8 @@ def trace(tmp_path, monkeypatch):
     yield tmp_path / "count.csv"
     assert list(temporary.iterdir()) == []
     assert list(working.iterdir()) == []
-    # Nothing but the process that waits for the next campaign; a zombie is a child as well.
-    end_resting()
+    # Nothing but the fork server; a zombie is a child as well.
+    end_fork_servers()
     left = [c for c in psutil.Process().children(recursive=True) if c.pid not in before]
     # A database server of other tests starts processes when it likes.
     assert [c for c in left if "postgres" not in str(c)] == []
@@ -100,8 +100,8 @@ def settings_of(fmu):
     )
 
 
-def campaign(fmu, theta, *, n_workers=2, **policy):
-    model = ParallelModel(settings_of(fmu).open, n_workers, policy=ExecutionPolicy(**policy))
+def simulated(fmu, theta, *, n_workers=2, **policy):
+    model = PoolModel(settings_of(fmu).open, n_workers, policy=ExecutionPolicy(**policy))
     with model:
         return model.simulate(theta)
 
@@ -109,7 +109,7 @@ def campaign(fmu, theta, *, n_workers=2, **policy):
 @pytest.mark.parametrize("behaviour", SOMETIMES)
 def test_exactly_the_bad_rows_fail_and_say_why(behaviour, bad_fmu, trace):
     theta = make_theta(N, BAD_ROWS)
-    answer = campaign(bad_fmu(behaviour), theta, timeout_s=TIMEOUT_S if behaviour == "HANG" else None)
+    answer = simulated(bad_fmu(behaviour), theta, timeout_s=TIMEOUT_S if behaviour == "HANG" else None)
     assert np.flatnonzero(answer.failed).tolist() == BAD_ROWS
     np.testing.assert_array_equal(answer.theta, theta)
     good = ~answer.failed
@@ -123,7 +123,7 @@ def test_exactly_the_bad_rows_fail_and_say_why(behaviour, bad_fmu, trace):
 @pytest.mark.parametrize("behaviour", ["LEAK", "STICKY", "NO_RESET", "PRINTS", "WRITES"])
 def test_what_is_always_bad_falsifies_no_row(behaviour, bad_fmu, trace, capfd):
     theta = make_theta(N, BAD_ROWS)
-    answer = campaign(bad_fmu(behaviour), theta, max_growth_mb=100.0)
+    answer = simulated(bad_fmu(behaviour), theta, max_growth_mb=100.0)
     assert not answer.failed.any()
     np.testing.assert_allclose(answer.y[:, :, 0], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
     assert capfd.readouterr() == ("", "")
@@ -131,7 +131,7 @@ def test_what_is_always_bad_falsifies_no_row(behaviour, bad_fmu, trace, capfd):
 
 def test_good_rows_are_simulated_once(bad_fmu, trace):
     theta = make_theta(N, [])
-    assert not campaign(bad_fmu("GOOD"), theta, n_workers=1).failed.any()
+    assert not simulated(bad_fmu("GOOD"), theta, n_workers=1).failed.any()
     times = counted(trace)
     assert set(times) == {tuple(row) for row in theta}
     # Once in each process a row is repeated, to see whether a reset is one.
@@ -140,7 +140,7 @@ def test_good_rows_are_simulated_once(bad_fmu, trace):
 
 def test_a_row_that_crashes_is_tried_as_often_as_the_policy_says(bad_fmu, trace):
     theta = make_theta(100, [3, 50])
-    answer = campaign(bad_fmu("CRASH"), theta, n_workers=1, retries=2)
+    answer = simulated(bad_fmu("CRASH"), theta, n_workers=1, retries=2)
     assert np.flatnonzero(answer.failed).tolist() == [3, 50]
     times = counted(trace)
     assert [times[tuple(theta[row])] for row in (3, 50)] == [3, 3]
@@ -161,7 +161,7 @@ def has_loaded(process):
 def test_a_leak_costs_processes_and_not_the_machine(bad_fmu, trace):
     theta = make_theta(300, [])
     policy = ExecutionPolicy(max_growth_mb=50.0)
-    with ParallelModel(settings_of(bad_fmu("LEAK")).open, 1, policy=policy) as model:
+    with PoolModel(settings_of(bad_fmu("LEAK")).open, 1, policy=policy) as model:
         seen = []
         for start in range(0, len(theta), 10):
             model.simulate(theta[start : start + 10])
@@ -176,30 +176,30 @@ def test_a_leak_costs_processes_and_not_the_machine(bad_fmu, trace):
 
 def test_a_missing_licence_is_one_line_with_the_message(bad_fmu, trace):
     with pytest.raises(InputError, match="no licence for feature ROOM_RUNTIME") as caught:
-        campaign(bad_fmu("LICENCE"), make_theta(N, []))
+        simulated(bad_fmu("LICENCE"), make_theta(N, []))
     assert "\n" not in str(caught.value)
 
 
-def test_a_campaign_of_bad_rows_stops_and_says_why(bad_fmu, trace):
+def test_a_batch_of_bad_rows_stops_and_says_why(bad_fmu, trace):
     # Many rows: a thousand can be over before anybody has looked.
     n = 20 * N
     theta = make_theta(n, list(range(100, n)))
-    with pytest.raises(CampaignStopped, match="the valve is stuck") as caught:
-        campaign(bad_fmu("ERROR"), theta)
+    with pytest.raises(TooManyFailuresError, match="the valve is stuck") as caught:
+        simulated(bad_fmu("ERROR"), theta)
     assert "\n" not in str(caught.value)
     assert sum(counted(trace).values()) < n / 2
 
 
 def test_an_archive_that_leads_outside_is_refused(bad_fmu, trace, tmp_path):
     with pytest.raises(InputError, match=r"escaped\.txt") as caught:
-        campaign(bad_fmu("ZIP_SLIP"), make_theta(3, []))
+        simulated(bad_fmu("ZIP_SLIP"), make_theta(3, []))
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.rglob("escaped.txt"))
 
 
 def test_an_fmu_that_keeps_its_first_parameters_gets_a_process_for_each_row(bad_fmu, trace):
     theta = make_theta(20, [])
-    answer = campaign(bad_fmu("FROZEN"), theta)
+    answer = simulated(bad_fmu("FROZEN"), theta)
     assert not answer.failed.any()
     np.testing.assert_allclose(answer.y[:, :, 0], closed_form(theta, TIME), rtol=0, atol=EXACT_K)
 
@@ -216,7 +216,7 @@ def test_an_fmu_that_says_kelvin_and_gives_degrees_answers_what_it_answers(bad_f
 def test_an_fmu_that_hangs_when_it_is_opened_takes_its_time_out(behaviour, bad_fmu, trace):
     began = time.monotonic()
     with pytest.raises(InputError, match=r"did not open within 0\.5 s and was stopped; raise simulation"):
-        campaign(bad_fmu(behaviour), make_theta(3, []), timeout_s=TIMEOUT_S, opening_s=TIMEOUT_S)
+        simulated(bad_fmu(behaviour), make_theta(3, []), timeout_s=TIMEOUT_S, opening_s=TIMEOUT_S)
     assert time.monotonic() - began < 15.0, "0.5 s, and the start of a process on a busy machine"
 
 
@@ -225,10 +225,10 @@ def daemons():
     return [one.pid for one in psutil.process_iter(["cmdline"]) if one.info["cmdline"] == ["a-daemon", "987"]]
 
 
-@pytest.mark.parametrize("end", ["close", "killed worker", "killed nursery"])
+@pytest.mark.parametrize("end", ["close", "killed worker", "killed supervisor"])
 def test_a_daemon_that_an_fmu_starts_ends_with_its_process(end, bad_fmu, trace):
     fmu, before = bad_fmu("DAEMON"), daemons()
-    with ParallelModel(settings_of(fmu).open, 2) as model:
+    with PoolModel(settings_of(fmu).open, 2) as model:
         assert not model.simulate(make_theta(20, [])).failed.any()
         (worker,) = [one for one in psutil.Process().children(recursive=True) if has_loaded(one)]
         assert len(daemons()) > len(before), "each instance starts one"

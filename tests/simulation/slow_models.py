@@ -69,9 +69,10 @@ class OnceCrashingToy(CrashingToy):
 @dataclass(frozen=True, eq=False)
 class ExitingToy(SlowToy):
     row_s: float = 0.0
+    exit_code: int = 3
 
     def misbehave(self, theta: np.ndarray) -> None:
-        os._exit(3)
+        os._exit(self.exit_code)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import pytest
 
 from simulation.case import Case, load_case
 from simulation.errors import InputError
-from simulation.workers.parallel import ParallelModel
+from simulation.pool.pool_model import PoolModel
 
 
 def test_a_case_holds_what_its_file_says(decay_case: Path):
@@ -198,7 +198,7 @@ def test_the_office_is_the_same_reused_fresh_and_spread_over_processes(office: C
     for index in (0, 15):
         with office.open_model() as model:
             assert model.simulate(rows[[index]]).digest == reused.take([index]).digest
-    with ParallelModel(office.make_model, 2) as parallel:
+    with PoolModel(office.make_model, 2) as parallel:
         assert parallel.simulate(rows).digest == reused.digest
         assert parallel.simulate(rows).digest == reused.digest
 

@@ -10,7 +10,7 @@ import pytest
 from simulation.case import load_case
 from simulation.case_parts import with_units
 from simulation.errors import InputError
-from simulation.workers.execution import ExecutionPolicy
+from simulation.pool.execution import ExecutionPolicy
 
 DAY = 86400
 

@@ -10,10 +10,10 @@ from toys_for_tests import IshigamiToy, ProductToy
 from simulation.case import load_case
 from simulation.counting import CountingModel
 from simulation.forward_model import ForwardModel
+from simulation.pool.pool_model import PoolModel
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
-from simulation.workers.parallel import ParallelModel
 
 MODELS = [
     "toy-rc",
@@ -34,7 +34,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     if name.startswith("fmu"):
         case: Path = request.getfixturevalue("shared_decay_case")
         make_model = load_case(case).make_model
-        with make_model() if name == "fmu" else ParallelModel(make_model, 2) as model:
+        with make_model() if name == "fmu" else PoolModel(make_model, 2) as model:
             yield model
     elif name == "stored":
         toy = ToyRC()
@@ -47,7 +47,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         ) as store:
             yield StoredModel(toy, store)
     elif name == "parallel":
-        with ParallelModel(ToyRC, 2) as model:
+        with PoolModel(ToyRC, 2) as model:
             yield model
     else:
         yield {

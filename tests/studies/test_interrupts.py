@@ -135,23 +135,6 @@ except KeyboardInterrupt:
     assert said_by(script) == ["tidied up", "heard"]
 
 
-def test_who_holds_ctrl_c_back_holds_the_second_one_too() -> None:
-    script = """
-from simulation.workers.held_interrupts import interrupts_held
-
-try:
-    with interrupts_kept():
-        Drops()
-        with interrupts_held() as release:
-            work(0.6)
-            print("made whole")
-            release()
-except KeyboardInterrupt:
-    print("heard")
-"""
-    assert said_by(script) == ["dropped", "made whole", "heard"]
-
-
 def test_one_that_is_heeded_is_over() -> None:
     script = """
 with interrupts_kept():

@@ -1,4 +1,4 @@
-"""How patiently a campaign of simulations is run: time-outs, retries, when to stop, how many at once."""
+"""How patiently simulations are run: time-outs, retries, when to stop, how many at once."""
 
 import math
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ MIN_ROWS, DEVIATIONS = 20, 2.0
 """Below so many rows a share of failed ones says nothing, and so many standard deviations are bad luck."""
 
 
-class CampaignStopped(InputError):  # noqa: N818 - the end of a campaign is an event
-    """So many rows failed that going on would waste simulations; the finished ones are kept in the spool."""
+class TooManyFailuresError(InputError):
+    """So many rows failed that going on would waste simulations; the finished ones have been handed over."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class ExecutionPolicy:
             time-out, what opens a model beside that, as compiling its loop, has a minute. [s]
         retries: How often a row whose process died is tried again.
         timeout_retries: How often a row that was killed at its time-out is tried again.
-        max_failed_share: Share of failed rows above which a campaign stops and says why, once `MIN_ROWS` rows
+        max_failed_share: Share of failed rows above which a batch stops and says why, once `MIN_ROWS` rows
             have finished and it is no bad luck (`DEVIATIONS`); 1 for never. [1]
         max_workers: Most processes at once, for instance as many as there are licences; None for no limit.
         max_growth_mb: A process that has taken this much more memory than after its first row is replaced

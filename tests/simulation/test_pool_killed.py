@@ -19,18 +19,19 @@ from simulation.trajectories import Trajectories
 
 HERE = Path(__file__).parent
 N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
-# A campaign gives up where nobody gets to a row again and again: so many deaths in a row at most.
+# A row fails whose process is lost again and again: so many deaths in a row at most.
 N_DEATHS = 3
+# A chunk of 0.03 s, and one row more.
+N_CHUNK = 5
 
-# A master with the smallest store there can be: a file per block, and what it holds at each start.
+# A master with the smallest store there can be: a file per chunk, and what it holds at each start.
 MASTER = """
 import pickle, sys
 from pathlib import Path
 sys.path[:0] = {places!r}
 import numpy as np
 from simulation.whole_file import whole_file
-from simulation.workers.arena import recover_arenas
-from simulation.workers.parallel import ParallelModel
+from simulation.pool.pool_model import PoolModel
 from slow_models import SlowToy
 
 folder = Path({folder!r})
@@ -38,13 +39,11 @@ folder = Path({folder!r})
 def keys(theta):
     return [row.tobytes().hex() for row in theta]
 
-def store(block):
-    with whole_file(folder / f"block-{{len(list(folder.glob('block-*'))):05d}}") as file:
-        pickle.dump(block, file)
+def store(chunk):
+    with whole_file(folder / f"chunk-{{len(list(folder.glob('chunk-*'))):05d}}") as file:
+        pickle.dump(chunk, file)
 
-for block in recover_arenas(folder / "spool"):
-    store(block)
-stored = [key for file in folder.glob("block-*") for key in keys(pickle.loads(file.read_bytes()).theta)]
+stored = [key for file in folder.glob("chunk-*") for key in keys(pickle.loads(file.read_bytes()).theta)]
 start = len(list(folder.glob("start-*")))
 begun = (folder / "begun").stat().st_size if (folder / "begun").exists() else 0
 (folder / f"start-{{start:03d}}").write_text(" ".join([str(begun), *stored]))
@@ -52,9 +51,12 @@ rows = np.load(folder / "rows.npy")
 rows = rows[[key not in set(stored) for key in keys(rows)]]
 reported = folder / f"reported-{{start:03d}}"
 toy = SlowToy(row_s=0.008, begun=folder / "begun")
-with ParallelModel(toy.open, {n_workers}, spool=folder / "spool") as model:
-    for block in model.stream(rows, on_progress=lambda n: reported.write_text(str(len(stored) + n))):
-        store(block)
+n_done = len(stored)
+with PoolModel(toy.open, {n_workers}) as model:
+    for _, chunk in model.as_finished(rows):
+        store(chunk)
+        n_done += chunk.n
+        reported.write_text(str(n_done))
 print("finished")
 """
 
@@ -98,7 +100,7 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
             n_deaths = n_deaths if progress == before else 0
             children = psutil.Process(master.pid).children(recursive=True) if master.poll() is None else []
             family.update(children)
-            # Three of four moments hit a worker, or the process that all workers are forked from.
+            # Three of four moments hit a worker, or the processes that they are forked from.
             whom = "worker" if children and chance.random() < 0.75 else "master"
             victim = chance.choice(children).pid if whom == "worker" else master.pid
             try:
@@ -124,7 +126,6 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path):
     _check_counts(tmp_path, rows, sum(n_kills.values()))
     assert not psutil.wait_procs(family, timeout=5)[1]
     assert not [file for file in temporary.iterdir() if not _is_of_a_moment(file)]
-    assert not list((tmp_path / "spool").iterdir())
 
 
 def _is_of_a_moment(path: Path) -> bool:
@@ -139,7 +140,7 @@ def _is_of_a_moment(path: Path) -> bool:
 
 
 def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
-    blocks = [pickle.loads(file.read_bytes()) for file in sorted(folder.glob("block-*"))]
+    blocks = [pickle.loads(file.read_bytes()) for file in sorted(folder.glob("chunk-*"))]
     answer = Trajectories.concatenate(blocks)
     keys = [row.tobytes().hex() for row in answer.theta]
     assert len(keys) == len(set(keys)) == len(rows), "every row is stored, and once"
@@ -159,4 +160,4 @@ def _check_counts(folder: Path, rows: np.ndarray, n_kills: int) -> None:
         n_bytes, *stored = start.read_text().split()
         assert not set(begun[int(n_bytes) :].decode().split()) & set(stored)
     n_begun = len(begun.split())
-    assert len(rows) <= n_begun <= len(rows) + n_kills * N_WORKERS
+    assert len(rows) <= n_begun <= len(rows) + n_kills * N_WORKERS * N_CHUNK

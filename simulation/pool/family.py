@@ -1,0 +1,65 @@
+"""Processes that end with others: what an FMU starts with its process, a server with its command."""
+
+import contextlib
+import ctypes
+import os
+import signal
+import traceback
+from collections.abc import Callable, Collection
+
+import psutil
+
+_SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36  # of prctl(2)
+
+
+def adopt_orphans() -> None:
+    """Become the parent of all that descends from this process and whose own parent has ended.
+
+    A daemon leaves its session, its group and its parent; it cannot leave this.
+    """
+    ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_with_parent(by: signal.Signals = signal.SIGTERM) -> None:
+    """Have the system end this process when the thread that started it ends.
+
+    Args:
+        by: The signal.
+    """
+    ctypes.CDLL(None).prctl(_SET_PDEATHSIG, by, 0, 0, 0)
+
+
+def kill_descendants(*, but: Collection[int] = ()) -> None:
+    """Kill what descends from this process, which has adopted orphans, until nothing new turns up.
+
+    Args:
+        but: Children that stay, with all that they started.
+    """
+    me = psutil.Process()
+    with contextlib.suppress(PermissionError):  # it runs as another user by now
+        while pids := [one.pid for one in me.children() if one.pid not in but]:
+            for pid in pids:
+                os.kill(pid, signal.SIGKILL)
+                # What it had started is a child of this process from now on.
+                os.waitpid(pid, 0)
+
+
+def in_a_fork(function: Callable[[], object]) -> int:
+    """Call a function in a fork of this process, which ends with it.
+
+    Args:
+        function: The function.
+
+    Returns:
+        The id of the fork.
+    """
+    if pid := os.fork():
+        return pid
+    code = 70
+    try:
+        function()
+        code = 0
+    except Exception:
+        traceback.print_exc()
+    finally:
+        os._exit(code)

@@ -1,0 +1,165 @@
+"""The process that supervisors are forked from: its imports take a second, and happen once.
+
+It imports modules of this package alone: what a user may change between two models, supervisors import.
+"""
+
+import atexit
+import contextlib
+import importlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import recv_handle, send_handle
+from pathlib import Path
+from time import monotonic
+from typing import Final
+
+from simulation.pool.execution import ExecutionPolicy
+from simulation.pool.factory import Factory, packed
+from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
+from simulation.pool.messages import Job
+from simulation.pool.safe_start import as_for_fmus
+from simulation.pool.supervisor import no_process, supervise
+from simulation.pool.warm_code import ROOM, remember
+
+# Rows are spread over processes: threads below that would only get into each other's way.
+_THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_TICK_S: Final = 1.0
+# Without supervisors it ends after this time.
+_PATIENCE_S: Final = 60.0
+_ENDING_S: Final = 60.0
+# What `python -c` runs, given a descriptor and sys.path.
+_BOOTSTRAP: Final = (
+    "import sys; sys.path[:] = sys.argv[2:]; "
+    "from simulation.pool.fork_server import main; main(int(sys.argv[1]))"
+)
+
+
+class _ForkServer:
+    """The near end."""
+
+    def __init__(self, places: list[str], environment: dict[str, str]) -> None:
+        near, far = socket.socketpair()
+        with far:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _BOOTSTRAP, str(far.fileno()), *places],
+                stdin=subprocess.DEVNULL,
+                pass_fds=[far.fileno()],
+                env=environment,
+                # Ctrl-C reaches only the process that decides what it means.
+                start_new_session=True,
+            )
+        self.control = Connection(near.detach())
+
+
+_lock: Final = threading.Lock()
+# By what they were given at their start, and the process that started them: a fork of it has its own.
+_servers: Final[dict[tuple[object, ...], _ForkServer]] = {}
+KNOWN: Final[set[bytes]] = set()
+"""What workers had to compile, see warm_code.learnt(), for the next ones."""
+
+
+def spawn_supervisor(make_model: Factory, policy: ExecutionPolicy) -> Connection:
+    """Start a supervisor in surroundings like those of this process.
+
+    Args:
+        make_model: The factory of its model.
+        policy: What happens to rows that hang, crash or fail.
+
+    Returns:
+        The connection to it, see `supervise`; it closes at once where the fork server is killed meanwhile.
+
+    Raises:
+        RuntimeError: If no other process could read the factory.
+    """
+    folder = str(Path.cwd())
+    module = getattr(make_model, "__module__", "")
+    job = Job(packed(make_model), module, frozenset(KNOWN), policy, folder)
+    places = [place or folder for place in sys.path]
+    environment = dict.fromkeys(_THREADS, "1") | as_for_fmus(os.environ)
+    near, far = socket.socketpair()
+    with _lock, far:
+        key = os.getpid(), (*places,), frozenset(environment.items())
+        while True:
+            if key not in _servers or _servers[key].process.poll() is not None:
+                _servers[key] = _ForkServer(places, environment)
+            server = _servers[key]
+            try:
+                server.control.send(job)
+                send_handle(server.control, far.fileno(), server.process.pid)
+                break
+            except (BrokenPipeError, ConnectionResetError):
+                server.process.wait()  # it has just been killed
+    return Connection(near.detach())
+
+
+def hang_up(connection: Connection) -> None:
+    """Have the far end of a connection read its end; forks of this process may hold the connection, too.
+
+    Args:
+        connection: The connection, which stays open here.
+    """
+    with contextlib.suppress(OSError), socket.socket(fileno=os.dup(connection.fileno())) as near:
+        near.shutdown(socket.SHUT_WR)
+
+
+@atexit.register
+def end_fork_servers() -> None:
+    """End what supervisors are forked from, and wait for those that exist; the next one starts another."""
+    with _lock:
+        for key in [key for key in _servers if os.getpid() in key]:
+            server = _servers.pop(key)
+            hang_up(server.control)
+            server.process.wait(_ENDING_S)
+            server.control.close()
+
+
+def main(descriptor: int) -> None:
+    """Be the fork server at the far end of a connection, until that closes or nobody needs it for long.
+
+    Args:
+        descriptor: The connection's file descriptor.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    adopt_orphans()
+    os.set_inheritable(descriptor, False)
+    control, worked = Connection(descriptor), monotonic()
+    supervisors: set[int] = set()
+    while supervisors or not (control.closed or monotonic() - worked > _PATIENCE_S):
+        if wait([] if control.closed else [control], _TICK_S):
+            try:
+                supervisors.add(_spawned(control))
+            except (EOFError, OSError):
+                control.close()
+            worked = monotonic()
+        ended = {pid for pid in supervisors if os.waitpid(pid, os.WNOHANG)[0]}
+        supervisors -= ended
+        if ended:
+            # One that was killed leaves behind what it should have ended.
+            kill_descendants(but=supervisors)
+    # Taking modules apart takes half a second.
+    os._exit(0)
+
+
+def _spawned(control: Connection) -> int:
+    job: Job = control.recv()
+    connection = Connection(recv_handle(control))
+    if job.module.partition(".")[0] == ROOM:
+        importlib.import_module(job.module)
+    for known in job.known:
+        remember(known)
+
+    def supervise_alone() -> None:
+        control.close()
+        supervise(connection, job)
+
+    with connection:
+        try:
+            return in_a_fork(supervise_alone)
+        except OSError as error:
+            connection.send(no_process(error))
+            raise

@@ -1,0 +1,346 @@
+"""PoolModel: a forward model whose rows are simulated by a pool of processes, here or on a cluster."""
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Callable, Generator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import closing
+from math import inf
+from pathlib import Path
+from time import monotonic
+from typing import Final, Self
+
+import numpy as np
+
+from simulation.arrays import FloatArray, IntArray
+from simulation.errors import InputError
+from simulation.parameters import ParameterSpace
+from simulation.pool.chunks import FailureCount, RowQueue
+from simulation.pool.execution import ExecutionPolicy
+from simulation.pool.factory import Factory, Facts, known_facts, packed
+from simulation.pool.messages import ChunkAnswer
+from simulation.pool.processes import Processes, ProcessLostError
+from simulation.pool.remote import RemoteModel
+from simulation.pool.worker import MAX_CHUNK_BYTES
+from simulation.trajectories import Trajectories
+
+_LOG = logging.getLogger(__name__)
+# Long enough to hide what it costs to hand out a chunk; to another machine that costs more.
+_CHUNK_S: Final = 0.03
+_REMOTE_CHUNK_S: Final = 1.0
+# A chunk that takes so much longer than expected leaves the rest of its rows to others.
+_MAX_OVERRUN: Final = 4.0
+# Another process must have this much to do to be worth opening the model once more.
+START_PAYS_S: Final = 0.3
+# A first row that is still running may be compiling or loading something, but not for this long. [s]
+_SURELY_SLOW_S: Final = 2.0
+# Answers after which the time per row is known.
+_N_SURE: Final = 3
+_TICK_S: Final = 0.2
+_SLOW_FACTOR: Final = 20.0
+_SLOW_S: Final = 60.0
+# A row that is lost so often with its process may be the reason.
+_MAX_LOSSES: Final = 5
+
+
+class PoolModel:
+    """A model whose every row is simulated in a worker process, never in this one.
+
+    A crash, a hang or a leak costs one row. Processes start with the first row, as many as the rows are
+    worth, and stay until close(). The answer is the same, bit for bit, whoever simulates which row. Not for
+    use from several threads at once.
+    """
+
+    def __init__(
+        self,
+        make_model: Factory,
+        n_workers: int | None = None,
+        *,
+        policy: ExecutionPolicy | None = None,
+        executor: Executor | None = None,
+        on_warning: Callable[[str], None] | None = None,
+    ) -> None:
+        """Start nothing yet.
+
+        Args:
+            make_model: The model's factory, which other processes must be able to import. Where it is the
+                bound method of an object that has the model's parameter_space, output_names and time, these
+                are known without opening it anywhere.
+            n_workers: Most processes that simulate; None for one per core that this process may use, or for
+                what the executor has.
+            policy: What happens to rows that hang, crash or fail; max_workers limits n_workers.
+            executor: Who simulates, each chunk in a supervised process there; it stays the caller's. None for
+                processes of this machine.
+            on_warning: Told, in one line, what a user should know at once; None for the log.
+        """
+        if not callable(make_model):
+            raise InputError(
+                "processes need a factory of the model, as case.make_model, not a "
+                f"{type(make_model).__name__}"
+            )
+        if n_workers is not None and n_workers < 1:
+            raise ValueError(f"n_workers is {n_workers}; at least one process has to work")
+        self._policy = policy or ExecutionPolicy()
+        self._facts = known_facts(make_model)
+        self._n_workers = n_workers
+        self._on_warning = on_warning or _LOG.warning
+        self._processes = Processes(make_model, self._policy)
+        self._threads: ThreadPoolExecutor | None = None
+        self._executor = executor
+        self._remote: RemoteModel | None = None
+        if executor is not None:
+            file = getattr(getattr(make_model, "__self__", None), "path", None)
+            send_file = getattr(executor, "send_file", None)
+            digest = send_file(file) if send_file is not None and isinstance(file, Path) else ""
+            self._remote = RemoteModel(packed(make_model), digest, self._policy)
+        self._row_s: float | None = None
+        self._slowest_s: float | None = None
+        self._n_answers = 0
+        self._has_warned = False
+
+    @property
+    def n_workers(self) -> int:
+        """Most processes that rows are spread over."""
+        n = self._n_workers or getattr(self._executor, "n_slots", None) or available_cores()
+        return min(n, self._policy.max_workers or n)
+
+    @property
+    def n_processes(self) -> int:
+        """Worker processes that there are now on this machine."""
+        return self._processes.n
+
+    @property
+    def _known(self) -> Facts:
+        if self._facts is None:
+            try:
+                facts = self._submit(np.empty((0, 0)), 0.0).result()
+            except BaseException:
+                self.close()
+                raise
+            assert isinstance(facts, Facts), "the answer to no rows"
+            self._facts = facts
+        return self._facts
+
+    @property
+    def parameter_space(self) -> ParameterSpace:
+        """The model's parameters."""
+        return self._known.parameter_space
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The model's outputs."""
+        return self._known.output_names
+
+    @property
+    def time(self) -> FloatArray:
+        """The model's output times. Shape (t,). [s]."""
+        return self._known.time
+
+    def simulate(self, theta: FloatArray) -> Trajectories:
+        """Simulate every row.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Returns:
+            The same trajectories as from one process, bit for bit.
+
+        Raises:
+            InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
+        """
+        theta = self._checked(theta)
+        y = np.empty((len(theta), len(self.time), len(self.output_names)))
+        failures = np.full(len(theta), "", dtype=object)
+        with closing(self.as_finished(theta)) as chunks:
+            for rows, answer in chunks:
+                y[rows], failures[rows] = answer.y, answer.failures
+        return self._trajectories(theta, y, tuple(failures.tolist()))
+
+    def as_finished(self, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
+        """Simulate every row and hand over chunks as they finish, in any order.
+
+        Close the generator (contextlib.closing) where not all of it is asked for: that ends what is running.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+
+        Yields:
+            Which rows have finished, and their trajectories. Shape (m,).
+
+        Raises:
+            InputError: If the model cannot be opened, or too many rows fail (TooManyFailuresError).
+        """
+        theta = self._checked(theta)
+        batch = _Batch(self, theta)
+        try:
+            while batch.queue.n_waiting or batch.running:
+                batch.hand_out()
+                for future in wait(batch.running, _TICK_S, FIRST_COMPLETED).done:
+                    yield from batch.finished(future)
+                batch.warn_of_slow_row()
+        except KeyboardInterrupt:
+            # Nobody waits for what still runs; what is there has been paid for.
+            for future in [future for future in batch.running if future.done()]:
+                yield from batch.finished(future)
+            raise
+        finally:
+            if batch.running:
+                for future in batch.running:
+                    future.cancel()
+                self.close()
+
+    def _submit(self, theta: FloatArray, budget_s: float) -> "Future[ChunkAnswer | Facts]":
+        if self._executor is not None and self._remote is not None:
+            return self._executor.submit(self._remote.simulate, theta, budget_s, self._slowest_s)
+        if self._threads is None:
+            self._threads = ThreadPoolExecutor(self.n_workers, "simulate")
+        return self._threads.submit(self._processes.simulate, theta, budget_s, self._slowest_s)
+
+    def _checked(self, theta: FloatArray) -> FloatArray:
+        theta = np.array(theta, dtype=np.float64)
+        n_parameters = self.parameter_space.n_parameters
+        if theta.ndim != 2 or theta.shape[1] != n_parameters:
+            raise ValueError(f"theta has shape {theta.shape}; expected (n, {n_parameters})")
+        return theta
+
+    def _trajectories(self, theta: FloatArray, y: FloatArray, failures: tuple[str, ...]) -> Trajectories:
+        names = self.parameter_space.names
+        return Trajectories(theta, y, self.time, names, self.output_names, failures)
+
+    def close(self) -> None:
+        """End what works for this model, also in the middle of a row; work starts it again."""
+        self._processes.end()
+        if self._threads is not None:
+            self._threads.shutdown(cancel_futures=True)
+            self._threads = None
+        self._processes.close()
+
+    def __enter__(self) -> Self:
+        """Return the model."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the model."""
+        self.close()
+
+
+class _Batch:
+    """The rows of one call: those that wait and those that somebody has."""
+
+    def __init__(self, model: PoolModel, theta: FloatArray) -> None:
+        self._model = model
+        self._theta = theta
+        self._chunk_s = _CHUNK_S if model._executor is None else _REMOTE_CHUNK_S
+        max_rows = max(1, MAX_CHUNK_BYTES // (8 * len(model.time) * len(model.output_names)))
+        self.queue = RowQueue(len(theta), chunk_s=self._chunk_s, max_rows=max_rows)
+        self.running: dict[Future[ChunkAnswer | Facts], tuple[range, float]] = {}
+        self._failures = FailureCount(model._policy)
+        self._losses: Counter[int] = Counter()
+        self._max_running: int | None = None
+
+    def hand_out(self) -> None:
+        """Have as many chunks simulated at a time as their rows are worth."""
+        model = self._model
+        while self.queue.n_waiting and len(self.running) < self._worth_running():
+            rows = self.queue.take(model._row_s, model.n_workers)
+            budget_s = _MAX_OVERRUN * max(self._chunk_s, len(rows) * (model._row_s or 0.0))
+            self.running[model._submit(self._theta[rows.start : rows.stop], budget_s)] = rows, monotonic()
+
+    def _worth_running(self) -> int:
+        model, processes = self._model, self._model._processes
+        n, row_s = model.n_workers, 0.0
+        if model._executor is not None:
+            # One is on its way while one is simulated.
+            return 2 * n
+        if model._row_s is not None and model._n_answers >= _N_SURE:
+            row_s = model._row_s
+        opened_s = monotonic() - max(list(processes.opened.values()), default=inf)
+        if (spent_s := min(self._longest_s, opened_s)) > max(row_s, _SURELY_SLOW_S):
+            row_s = spent_s
+        n_now = max(1, processes.n, len(self.running))
+        worth = n_now + int(self.queue.n_waiting * row_s / (n_now * START_PAYS_S))
+        return min(n, worth, self._max_running or n)
+
+    def finished(self, future: "Future[ChunkAnswer | Facts]") -> Generator[tuple[IntArray, Trajectories]]:
+        """Yield what became of a chunk, and let others have what is left of it."""
+        model, (rows, _) = self._model, self.running.pop(future)
+        try:
+            answer = future.result()
+        except (ProcessLostError, CancelledError, *getattr(model._executor, "lost", ())) as error:
+            if model._executor is not None:
+                model._on_warning(
+                    f"a process of the executor was lost ({type(error).__name__}); the {len(rows)} rows that "
+                    "it was given are simulated again"
+                )
+            self._losses.update(rows)
+            n_losses, middle = self._losses[rows.start], len(rows) // 2
+            if middle or n_losses <= _MAX_LOSSES:
+                self.queue.put(rows[middle:])
+                self.queue.put(rows[:middle])
+                return
+            y = np.full((1, len(model.time), len(model.output_names)), np.nan)
+            answer = ChunkAnswer(y, (f"the process that simulated it was lost {n_losses} times",), None)
+        except (InputError, RuntimeError) as refused:
+            n_open = len(model._processes.opened)
+            if n_open == 0:
+                raise
+            # Perhaps there are no more licences.
+            if self._max_running is None:
+                model._on_warning(
+                    f"only {n_open} of {model.n_workers} processes can open the model at once, which go on: "
+                    f"{refused}"
+                )
+            self._max_running = n_open
+            self.queue.put(rows)
+            return
+        assert isinstance(answer, ChunkAnswer), "the answer to rows"
+        done = rows[: len(answer.failures)]
+        self.queue.put(rows[len(done) :])
+        if answer.row_s is not None:
+            model._n_answers += 1
+            model._slowest_s = max(model._slowest_s or 0.0, answer.row_s)
+            # The first row may have loaded something. Other work on the machine only ever adds to a time.
+            if model._n_answers > 1:
+                model._row_s = min(answer.row_s, 0.5 * ((model._row_s or answer.row_s) + answer.row_s))
+        theta = self._theta[done.start : done.stop].copy()
+        yield np.array(done, dtype=np.int64), model._trajectories(theta, answer.y, answer.failures)
+        self._failures.add(answer.failures)
+
+    @property
+    def _longest_s(self) -> float:
+        """For how long the oldest chunk has been running. [s]."""
+        now = monotonic()
+        return now - min((since for _, since in self.running.values()), default=now)
+
+    def warn_of_slow_row(self) -> None:
+        """Tell, once, of a row that takes much longer than others, or of a model that does not open."""
+        model, spent_s = self._model, self._longest_s
+        if model._has_warned or spent_s < _SLOW_S:
+            return
+        rows, _ = min(self.running.values(), key=lambda one: one[1])
+        if spent_s < (_SLOW_FACTOR + len(rows)) * (model._row_s or 0.0):
+            return
+        model._has_warned = True
+        which = f"row {rows.start}" if len(rows) == 1 else f"one of rows {rows.start} to {rows.stop - 1}"
+        timeout_s = model._policy.timeout_s
+        model._on_warning(
+            f"{which} has been running for {spent_s:.2g} s, opening the model included; does it wait for a "
+            f"licence? simulation.timeout_s is {'not set' if timeout_s is None else timeout_s}"
+        )
+
+
+def available_cores() -> int:
+    """Count the cores that this process may use.
+
+    Returns:
+        At least 1.
+    """
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,126 @@
+"""The near end of processes that simulate on this machine: asked from threads, ended from anywhere."""
+
+import contextlib
+import threading
+import weakref
+from multiprocessing.connection import Connection
+from os import getpid
+from time import monotonic
+from typing import Any, Final
+
+from simulation.arrays import FloatArray
+from simulation.pool.execution import ExecutionPolicy
+from simulation.pool.factory import Factory, Facts
+from simulation.pool.fork_server import KNOWN, hang_up, spawn_supervisor
+from simulation.pool.messages import ChunkAnswer
+from simulation.pool.worker import Opened
+
+# For killing what is left and removing its files, however many they are and however slow the disk. [s]
+_ENDING_S: Final = 60.0
+
+
+class ProcessLostError(RuntimeError):
+    """A process that supervises simulations was killed; what it was asked can be asked of another."""
+
+
+class Processes:
+    """Supervised processes that have a model open, as many as threads ask at a time.
+
+    Attributes:
+        opened: Those that have the model open, and when they opened it, on the monotonic clock. [s]
+    """
+
+    def __init__(self, make_model: Factory, policy: ExecutionPolicy) -> None:
+        """Start nothing yet.
+
+        Args:
+            make_model: The model's factory, which other processes must be able to import.
+            policy: What happens to rows that hang, crash or fail.
+        """
+        self._make_model = make_model
+        self._policy = policy
+        self._lock = threading.Lock()
+        self._is_ending = False
+        self._all: list[Connection] = []
+        self.opened: dict[Connection, float] = {}
+        self._idle: list[Connection] = []
+        self._facts: Facts | None = None
+        weakref.finalize(self, _close, self._all, getpid())
+
+    @property
+    def n(self) -> int:
+        """How many there are."""
+        return len(self._all)
+
+    def simulate(self, theta: FloatArray, budget_s: float, slowest_s: float | None) -> ChunkAnswer | Facts:
+        """Have rows simulated.
+
+        Args:
+            theta: Parameters. Shape (n, p). [per parameter]
+            budget_s: Time after which no further row is begun. [s]
+            slowest_s: See ExecutionPolicy.limit_s. [s]
+
+        Returns:
+            What became of them; where there are none, what the model looks like.
+
+        Raises:
+            InputError: The model cannot be opened; a RuntimeError where that is a mistake in its code.
+            ProcessLostError: The process was killed.
+        """
+        connection = self._taken()
+        message: Any = None
+        try:
+            connection.send((theta, budget_s, slowest_s))
+            while isinstance(message := connection.recv(), Opened):
+                self.opened[connection], self._facts = monotonic(), message.facts
+                KNOWN.add(message.known)
+            if isinstance(message, Exception):
+                raise message
+        except Exception as error:
+            message = None  # its traceback would keep itself, and these processes, alive
+            with self._lock:
+                self._all.remove(connection)
+                self.opened.pop(connection, None)
+            _close([connection], getpid())
+            if isinstance(error, EOFError | OSError):
+                raise ProcessLostError("killed") from None
+            raise
+        self._idle.append(connection)
+        answer: ChunkAnswer = message
+        return answer if len(theta) or self._facts is None else self._facts
+
+    def _taken(self) -> Connection:
+        with contextlib.suppress(IndexError):
+            return self._idle.pop()
+        with self._lock:
+            if self._is_ending:
+                raise ProcessLostError("ended")
+            self._all.append(spawn_supervisor(self._make_model, self._policy))
+            return self._all[-1]
+
+    def end(self) -> None:
+        """Have all processes end, now; whoever waits for one gets a ProcessLostError."""
+        with self._lock:
+            self._is_ending = True
+            for connection in self._all:
+                hang_up(connection)
+
+    def close(self) -> None:
+        """End all processes and wait until they have gone; nobody may wait for an answer.
+
+        Closing twice does no harm, and the next question starts new ones.
+        """
+        with self._lock:
+            _close(self._all, getpid())
+            self._idle.clear()
+            self.opened.clear()
+            self._is_ending = False
+
+
+def _close(connections: list[Connection], owner: int) -> None:
+    """End processes, unless this is a fork of the one that started them."""
+    while connections and getpid() == owner:
+        with connections.pop() as connection, contextlib.suppress(EOFError, OSError):
+            hang_up(connection)
+            while connection.poll(_ENDING_S):
+                connection.recv()

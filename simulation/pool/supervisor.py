@@ -1,0 +1,300 @@
+"""A process that supervises one worker after the other; each is forked from it.
+
+It never runs code of an FMU, so nothing keeps it from ending a worker, or from ending with its program.
+"""
+
+import contextlib
+import os
+import pickle
+import shutil
+import signal
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from math import inf
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from time import monotonic
+from typing import Final
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError, MachineError
+from simulation.foreign_code import ENDED_BY
+from simulation.pool.factory import Factory, subject
+from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
+from simulation.pool.messages import ChunkAnswer, Job
+from simulation.pool.warm_code import remember
+from simulation.pool.worker import LOG, End, Opened, SharedRows, refusal, work
+from simulation.scratch import ScratchFolder
+
+SCRATCH_PREFIX: Final = "simulation-workers-"
+OPENING_S: Final = 60.0
+"""Time that a model may take to open, if its time-out is shorter. [s]"""
+# A refused licence may come free. [s]
+_PAUSES_S: Final = (0.25, 1.0)
+# What a worker may take to close its model, and the system to write down what is left of one that crashed.
+_CLOSING_S: Final = 1.0
+_CRASHING_S: Final = 10.0
+# Nothing kills itself like this, or between two rows: the row was only there when somebody came.
+_MERCY: Final = 3
+_MAX_IN_VAIN: Final = 5
+# Memory is looked at this often; no FMU fills more in this time than it can write. [s]
+_LOOK_S: Final = 0.03
+_PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
+_MAX_LOG_BYTES: Final = 10_000_000
+_MAX_SAID: Final = 300
+
+
+def supervise(parent: Connection, job: Job) -> None:
+    """Be a supervisor until the far end of a connection closes.
+
+    Args:
+        parent: To the process that asks: theta and a time come, a ChunkAnswer goes. Opened goes before the
+            first answer; an exception is the last word.
+        job: What to simulate.
+    """
+    adopt_orphans()
+    try:
+        with contextlib.closing(_Supervisor(parent, job)) as supervisor:
+            supervisor.serve()
+    except (EOFError, OSError):
+        pass  # whoever asked is gone, or done
+    except Exception as error:
+        parent.send(error if isinstance(error, RuntimeError) else refusal(error))
+
+
+def no_process(error: OSError) -> MachineError:
+    """Return what the user is told of a process that cannot be started.
+
+    Args:
+        error: Why.
+    """
+    return MachineError(
+        f"a process for simulations cannot be started ({error.strerror}); lower simulation.max_workers, or "
+        f"free memory, processes or room in {tempfile.gettempdir()}"
+    )
+
+
+@dataclass(eq=False)
+class _Worker:
+    pid: int
+    connection: Connection
+    folder: Path
+    n_rows: int = 0
+    first_mb: float | None = None
+
+    @property
+    def mb(self) -> float:
+        """Memory that is its own: what is shared does not count."""
+        _, resident, shared = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[:3]
+        return (int(resident) - int(shared)) * _PAGE_MB
+
+
+class _Supervisor:
+    def __init__(self, parent: Connection, job: Job) -> None:
+        os.chdir(job.folder)
+        self._parent = parent
+        self._make_model: Factory = pickle.loads(job.make_model)
+        self._policy = job.policy
+        self._rows = SharedRows()
+        self._opened: Opened | None = None
+        self._worker: _Worker | None = None
+        self._n_workers = 0
+        self._slowest_s: float | None = None
+        self._is_busy = True
+        self._scratch = ScratchFolder(SCRATCH_PREFIX)
+
+    def serve(self) -> None:
+        """Answer; the first time, the model is opened."""
+        while True:
+            self._is_busy = False
+            if self._worker is not None and self._worker.connection in wait(
+                [self._parent, self._worker.connection]
+            ):
+                self._end(self._worker, 0.0)  # it ended by itself
+            theta, budget_s, self._slowest_s = self._parent.recv()
+            self._is_busy = True
+            if self._opened is None:
+                self._open()
+                self._parent.send(self._opened)
+            self._parent.send(self._simulated(theta, monotonic() + budget_s))
+
+    def close(self) -> None:
+        """End the worker and all that it started, and remove what they wrote."""
+        if self._worker is not None:
+            self._end(self._worker, 0.0 if self._is_busy else _CLOSING_S)
+        self._scratch.remove()
+
+    # Workers
+
+    def _open(self) -> _Worker:
+        """Return a worker with an open model."""
+        for pause_s in (*_PAUSES_S, None):
+            worker = self._fork()
+            answer = self._first_words(worker)
+            if isinstance(answer, Opened):
+                self._opened = answer
+                self._rows.map(answer.facts)
+                return worker
+            if pause_s is None:
+                raise answer
+            if self._parent.poll(pause_s):
+                raise EOFError
+        raise AssertionError("the last attempt raises")
+
+    def _fork(self) -> _Worker:
+        if self._opened is not None:
+            remember(self._opened.known)
+        folder = self._scratch.folder / f"{self._n_workers:05d}"
+        self._n_workers += 1
+
+        def work_alone() -> None:
+            near.close()
+            self._parent.close()
+            work(far, self._make_model, folder, self._rows, self._policy.opening_s)
+
+        try:
+            folder.mkdir()
+            near, far = Pipe()
+            with far:
+                self._worker = _Worker(in_a_fork(work_alone), near, folder)
+        except OSError as error:
+            raise no_process(error) from None
+        return self._worker
+
+    def _first_words(self, worker: _Worker) -> Opened | Exception:
+        policy, what = self._policy, subject(self._make_model)
+        limit_s = None if policy.timeout_s in (None, inf) else max(policy.timeout_s, OPENING_S)
+        if has_hung := not self._has_spoken(worker, limit_s):
+            os.kill(worker.pid, signal.SIGKILL)
+        try:
+            answer: Opened | Exception = worker.connection.recv()
+        except (EOFError, OSError):
+            exit_code, how = self._end(worker, _CRASHING_S)
+            if exit_code == -ENDED_BY:
+                has_hung, limit_s = True, policy.opening_s
+            if has_hung:
+                # Whoever hung will hang again, and nobody waits for that twice.
+                raise InputError(
+                    f"{what}: did not open within {limit_s:g} s and was stopped; raise simulation.timeout_s"
+                ) from None
+            return InputError(f"{what}: opening it {how}; try it in another FMI tool")
+        if not isinstance(answer, Opened):
+            self._end(worker, _CLOSING_S)
+        return answer
+
+    def _has_spoken(self, worker: _Worker, patience_s: float | None) -> bool:
+        """Wait for a worker to speak or end, as long as there is somebody to work for."""
+        ready = wait([self._parent, worker.connection], patience_s)
+        if self._parent in ready:
+            raise EOFError  # nobody speaks to who is at work
+        return bool(ready)
+
+    def _end(self, worker: _Worker, patience_s: float) -> tuple[int, str]:
+        """See a worker off with all that it started; return its exit code, and how it ended, for a reason."""
+        self._worker = None
+        worker.connection.close()
+        process = os.pidfd_open(worker.pid)
+        wait([process], patience_s)
+        os.close(process)
+        os.kill(worker.pid, signal.SIGKILL)
+        exit_code = os.waitstatus_to_exitcode(os.waitpid(worker.pid, 0)[1])
+        kill_descendants()
+        how = f"ended its process with exit code {exit_code}"
+        if exit_code < 0:
+            with contextlib.suppress(ValueError):
+                how = f"crashed its process ({signal.Signals(-exit_code).name})"
+        if exit_code == -signal.SIGKILL:
+            how = "was killed (SIGKILL), perhaps for want of memory"
+        with contextlib.suppress(OSError):
+            log = (worker.folder / LOG).read_text(encoding="utf-8", errors="replace")
+            if said := " ".join(log.rstrip().rpartition("\n")[-1].split())[:_MAX_SAID]:
+                how = f"{how}; last message: {said}"
+        shutil.rmtree(worker.folder, ignore_errors=True)
+        return exit_code, how
+
+    # Rows
+
+    def _simulated(self, theta: FloatArray, deadline: float) -> ChunkAnswer:
+        """Simulate rows until all are finished or the time is up."""
+        n, policy = len(theta), self._policy
+        y, failures = np.full((n, *self._rows.y.shape[1:]), np.nan), [""] * n
+        row, n_done, spent_s = 0, 0, 0.0
+        tries: Counter[End] = Counter()
+        while row < n and (row == 0 or tries or monotonic() < deadline):
+            worker = self._worker or self._open()
+            left = (policy.max_rows_per_process or n + worker.n_rows) - worker.n_rows
+            part = theta[row : row + min(left, self._rows.capacity)]
+            failures[row : row + len(part)] = [""] * len(part)
+            end = self._run(worker, part, min(deadline, monotonic() + _LOOK_S), failures, row)
+            done = int(self._rows.done[0])
+            was_between = self._rows.begun[0] == done
+            y[row : row + done] = self._rows.y[:done]
+            row, n_done, spent_s = row + done, n_done + done, spent_s + self._rows.spent[0]
+            worker.n_rows += done
+            if done:
+                tries.clear()
+            if end in (End.DONE, End.LEAVES):
+                if end is End.LEAVES or self._is_worn_out(worker):
+                    self._end(worker, _CLOSING_S)
+                # One that has answered rows has done its part.
+                if worker.n_rows:
+                    continue
+                how, allowed = "asked for another process", _MAX_IN_VAIN - 1
+            elif end is End.HUNG:
+                self._end(worker, 0.0)
+                how = policy.why_stopped(self._slowest_s)
+                allowed = policy.timeout_retries + _MERCY * was_between
+            else:
+                exit_code, how = self._end(worker, _CRASHING_S)
+                how, is_mercy = f"the FMU {how}", was_between or exit_code == -signal.SIGKILL
+                allowed = policy.retries + _MERCY * is_mercy
+            tries[end] += 1
+            if tries[end] > allowed:
+                failures[row] = (f"{tries[end]} times: " if tries[end] > 1 else "") + how
+                row += 1
+                tries.clear()
+        return ChunkAnswer(y[:row], tuple(failures[:row]), spent_s / n_done if n_done else None)
+
+    def _is_worn_out(self, worker: _Worker) -> bool:
+        if worker.first_mb is None:
+            worker.first_mb = worker.mb
+        return (
+            worker.mb - worker.first_mb > self._policy.max_growth_mb
+            or worker.n_rows == self._policy.max_rows_per_process
+            or (worker.folder / LOG).stat().st_size > _MAX_LOG_BYTES
+        )
+
+    def _run(
+        self, worker: _Worker, theta: FloatArray, deadline: float, failures: list[str], first: int
+    ) -> End:
+        """Have rows simulated, the first of which is that of a number, and note why they failed."""
+        rows, limit_s = self._rows, self._policy.limit_s(self._slowest_s)
+        rows.begun[0] = rows.done[0] = rows.spent[0] = 0.0
+        rows.started[0] = monotonic()
+        how = End.DIED
+        try:
+            worker.connection.send((theta, deadline))
+            while True:
+                now = monotonic()
+                left_s = max(0.0, rows.started[0] + limit_s - now) if how is End.DIED else inf
+                if not self._has_spoken(worker, None if left_s == inf else left_s):
+                    if left_s:
+                        continue
+                    os.kill(worker.pid, signal.SIGKILL)
+                    os.waitid(os.P_PID, worker.pid, os.WEXITED | os.WNOWAIT)
+                    # It may have come to the next row at this very moment.
+                    how = End.HUNG if rows.started[0] + limit_s <= now else End.LEAVES
+                    continue
+                message = worker.connection.recv()
+                if isinstance(message, End):
+                    return message
+                row, reason = message
+                failures[first + row] = reason
+        except (EOFError, OSError):
+            if self._parent.poll():
+                raise EOFError from None
+            return how

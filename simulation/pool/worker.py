@@ -1,0 +1,163 @@
+"""What a worker process does: it opens a model and simulates rows into memory that outlives it."""
+
+import contextlib
+import mmap
+import os
+import signal
+import tempfile
+import traceback
+from dataclasses import dataclass
+from enum import Enum
+from multiprocessing.connection import Connection
+from pathlib import Path
+from time import monotonic
+from typing import Final
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.fmi.runner import NeedsFreshProcess
+from simulation.foreign_code import opening_limited
+from simulation.forward_model import ForwardModel
+from simulation.pool.factory import Factory, Facts
+from simulation.pool.family import end_with_parent
+from simulation.pool.warm_code import learnt
+
+LOG: Final = "log"
+MAX_CHUNK_BYTES: Final = 8_000_000
+"""Outputs that a chunk has at most, unless one row has more."""
+
+
+class End(Enum):
+    """How a worker came to the end of what it was given."""
+
+    DONE = "all rows are finished, or the time is up"
+    LEAVES = "it ends, and the next row needs another process"
+    HUNG = "a row took longer than its time-out"
+    DIED = "the process ended by itself"
+
+
+@dataclass(frozen=True)
+class Opened:
+    """From a worker and its supervisor: the model is open.
+
+    Attributes:
+        facts: What it looks like.
+        known: What the worker has compiled for it, see warm_code.
+    """
+
+    facts: Facts
+    known: bytes
+
+
+class SharedRows:
+    """Memory of a supervisor and its workers, without a name.
+
+    Attributes:
+        capacity: Rows that it holds; 0 before the model is known.
+        y: Their outputs. Shape (capacity, t, k).
+        begun: How many were begun. Shape (1,).
+        done: How many are finished. Shape (1,).
+        started: When the last one was begun, on the monotonic clock. Shape (1,). [s]
+        spent: How long the finished ones took. Shape (1,). [s]
+    """
+
+    capacity = 0
+
+    def __init__(self) -> None:
+        self._descriptor = os.memfd_create("rows")
+
+    def map(self, facts: Facts) -> None:
+        """Make room for rows of a model; the second time nothing changes."""
+        if self.capacity:
+            return
+        shape = len(facts.time), len(facts.output_names)
+        size = shape[0] * shape[1]
+        self.capacity = max(1, MAX_CHUNK_BYTES // (8 * size))
+        os.ftruncate(self._descriptor, 8 * (4 + self.capacity * size))
+        memory: FloatArray = np.frombuffer(mmap.mmap(self._descriptor, 0), np.float64)
+        self.begun, self.done, self.started, self.spent, rows = np.split(memory, [1, 2, 3, 4])
+        self.y = rows.reshape(self.capacity, *shape)
+
+
+def work(
+    connection: Connection, make_model: Factory, folder: Path, rows: SharedRows, opening_s: float | None
+) -> None:
+    """Be a worker: open the model, then simulate what comes.
+
+    Args:
+        connection: To the supervisor.
+        make_model: The model's factory.
+        folder: A folder for all that the FMU writes, which goes with the worker.
+        rows: Where outputs go.
+        opening_s: See ExecutionPolicy. [s]
+    """
+    end_with_parent(signal.SIGKILL)
+    log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+    # When memory ends, the system shall stop this process and not the one that keeps the results.
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500")
+    try:
+        with opening_limited(opening_s):
+            model = make_model()
+        facts = Facts(model.parameter_space, model.output_names, model.time)
+    except Exception as error:
+        connection.send(refusal(error))
+        return
+    os.chdir(folder)
+    rows.map(facts)
+    connection.send(Opened(facts, learnt()))
+    end = End.DONE
+    with contextlib.suppress(EOFError):  # nothing more to do
+        while end is End.DONE:
+            theta, deadline = connection.recv()
+            end = _simulate(model, theta, deadline, rows, connection)
+            connection.send(end)
+    if close := getattr(model, "close", None):
+        close()
+
+
+def refusal(error: Exception) -> Exception:
+    """Return what the user is told of an error that kept a model from being opened.
+
+    Args:
+        error: The error.
+    """
+    if isinstance(error, InputError):
+        return error
+    return RuntimeError("".join(traceback.format_exception(error)))
+
+
+def _simulate(
+    model: ForwardModel, theta: FloatArray, deadline: float, rows: SharedRows, connection: Connection
+) -> End:
+    """Simulate rows, at least one; none is begun after the deadline. [s].
+
+    Reasons of failed rows are sent at once: who crashes later takes nothing along.
+    """
+    for i in range(len(theta)):
+        rows.started[0] = now = monotonic()
+        if i and now > deadline:
+            break
+        rows.begun[0] = i + 1
+        is_broken = False
+        try:
+            answer = model.simulate(theta[i : i + 1])
+            rows.y[i], reason = answer.y[0], answer.failures[0]
+        except NeedsFreshProcess:
+            return End.LEAVES
+        except Exception as error:
+            is_broken, said = True, " ".join(str(error).split())
+            reason = "out of memory" if isinstance(error, MemoryError) else f"{type(error).__name__}: {said}"
+            rows.y[i] = np.nan
+        if reason:
+            connection.send((i, reason))
+        rows.spent[0] += monotonic() - now
+        rows.done[0] = i + 1
+        if is_broken:
+            return End.LEAVES
+    return End.DONE

@@ -1,1 +1,0 @@
-"""Simulating in supervised processes: here, on any executor, on a cluster."""

@@ -1,0 +1,537 @@
+"""What models do to their processes costs exactly the row that did it, and all numbers stay the same."""
+
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError, MachineError
+from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
+from simulation.pool.fork_server import end_fork_servers
+from simulation.pool.pool_model import PoolModel, available_cores
+from simulation.toy import ToyRC
+
+# Workers import the models by name, from this folder.
+sys.path.insert(0, str(Path(__file__).parent))
+from slow_models import (
+    BAD_ABOVE_R,
+    CrashingToy,
+    DyingAtOpeningToy,
+    ExitingToy,
+    FamilyToy,
+    HangingToy,
+    LeakingToy,
+    OnceCrashingToy,
+    OncePerProcessToy,
+    PickyToy,
+    RaisingToy,
+    SlowlyOpeningToy,
+    SlowToy,
+    WarmingToy,
+    count_begun,
+)
+
+ROOT = Path(__file__).parents[2]
+
+
+def _rows(n: int, n_bad: int = 0) -> np.ndarray:
+    """Return rows of which some, here and there, have an R that misbehaves."""
+    rng = np.random.default_rng(5)
+    rows = ToyRC().parameter_space.from_unit(rng.random((n, 2)))
+    rows[:, 0] = np.minimum(rows[:, 0], BAD_ABOVE_R)
+    rows[rng.choice(n, n_bad, replace=False), 0] = 4.5
+    return rows
+
+
+def test_serial_equals_parallel_bit_for_bit(decay_case: Path):
+    case = load_case(decay_case)
+    rows = np.column_stack([np.geomspace(2e-5, 5e-4, 101), np.array([0, 1, 2, 4, 5])[np.arange(101) % 5]])
+    policy = ExecutionPolicy(max_failed_share=1.0)
+    with case.open_model() as serial, PoolModel(case.make_model, 2, policy=policy) as pool:
+        first = pool.simulate(rows)
+        assert first.digest == serial.simulate(rows).digest
+        assert pool.simulate(rows).digest == first.digest
+
+
+def test_slow_rows_get_all_workers_and_bring_the_same_bits():
+    rows = _rows(40)
+    with PoolModel(SlowToy(row_s=0.05).open, 3) as model:
+        answer = model.simulate(rows)
+        assert model.n_processes == 3
+    assert answer.digest == ToyRC().simulate(rows).digest
+
+
+@pytest.mark.parametrize(("toy", "numbers"), [(SlowToy(row_s=0.0), (1, 15, 200)), (WarmingToy(), (30,))])
+def test_little_work_and_a_slow_first_row_get_one_worker(toy: SlowToy, numbers: tuple[int, ...]):
+    with PoolModel(toy.open, 4) as model:
+        for n in numbers:
+            model.simulate(_rows(n))
+        assert model.n_processes == 1
+
+
+def test_a_described_model_is_known_without_a_process():
+    toy = SlowToy()
+    with PoolModel(toy.open, 2) as model:
+        assert model.parameter_space == toy.parameter_space
+        assert model.output_names == ("T",)
+        assert np.array_equal(model.time, toy.time)
+        assert model.simulate(np.empty((0, 2))).n == 0
+        assert model.n_processes == 0
+
+
+def test_batches_of_all_sizes_do_not_touch_each_other():
+    with PoolModel(ToyRC, 2) as model:
+        answers = [(n, model.simulate(_rows(n))) for n in (3, 70, 1, 30_000, 2)]
+    for n, answer in answers:
+        assert answer.digest == ToyRC().simulate(_rows(n)).digest
+
+
+def test_chunks_come_as_they_finish_and_each_row_once():
+    rows, seen = _rows(300, 20), []
+    with PoolModel(RaisingToy(row_s=0.001).open, 2) as model:
+        for numbers, answer in model.as_finished(rows):
+            seen += numbers.tolist()
+            assert np.array_equal(answer.theta, rows[numbers])
+            assert answer.failed.tolist() == (rows[numbers, 0] > BAD_ABOVE_R).tolist()
+    assert sorted(seen) == list(range(300))
+
+
+def test_who_stops_asking_ends_what_runs():
+    began = time.monotonic()
+    with PoolModel(SlowToy(row_s=2.0).open, 2) as model:
+        model.simulate(_rows(1))
+        with closing(model.as_finished(_rows(60))) as chunks:
+            next(chunks)
+        assert model.n_processes == 0
+        assert model.simulate(_rows(1)).digest == ToyRC().simulate(_rows(1)).digest
+    assert time.monotonic() - began < 60
+
+
+def test_the_cores_are_those_this_process_may_use():
+    assert PoolModel(ToyRC).n_workers == available_cores() == len(os.sched_getaffinity(0))
+
+
+def test_what_cannot_work_is_refused():
+    with pytest.raises(ValueError, match="n_workers is 0"):
+        PoolModel(ToyRC, 0)
+    with pytest.raises(ValueError, match=r"theta has shape \(3, 4\); expected \(n, 2\)"):
+        PoolModel(SlowToy().open).simulate(np.ones((3, 4)))
+    with pytest.raises(InputError, match=r"a factory of the model, as case\.make_model, not a ToyRC"):
+        PoolModel(ToyRC(), 2)
+    with (
+        PoolModel(lambda: ToyRC()) as model,
+        pytest.raises(RuntimeError, match=r"cannot be sent to worker processes .*; give a function"),
+    ):
+        model.simulate(_rows(1))
+
+
+@pytest.mark.parametrize("factory", ["Own", "partial(Own, fails_above_r=3.0)"])
+def test_a_factory_that_no_other_process_can_find_is_refused(factory: str, tmp_path: Path):
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from functools import partial\n"
+        "from simulation.pool.pool_model import PoolModel\n"
+        "from simulation.toy import ToyRC\n"
+        "class Own(ToyRC): pass\n"
+        f"PoolModel({factory}).time\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "is defined in the script itself" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("toy", "reason"),
+    [
+        (CrashingToy(), "2 times: the FMU crashed its process (SIGSEGV); last message: about to fall"),
+        (ExitingToy(), "2 times: the FMU ended its process with exit code 3"),
+        (ExitingToy(exit_code=0), "2 times: the FMU ended its process with exit code 0"),
+        (HangingToy(), "did not answer within 0.4 s and was stopped"),
+        (RaisingToy(), "ValueError: R is too large"),
+        (RaisingToy(error=MemoryError), "out of memory"),
+    ],
+    ids=["crashes", "exits", "exits with 0", "hangs", "raises", "out-of-memory"],
+)
+def test_of_a_thousand_rows_exactly_the_bad_ones_fail(toy: SlowToy, reason: str):
+    rows = _rows(1000, 8)
+    with PoolModel(toy.open, 2, policy=ExecutionPolicy(timeout_s=0.4)) as model:
+        answer = model.simulate(rows)
+    bad = rows[:, 0] > BAD_ABOVE_R
+    assert np.array_equal(answer.failed, bad)
+    assert {why for why in answer.failures if why} == {reason}
+    assert answer.take(~bad).digest == ToyRC().simulate(rows[~bad]).digest
+
+
+def test_a_row_that_was_unlucky_once_is_good(tmp_path: Path):
+    rows = _rows(30, 3)
+    with PoolModel(OnceCrashingToy(folder=tmp_path).open, 2) as model:
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+
+
+def test_retries_are_the_policy_s(tmp_path: Path):
+    rows = _rows(6, 2)
+    for retries, timeout_retries, toy in ((0, 0, CrashingToy), (2, 0, CrashingToy), (0, 1, HangingToy)):
+        begun = tmp_path / f"{retries}-{timeout_retries}"
+        policy = ExecutionPolicy(timeout_s=0.3, retries=retries, timeout_retries=timeout_retries)
+        with PoolModel(toy(begun=begun).open, 2, policy=policy) as model:
+            model.simulate(rows)
+        counts = count_begun(begun)
+        bad = {row.tobytes().hex() for row in rows if row[0] > BAD_ABOVE_R}
+        assert {counts[row] for row in bad} == {1 + retries + timeout_retries}
+        assert {n for row, n in counts.items() if row not in bad} == {1}
+
+
+def test_a_process_that_grows_is_replaced_before_it_harms():
+    rows = _rows(60)
+    seen = set()
+    policy = ExecutionPolicy(max_growth_mb=200.0)
+    with PoolModel(LeakingToy().open, 1, policy=policy) as model:
+        for start in range(0, 60, 4):
+            answer = model.simulate(rows[start : start + 4])
+            assert answer.digest == ToyRC().simulate(rows[start : start + 4]).digest
+            for process in psutil.Process().children(recursive=True):
+                seen.add(process.pid)
+                # 200 MB, the rows that crossed them, and what Python itself needs.
+                assert process.memory_info().rss < 450e6
+    assert len(seen) >= 60 * 20 / 240
+
+
+@pytest.mark.parametrize(
+    ("toy", "policy"),
+    [
+        (SlowToy(row_s=0.0), ExecutionPolicy(max_rows_per_process=7)),
+        (OncePerProcessToy(), ExecutionPolicy()),
+    ],
+)
+def test_processes_are_replaced_as_often_as_policy_and_model_want(toy: SlowToy, policy: ExecutionPolicy):
+    rows = _rows(30)
+    with PoolModel(toy.open, 2, policy=policy) as model:
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+
+
+def test_a_batch_that_mostly_fails_stops_and_says_why(tmp_path: Path):
+    rows = np.full((500, 2), [4.5, 1e4])
+    rows[::3, 0] = 1.0
+    begun, sizes = tmp_path / "begun", list[int]()
+    with PoolModel(RaisingToy(begun=begun, row_s=0.01).open, 2) as model:
+        with pytest.raises(TooManyFailuresError) as caught:
+            sizes.extend(len(numbers) for numbers, _ in model.as_finished(rows))
+        assert "more than simulation.max_failed_share = 0.5 allows" in str(caught.value)
+        assert "ValueError: R is too large" in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert 20 <= sum(sizes) <= len(begun.read_text().split()) < 120
+        # It can be asked again.
+        assert not model.simulate(rows[::3]).failed.any()
+
+
+def test_one_licence_means_one_worker_and_one_warning(tmp_path: Path):
+    rows, warnings = _rows(80), []
+    toy = PickyToy(licence=tmp_path / "licence")
+    with PoolModel(toy.open, 3, on_warning=warnings.append) as model:
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+    assert len(warnings) == 1
+    assert warnings[0].startswith("only 1 of 3 processes can open the model at once")
+
+
+def test_max_workers_asks_for_no_licence_that_is_not_there(tmp_path: Path):
+    warnings: list[str] = []
+    toy = PickyToy(licence=tmp_path / "licence")
+    policy = ExecutionPolicy(max_workers=1)
+    with PoolModel(toy.open, 3, policy=policy, on_warning=warnings.append) as model:
+        assert model.n_workers == 1
+        assert not model.simulate(_rows(40)).failed.any()
+    assert not warnings
+
+
+@pytest.mark.parametrize(
+    ("toy", "line"),
+    [
+        (PickyToy(), r"^picky\.fmu: there is no licence; ask for one$"),
+        (DyingAtOpeningToy(), r"opening it crashed its process \(SIGABRT\)"),
+    ],
+)
+def test_a_model_that_cannot_be_opened_is_an_error_of_the_user(toy: SlowToy, line: str):
+    with PoolModel(toy.open, 2) as model, pytest.raises(InputError, match=line):
+        model.simulate(_rows(3))
+
+
+def test_a_model_that_does_not_open_is_reported_or_stopped(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("simulation.pool.pool_model._SLOW_S", 0.3)
+    warnings: list[str] = []
+    with PoolModel(SlowlyOpeningToy().open, 1, on_warning=warnings.append) as model:
+        assert not model.simulate(_rows(3)).failed.any()
+    assert len(warnings) == 1
+    assert "opening the model included; does it wait for a licence?" in warnings[0]
+
+
+def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
+    warnings: list[str] = []
+    rows = _rows(200)
+    policy = ExecutionPolicy(timeout_s=3.0)
+    with PoolModel(HangingToy(row_s=0.001).open, 1, policy=policy, on_warning=warnings.append) as model:
+        model.simulate(rows)
+        monkeypatch.setattr("simulation.pool.pool_model._SLOW_S", 0.5)
+        rows[100, 0] = 4.5
+        model.simulate(rows)
+    (warning,) = warnings
+    assert "has been running for 0." in warning
+    assert warning.endswith("simulation.timeout_s is 3.0")
+
+
+def test_without_a_time_out_the_slowest_row_so_far_tells_how_long_to_wait():
+    rows = _rows(20, 1)
+    rows[0, 0] = 1.0  # nothing is stopped before a row has finished
+    policy = ExecutionPolicy(least_limit_s=0.3)
+    with PoolModel(HangingToy().open, 2, policy=policy) as model:
+        answer = model.simulate(rows)
+        # The next batch remembers.
+        again = model.simulate(rows[rows[:, 0] > 4.0])
+    assert answer.failed.sum() == 1
+    for reason in (max(answer.failures), again.failures[0]):
+        assert re.match(
+            r"did not answer within .* s and was stopped \(no \[simulation\] timeout_s is", reason
+        )
+
+
+def test_a_row_may_take_as_long_as_it_likes_where_the_time_out_is_infinite():
+    assert ExecutionPolicy(timeout_s=math.inf).limit_s(1e-3) == math.inf
+    assert ExecutionPolicy().limit_s(None) == math.inf
+    assert ExecutionPolicy().limit_s(3.0) == 300.0
+    assert ExecutionPolicy().limit_s(1e-3) == 60.0
+    policy = ExecutionPolicy(timeout_s=math.inf, least_limit_s=0.01)
+    with PoolModel(SlowToy(row_s=0.4).open, 1, policy=policy) as model:
+        assert not model.simulate(_rows(3, 0)).failed.any()
+
+
+def test_a_slow_row_holds_up_its_chunk_alone():
+    rows = np.ones((300, 2)) * [1.0, 1e4]
+    reached: list[float] = []
+    policy = ExecutionPolicy(timeout_s=5.0)
+    with PoolModel(HangingToy(row_s=0.005).open, 2, policy=policy) as model:
+        model.simulate(rows)
+        rows[33, 0] = 4.5
+        for numbers, _ in model.as_finished(rows):
+            reached += [time.monotonic()] * len(numbers)
+    # A chunk is 0.03 s long, or six rows: all others are done long before the hanging one is given up.
+    assert reached[-1] - reached[-10] > 0.5
+
+
+def test_what_a_model_starts_and_writes_goes_with_its_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    before = set(psutil.Process().children(recursive=True))
+    with PoolModel(FamilyToy().open, 1) as model:
+        model.simulate(_rows(3))
+        family = set(psutil.Process().children(recursive=True)) - before
+        assert sum(process.name() == "sleep" for process in family) == 3
+        assert list(tmp_path.rglob("left.txt"))
+    assert not list(tmp_path.iterdir())
+    end_fork_servers()
+    _, alive = psutil.wait_procs(family, timeout=5)
+    assert not alive
+
+
+def test_a_forgotten_model_leaves_no_process():
+    end_fork_servers()
+    before = set(psutil.Process().children(recursive=True))
+    model = PoolModel(SlowToy().open, 2)
+    model.simulate(_rows(20))
+    (server,) = set(psutil.Process().children()) - before
+    del model
+    _, alive = psutil.wait_procs(server.children(recursive=True), timeout=5)
+    assert not alive
+    # It waits for the next model, and is all that does.
+    with PoolModel(SlowToy().open, 2) as model:
+        model.simulate(_rows(3))
+        assert set(psutil.Process().children()) - before == {server}
+    end_fork_servers()
+    assert not set(psutil.Process().children(recursive=True)) - before
+
+
+def test_each_model_begins_paths_and_temporary_files_in_its_own_folders(
+    decay_case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    case, rows = load_case(decay_case), np.array([[1e-4, 0.0]])
+    settings = replace(case.settings, path=Path("decay.fmu"))
+    with case.open_model() as model:
+        expected = model.simulate(rows).digest
+    for name in ("first", "second"):
+        home = tmp_path / name
+        home.mkdir()
+        (home / "decay.fmu").write_bytes((decay_case / "decay.fmu").read_bytes())
+        monkeypatch.chdir(home)
+        with PoolModel(settings.open, 1) as model:
+            assert model.simulate(rows).digest == expected
+        # Whoever had begun in the first folder could not open it there again.
+        (home / "decay.fmu").unlink()
+
+
+def test_code_of_the_user_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    model_file = tmp_path / "model_of_the_user.py"
+    # Of another size: Python takes a file of the same second and size for the same file.
+    for ambient in (10.0, 120.0):
+        text = f"from simulation.toy import ToyRC\ndef opened():\n    return ToyRC(ambient={ambient})\n"
+        model_file.write_text(text)
+        sys.modules.pop("model_of_the_user", None)
+        from model_of_the_user import opened  # type: ignore[import-not-found]
+
+        with PoolModel(opened, 1) as model:
+            assert model.simulate(_rows(3)).y[0, 0, 0] == ambient
+
+
+TWO_POOLS = """
+import numpy as np, psutil
+from simulation.case import load_case
+from simulation.pool.pool_model import PoolModel
+case = load_case({case!r})
+for _ in range(2):
+    with PoolModel(case.make_model, 1) as model:
+        model.simulate(np.array([[1e-4, 0.0]]))
+        (worker,) = [one for one in psutil.Process().children(recursive=True) if not one.children()]
+        print(worker.cpu_times().user)
+"""
+
+
+def test_the_next_process_has_in_memory_what_the_first_compiled(decay_case: Path):
+    script = TWO_POOLS.format(case=str(decay_case))
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment, check=True)
+    first_s, second_s = map(float, said.stdout.split())
+    # Fetching the loop from numba's cache takes a quarter of a second, opening this FMU a tenth of that.
+    assert second_s < 0.5 * first_s
+
+
+NO_ROOM = """
+import errno, os, pathlib, tempfile
+def limited(call):
+    n_calls = []
+    def limited_call(*arguments, **options):
+        n_calls.append(call)
+        if len(n_calls) > {n}:
+            raise OSError(errno.{error}, os.strerror(errno.{error}))
+        return call(*arguments, **options)
+    return limited_call
+{call} = limited({call})
+"""
+
+
+@pytest.mark.parametrize(
+    ("call", "n", "error", "line"),
+    [
+        ("tempfile.mkdtemp", 0, "ENOSPC", r"no temporary folder .*No space left on device.*TMPDIR"),
+        ("os.fork", 0, "EAGAIN", r"^a process .*started \(Resource temporarily unavailable\); lower"),
+        ("os.fork", 1, "EAGAIN", r"^a process .*started \(Resource temporarily unavailable\); lower"),
+        ("pathlib.Path.mkdir", 0, "ENOSPC", r"^a process .*started \(No space left on device\); lower"),
+    ],
+)
+def test_where_no_process_can_be_started_the_machine_is_in_the_way(
+    call: str, n: int, error: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "sitecustomize.py").write_text(NO_ROOM.format(call=call, n=n, error=error))
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{ROOT}")
+    with pytest.raises(MachineError, match=line), PoolModel(ToyRC, 1) as model:
+        model.simulate(_rows(1))
+
+
+def test_ctrl_c_ends_all_hands_over_what_is_finished_and_can_be_followed():
+    rows, here, sizes = _rows(400), threading.main_thread().ident, list[int]()
+    assert here is not None
+    with PoolModel(SlowToy(row_s=0.02).open, 2) as model:
+        for wait_s in (0.05, 3.0):  # while the first process starts, and in the middle
+            threading.Timer(wait_s, signal.pthread_kill, (here, signal.SIGINT)).start()
+            with pytest.raises(KeyboardInterrupt):
+                sizes.extend(len(numbers) for numbers, _ in model.as_finished(rows))
+            assert model.n_processes == 0
+        assert 0 < sum(sizes) < len(rows)
+        assert model.simulate(rows[:5]).digest == ToyRC().simulate(rows[:5]).digest
+
+
+SCRIPT = """
+import sys
+sys.path[:0] = [{tests!r}, {root!r}]
+import numpy as np
+from simulation.pool.pool_model import PoolModel
+from slow_models import SlowToy
+
+rows = SlowToy().parameter_space.from_unit(np.random.default_rng(0).random((4000, 2)))
+with PoolModel(SlowToy, 2) as model:
+    model.simulate(rows[:20])
+    print("ready", flush=True)
+    model.simulate(rows)
+"""
+
+
+# Without a guard: a script need not know that there are processes.
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_no_worker_and_no_file_outlives_its_parent(how: signal.Signals, tmp_path: Path):
+    script, temporary = tmp_path / "work.py", tmp_path / "tmp"
+    temporary.mkdir()
+    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent), root=str(ROOT)))
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        workers = psutil.Process(process.pid).children(recursive=True)
+        assert len(workers) >= 3
+        assert list(temporary.iterdir())
+        time.sleep(0.1)
+        started = time.monotonic()
+        process.send_signal(how)
+        process.wait(timeout=20)
+        _, alive = psutil.wait_procs(workers, timeout=10)
+        assert not alive
+        # The batch would have taken 100 s; "within a second" is what it takes on an idle machine.
+        assert time.monotonic() - started < 5
+    assert not list(temporary.iterdir())
+
+
+FORKING = """
+import os, sys
+sys.path[:0] = [{tests!r}, {root!r}]
+import psutil
+from test_pool import PoolModel, ToyRC, _rows
+
+def simulate():
+    with PoolModel(ToyRC, 1) as model:
+        assert model.simulate(_rows(3)).digest == ToyRC().simulate(_rows(3)).digest
+simulate()
+(server,) = psutil.Process().children()
+if (child := os.fork()) == 0:
+    simulate()
+    os._exit(0 if len(psutil.Process().children()) == 1 else 1)
+assert os.waitpid(child, 0)[1] == 0
+simulate()
+assert psutil.Process().children() == [server]
+print(server.pid)
+"""
+
+
+def test_a_fork_of_the_program_has_its_own_and_none_outlives_it():
+    script = FORKING.format(tests=str(Path(__file__).parent), root=str(ROOT))
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert not psutil.pid_exists(int(done.stdout))
+    assert done.stderr == ""

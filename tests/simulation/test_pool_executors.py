@@ -1,0 +1,138 @@
+"""Any executor gives the same bits; a cluster that sees none of our files and loses a worker, too."""
+
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from simulation.case import load_case
+from simulation.errors import InputError
+from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
+from simulation.pool.fork_server import end_fork_servers
+from simulation.pool.pool_model import PoolModel
+from simulation.toy import ToyRC
+
+sys.path.insert(0, str(Path(__file__).parent))
+from slow_models import BAD_ABOVE_R, CrashingToy, HangingToy, PickyToy, RaisingToy, SlowToy
+
+
+def _rows(n: int, n_bad: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(7)
+    rows = ToyRC().parameter_space.from_unit(rng.random((n, 2)))
+    rows[:, 0] = np.minimum(rows[:, 0], BAD_ABOVE_R)
+    rows[rng.choice(n, n_bad, replace=False), 0] = 4.5
+    return rows
+
+
+def _spawning() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn"))
+
+
+@pytest.fixture(params=["threads", "processes"])
+def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
+    before = set(psutil.Process().children(recursive=True))
+    with ThreadPoolExecutor(2) if request.param == "threads" else _spawning() as executor:
+        yield executor
+    end_fork_servers()
+    left = [
+        process
+        for process in set(psutil.Process().children(recursive=True)) - before
+        if "resource_tracker" not in " ".join(process.cmdline())
+    ]
+    assert not psutil.wait_procs(left, timeout=5)[1]
+
+
+def test_the_same_bits_and_exactly_the_bad_rows_fail(executor: Executor):
+    rows = _rows(60, 4)
+    policy = ExecutionPolicy(timeout_s=0.4)
+    for toy in (CrashingToy(), HangingToy(row_s=0.002)):
+        model = PoolModel(toy.open, 2, executor=executor, policy=policy)
+        answer = model.simulate(rows)
+        bad = rows[:, 0] > BAD_ABOVE_R
+        assert np.array_equal(answer.failed, bad)
+        assert answer.take(~bad).digest == ToyRC().simulate(rows[~bad]).digest
+
+
+def test_errors_of_the_user_come_through(executor: Executor):
+    with pytest.raises(InputError, match=r"^picky\.fmu: there is no licence; ask for one$"):
+        PoolModel(PickyToy().open, 2, executor=executor).simulate(_rows(3))
+    with pytest.raises(TooManyFailuresError, match="ValueError: R is too large"):
+        PoolModel(RaisingToy().open, 2, executor=executor).simulate(_rows(40, 35))
+
+
+def test_a_chunk_whose_process_is_lost_is_simulated_again():
+    rows, warnings = _rows(40), []
+    with ThreadPoolExecutor(2) as executor:
+        model = PoolModel(SlowToy(row_s=0.05).open, 2, executor=executor, on_warning=warnings.append)
+        model.simulate(rows[:4])
+        supervisors = [each for child in psutil.Process().children() for each in child.children()]
+        threading.Timer(0.3, supervisors[0].kill).start()
+        assert model.simulate(rows).digest == ToyRC().simulate(rows).digest
+    assert "simulated again" in warnings[0]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=3,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        local_directory=str(tmp_path_factory.mktemp("dask")),
+    ) as cluster:
+        yield cluster
+
+
+def test_a_worker_of_a_cluster_killed_half_way_costs_nothing(cluster: Any):
+    from simulation.pool.dask_executor import DaskExecutor
+
+    rows = ToyRC().parameter_space.from_unit(np.random.default_rng(3).random((300, 2)))
+    n_done, children = 0, []
+    answers = np.zeros((300, len(ToyRC().time), 1))
+    with DaskExecutor(cluster.scheduler_address) as executor:
+        model = PoolModel(SlowToy(row_s=0.03).open, executor=executor)
+        for numbers, answer in model.as_finished(rows):
+            answers[numbers] = answer.y
+            n_done += answer.n
+            if n_done >= 100 and not children:
+                pid = cluster.workers[1].process.pid
+                children = psutil.Process(pid).children(recursive=True)
+                os.kill(pid, signal.SIGKILL)
+    assert n_done == 300
+    assert np.array_equal(answers, ToyRC().simulate(rows).y)
+    # What simulated for it went with it.
+    assert children
+    assert not psutil.wait_procs(children, timeout=5)[1]
+
+
+def test_the_fmu_travels_by_its_content(cluster: Any, decay_case: Path):
+    from simulation.pool.dask_executor import DaskExecutor
+
+    case = load_case(decay_case)
+    rows = np.column_stack([np.geomspace(2e-5, 5e-4, 30), np.zeros(30)])
+    with case.open_model() as here:
+        expected = here.simulate(rows)
+    with DaskExecutor(cluster.scheduler_address) as executor:
+        model = PoolModel(case.make_model, executor=executor)
+        # The other machines have another file under this name, or none.
+        shutil.move(case.fmu_path, case.fmu_path.with_suffix(".away"))
+        assert model.simulate(rows).digest == expected.digest
+        assert model.simulate(rows[::-1]).digest == expected.take(np.arange(30)[::-1]).digest
+
+
+def test_an_address_without_a_scheduler_is_an_error_of_the_user(monkeypatch: pytest.MonkeyPatch):
+    dask_executor = pytest.importorskip("simulation.pool.dask_executor")
+    monkeypatch.setattr(dask_executor, "_CONNECT_S", 0.5)
+    with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers there"):
+        dask_executor.DaskExecutor("tcp://127.0.0.1:9")
