@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter, ValidationError
 
 from simulation.errors import InputError
-from simulation.foreign_text import quoted
+from simulation.foreign_text import quoted, shortened
 from studies.calibration.adaptive import Adaptive
 from studies.profile import Profile, in_one_line
 from studies.recipe import SCHEMA
@@ -107,10 +107,11 @@ def provenance_of(record: Mapping[str, Any], owner: str) -> Provenance:
         raise InputError(f"{owner} is a {quoted(kind)}, which this version cannot make again")
     try:
         made = _READER.validate_python(record)
-    except ValidationError as error:
-        raise InputError(
-            f"{owner}: provenance.json: {in_one_line(error)}; use the version that wrote it"
-        ) from None
+        if made.declaration is not None:
+            made.declaration.config(made.params)
+    except ValueError as error:
+        said = in_one_line(error) if isinstance(error, ValidationError) else shortened(str(error))
+        raise InputError(f"{owner}: provenance.json: {said}; use the version that wrote it") from None
     needed = NEEDED[kind]
     if not getattr(made.recipe, needed, None) and getattr(made, needed, None) is None:
         raise InputError(f"{owner}: provenance.json: {needed} is missing; make it again with this version")

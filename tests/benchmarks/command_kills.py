@@ -278,9 +278,8 @@ def main() -> int:
             n, wrong = attacked(words, before, after, took_s, draw)
             told[words].append((n, wrong))
             n_kills += n
-            if wrong:
-                n_wrong += 1
-                print(f"WRONG {' '.join(words)}: {wrong}", flush=True)
+            n_wrong += bool(wrong)
+            print(f"{n_kills} kills, {' '.join(words)}: {f'WRONG {wrong}' if wrong else 'good'}", flush=True)
             if n_kills >= chosen.kills:
                 break
         for words, found in told.items():
