@@ -25,14 +25,18 @@ mlruns/results/<label>/paper/<item>/ and in MLflow.
 the trainings of the small one. --profile takes sizes and trials of another profile, for example smoke as a
 test, or paper for the networks as the paper describes them.
 
---from FOLDER draws Fig. 6 from the trials of an earlier run. Nothing is simulated or trained, and the
-recording is not needed.
+Fig. 7 and Table 4 train the best network of each size in Fig. 6 once more. --hyperparameters FOLDER takes
+these from the trials of an earlier Fig. 6, so that nothing is tuned.
+
+--from FOLDER draws Fig. 6, Fig. 7 or Table 4 from the files of an earlier run. Nothing is simulated or
+trained, and the recording is not needed.
 
 examples:
   studies reproduce-paper --dry-run                         the plan and its duration
   studies reproduce-paper --only fig5 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
   studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
+  studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
   studies reproduce-paper office-recorded --export data/paper-results/office-recorded.json
 """
 
@@ -77,7 +81,17 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--export", type=Path, metavar="FILE", help="also write the numbers of all items to one JSON file"
     )
     command.add_argument(
-        "--from", dest="source", type=Path, metavar="FOLDER", help="with --only fig6: draw it from its trials"
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FOLDER",
+        help="with --only fig6, fig7 or table4: draw it from the files of an earlier run",
+    )
+    command.add_argument(
+        "--hyperparameters",
+        type=Path,
+        metavar="FOLDER",
+        help="with fig7 or table4: take the best trials of Fig. 6 from here instead of tuning",
     )
     options.add_simulation(command)
 
@@ -86,7 +100,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.paper.catalog import chosen_items, with_needs
 
-    items = with_needs(chosen_items(chosen.only))
+    there = frozenset() if chosen.hyperparameters is None else frozenset({"fig6"})
+    items = with_needs(chosen_items(chosen.only), there)
     _refuse_senseless(chosen)
     if chosen.source is not None:
         return _drawn(chosen, console)
@@ -151,18 +166,20 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
     Raises:
         InputError: one of them would be ignored.
     """
-    from studies.paper.catalog import chosen_items
+    from studies.paper.catalog import DRAWN, chosen_items
     from studies.report.wording import listed
 
     if chosen.dry_run and chosen.export is not None:
         raise InputError("--dry-run writes nothing, but --export writes a file; remove one of them")
     flags = (("--export", chosen.export), ("--again", chosen.again), ("--dry-run", chosen.dry_run))
     if chosen.source is not None:
-        if {item.name for item in chosen_items(chosen.only)} != {"fig6"}:
-            raise InputError("--from draws Fig. 6 alone; add --only fig6")
-        others = [flag for flag, is_given in (*flags, ("--row", chosen.row)) if is_given]
+        items = chosen_items(chosen.only)
+        if len(items) != 1 or items[0].name not in DRAWN:
+            raise InputError(f"--from draws one item alone; add --only with one of {listed(DRAWN)}")
+        beside_it = (*flags, ("--row", chosen.row), ("--hyperparameters", chosen.hyperparameters))
+        others = [flag for flag, is_given in beside_it if is_given]
         if others:
-            raise InputError(f"--from draws Fig. 6 and does nothing else; remove {listed(others)}")
+            raise InputError(f"--from draws an item and does nothing else; remove {listed(others)}")
     if chosen.row is None:
         return
     beside = [flag for flag, is_given in flags if is_given]
@@ -173,17 +190,18 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
 
 
 def _drawn(chosen: argparse.Namespace, console: Console) -> int:
-    """Draw Fig. 6 from the trials of an earlier run and return the exit code."""
-    from studies.paper.fig6 import drawn_from
+    """Draw an item from the files of an earlier run and return the exit code."""
+    from studies.paper.catalog import chosen_items, drawn_module
     from studies.paper.run import write_drawn
     from studies.paths import find_project
 
-    origin, result = drawn_from(chosen.source)
+    (item,) = chosen_items(chosen.only)
+    origin, result = drawn_module(item).drawn_from(chosen.source)
     if chosen.case != origin.case:
-        raise InputError(f"{chosen.source} holds trials of {origin.case}, not of {chosen.case}")
+        raise InputError(f"{chosen.source} holds results of {origin.case}, not of {chosen.case}")
     paths = find_project(chosen.storage)
-    command = f"studies reproduce-paper {origin.case} --only fig6 --from {paths.show(chosen.source)}"
-    files = write_drawn(paths, origin, result, command)
+    command = f"studies reproduce-paper {origin.case} --only {item.name} --from {paths.show(chosen.source)}"
+    files = write_drawn(paths, item, origin, result, command)
     console.result(f"{result.agreement}: {result.verdict}")
     for file in files:
         console.say(paths.show(file))
@@ -257,4 +275,6 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
     words += ["--seeds", str(chosen.seeds)] if chosen.seeds is not None else []
     words += ["--seed", str(seed)] if seed is not None else []
-    return Plan(opener=opener, budget=budget, words=" ".join(words))
+    if chosen.hyperparameters is not None:
+        words += ["--hyperparameters", str(chosen.hyperparameters)]
+    return Plan(opener=opener, budget=budget, words=" ".join(words), trials=chosen.hyperparameters)

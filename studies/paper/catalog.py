@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from simulation.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from studies.paper.plan import Plan
     from studies.paper.result import ItemResult
+    from studies.paper.size_files import Origin
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,6 @@ class Item:
         needs: items that must be finished before.
         aliases: other words that mean it.
         cases: cases that it is about; none for all.
-        trains_own_window: whether it wants the studies of the case's own window, which one trains for all.
     """
 
     name: str
@@ -31,7 +33,6 @@ class Item:
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
     cases: tuple[str, ...] = ()
-    trains_own_window: bool = False
 
     @property
     def words(self) -> str:
@@ -50,9 +51,8 @@ ITEMS = (
     Item(
         "fig7",
         "Fig. 7: error on narrower test sets",
-        "the best surrogate per size on test sets of spread 0 to 1",
-        needs=("fig5",),
-        trains_own_window=True,
+        "the best of Fig. 6, trained again, on test sets of spread 0 to 1",
+        needs=("fig5", "fig6"),
     ),
     Item(
         "table3",
@@ -68,11 +68,10 @@ ITEMS = (
     Item(
         "table4",
         "Table 4 and Fig. 9: calibration by surrogate and polish",
-        "screening and polish per size",
-        aliases=("fig9",),
-        trains_own_window=True,
+        "the best of Fig. 6, trained again: screening and polish, small sizes with several seeds",
+        needs=("fig6",),
+        aliases=("fig9", "seeds"),
     ),
-    Item("seeds", "Table 4 over seeds", "the whole method again with other seeds: medians and quartiles"),
     Item(
         "whitebox",
         "Sec. 4: the white-box office",
@@ -93,6 +92,22 @@ class ItemModule(Protocol):
 
     def run(self, plan: "Plan") -> "ItemResult":
         """Do it."""
+
+
+class DrawnModule(ItemModule, Protocol):
+    """What the module of an item offers that can be drawn from the files of an earlier run."""
+
+    def drawn_from(self, folder: "Path") -> "tuple[Origin, ItemResult]":
+        """Return where the files come from, and the result."""
+
+
+DRAWN = ("fig6", "fig7", "table4")
+"""Items that can be drawn from the files of an earlier run."""
+
+
+def drawn_module(item: Item) -> DrawnModule:
+    """Return the module that draws an item from files; the item is one of `DRAWN`."""
+    return cast("DrawnModule", item_module(item))
 
 
 def item_module(item: Item) -> ItemModule:
@@ -117,10 +132,15 @@ def chosen_items(words: list[str] | None) -> tuple[Item, ...]:
     return tuple(item for item in ITEMS if item.name in wanted)
 
 
-def with_needs(items: tuple[Item, ...]) -> tuple[Item, ...]:
-    """Return items with all that must be finished before them, in the order of the paper."""
+def with_needs(items: tuple[Item, ...], there: frozenset[str] = frozenset()) -> tuple[Item, ...]:
+    """Return items with all that must be finished before them, in the order of the paper.
+
+    Args:
+        items: the items.
+        there: names of what need not be made for them.
+    """
     wanted = {item.name for item in items}
     for item in reversed(ITEMS):
         if item.name in wanted:
-            wanted |= set(item.needs)
+            wanted |= set(item.needs) - there
     return tuple(item for item in ITEMS if item.name in wanted)

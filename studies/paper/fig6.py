@@ -8,16 +8,15 @@ import numpy as np
 
 from simulation.store.row_set import RowSet
 from studies.paper.fig6_shown import shown
-from studies.paper.fig6_sizes import Origin, SizeTrials, Tuning, read_sizes, tuning_of, write_sizes
+from studies.paper.fig6_sizes import SizeTrials, Tuning, read_trials, tuning_of
 from studies.paper.plan import FAITHFUL_PROFILE, FAITHFUL_TRAINING_S, SIMULATIONS_PER_S, Plan
 from studies.paper.result import ItemResult, item_folder
+from studies.paper.size_files import Origin, origin_of, write_sizes
 from studies.paper.tuned import Tuned, tune_sizes
 from studies.profile import Profile, load_profile
-from studies.report.wording import difference_unit
 from studies.stages.pipeline import Study
 from studies.stages.simulate import set_files
 from studies.stages.tuned_trials import tuned_by_size
-from studies.tracking.origin import versions
 
 
 def inputs(plan: Plan) -> dict[str, Any]:
@@ -63,7 +62,7 @@ def drawn_from(folder: Path) -> tuple[Origin, ItemResult]:
     Raises:
         InputError: the files cannot be read, or do not belong together.
     """
-    origin, sizes = read_sizes(folder)
+    origin, sizes = read_trials(folder)
     return origin, shown(origin, sizes)
 
 
@@ -76,22 +75,7 @@ def collected(plan: Plan, tuned: Tuned, faithful: Tuned | None = None) -> tuple[
         faithful: the form of the paper, None without.
     """
     study = tuned.study
-    data, profile = study.profile.data, study.profile
-    origin = Origin(
-        command=plan.command("fig6"),
-        case=study.case.name,
-        case_sha256=study.case.digest,
-        label=plan.study.label,
-        note=study.case.note,
-        budget=plan.budget.name,
-        profile=profile.name,
-        seed=profile.seed,
-        window_d=study.case.window_d,
-        unit=difference_unit(study.case.outputs[0].unit),
-        n_validation=data.n_validation,
-        n_test=data.n_test,
-        versions=versions(),
-    )
+    origin = origin_of(plan, study, "fig6")
     networks = _tunings(study)
     beside = {} if faithful is None else _tunings(faithful.study)
     pca_gp = _tunings(study, baseline=True)

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from studies.paper.fig6_sizes import Origin, SizeTrials, Trial, Tuning, known
+from studies.paper.fig6_sizes import SizeTrials, Trial, Tuning, known
 from studies.paper.fig6_words import verdict
 from studies.paper.published import FIG_6_LATENT, FIG_6_MAE, FIG_6_RANGE
 from studies.paper.result import ERROR, ItemResult, columns_in
+from studies.paper.size_files import Origin
 from studies.report import captions
 from studies.report.contents import Picture
 from studies.report.figures_by_size import SettingTrials, setting_figure

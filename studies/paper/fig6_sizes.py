@@ -1,17 +1,12 @@
 """What Fig. 6 is drawn from: every trial of a training-set size, one JSON file per size."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from simulation.errors import InputError
-from studies.paths import size_name
-from studies.stages.pipeline import read_json, write_json
+from studies.paper.size_files import Origin, read_sizes
 from studies.tuning.results import TrialView, TunedStudy
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)
@@ -100,41 +95,6 @@ class Tuning:
 
 
 @dataclass(frozen=True)
-class Origin:
-    """Where the sizes come from; the same for all of them.
-
-    Args:
-        command: the command that makes them.
-        case: name of the case.
-        case_sha256: digest of the case.
-        label: what the results are named after.
-        note: what a reader of the case must know.
-        budget: the budget of the command.
-        profile: name of the profile.
-        seed: seed of the studies.
-        window_d: first and last day. [d]
-        unit: unit of the errors.
-        n_validation: simulations that choose.
-        n_test: simulations that only judge.
-        versions: of the programs, by name.
-    """
-
-    command: str
-    case: str
-    case_sha256: str
-    label: str
-    note: str
-    budget: str
-    profile: str
-    seed: int
-    window_d: tuple[float, float]
-    unit: str
-    n_validation: int
-    n_test: int
-    versions: dict[str, str]
-
-
-@dataclass(frozen=True)
 class SizeTrials:
     """All trials of one training-set size.
 
@@ -178,41 +138,18 @@ def tuning_of(study: TunedStudy | None) -> Tuning | None:
     )
 
 
-def write_sizes(folder: Path, origin: Origin, sizes: Sequence[SizeTrials]) -> tuple[Path, ...]:
-    """Write one file per size, and return them."""
-    files = []
-    for size in sizes:
-        files.append(folder / f"{size_name(size.n_train)}.json")
-        write_json(files[-1], {"schema": SCHEMA, "origin": asdict(origin), "size": asdict(size)})
-    return tuple(files)
-
-
-def read_sizes(folder: Path) -> tuple[Origin, tuple[SizeTrials, ...]]:
-    """Read all sizes of a folder, the smallest first.
+def read_trials(folder: Path) -> tuple[Origin, tuple[SizeTrials, ...]]:
+    """Read the trials of all sizes of a folder, the smallest size first.
 
     Raises:
         InputError: there is none, one cannot be read, or they belong to different studies.
     """
-    found = [(file, *_read(file)) for file in sorted(folder.glob("n[0-9]*.json"))]
-    if not found:
-        raise InputError(f"{folder} holds no trials of Fig. 6; name a folder with files such as n0032.json")
-    first = found[0][1]
-    for file, origin, _ in found:
-        if origin != first:
-            raise InputError(f"{file} belongs to other studies than {found[0][0].name}; remove one of them")
-    return first, tuple(sorted((size for _, _, size in found), key=lambda size: size.n_train))
+    return read_sizes(folder, "trials of Fig. 6", _size)
 
 
-def _read(file: Path) -> tuple[Origin, SizeTrials]:
-    content = read_json(file)
-    if content is None or content.get("schema") != SCHEMA:
-        raise InputError(f"{file} holds no trials of Fig. 6 as this version writes them")
-    try:
-        origin, size = content["origin"], content["size"]
-        tunings = {name: _tuning(size[name]) for name in ("networks", "faithful", "pca_gp")}
-        return Origin(**{**origin, "window_d": tuple(origin["window_d"])}), SizeTrials(**{**size, **tunings})
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{file} holds no trials of Fig. 6 as this version writes them: {error}") from None
+def _size(content: dict[str, Any]) -> SizeTrials:
+    tunings = {name: _tuning(content[name]) for name in ("networks", "faithful", "pca_gp")}
+    return SizeTrials(**{**content, **tunings})
 
 
 def _tuning(content: dict[str, Any] | None) -> Tuning | None:

@@ -1,5 +1,8 @@
 """Fig. 7: the error of the best surrogates on test sets that shrink around the middle of the box."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,15 +10,16 @@ import numpy as np
 from pelsvae.metrics import errors
 from simulation.arrays import FloatArray
 from simulation.design import spread_design
+from studies.paper.models import Settings, chosen_settings, settings_inputs, train_again, tuned_for_fig6
 from studies.paper.plan import SIMULATIONS_PER_S, Plan
 from studies.paper.published import FIG_7_AT_32
-from studies.paper.result import Agreement, ItemResult, numbers_of
-from studies.paper.tuned import tune_sizes
+from studies.paper.result import Agreement, ItemResult, item_folder, numbers_of
+from studies.paper.size_files import Origin, origin_of, read_sizes, write_sizes
 from studies.physical_model import open_physical_model
 from studies.report.contents import Picture
 from studies.report.figures_by_size import SpreadErrors, spread_figure
 from studies.report.tables import Column, Table
-from studies.report.wording import count, difference_unit, listed, quantity
+from studies.report.wording import count, listed, quantity
 from studies.stages.calibrate import best_surrogate
 from studies.stages.pipeline import Study
 from studies.stages.simulate import TEST_SEED, train_seed
@@ -32,24 +36,46 @@ INNER = 0.2
 By = dict[str, dict[int, FloatArray]]
 
 
+@dataclass(frozen=True)
+class SpreadSize:
+    """The errors of one training-set size.
+
+    Args:
+        n_train: training-set size.
+        surrogate: form of the surrogate.
+        settings: its hyperparameters, tuned for Fig. 6.
+        tuned_on_d: first and last day of that. [d]
+        training_s: duration of the training. [s]
+        important: parameters that are restricted in (a).
+        n_spread: rows of each test set.
+        n_rows: rows of all narrower test sets.
+        mae: by kind of restriction, per spread. [output's unit]
+        p90: 90th percentile, the same. [output's unit]
+    """
+
+    n_train: int
+    surrogate: str
+    settings: Settings
+    tuned_on_d: tuple[float, float]
+    training_s: float
+    important: tuple[str, ...]
+    n_spread: int
+    n_rows: int
+    mae: dict[str, tuple[float, ...]]
+    p90: dict[str, tuple[float, ...]]
+
+
 def inputs(plan: Plan) -> dict[str, Any]:
     """Return all that decides the result."""
-    budget, profile = plan.budget, plan.study.profile.to_dict()
-    tuning = {key: value for key, value in profile["tuning"].items() if key != "n_trials"}
-    return {
-        "n_train": list(budget.n_train),
-        "trials": budget.window_trials,
-        "tuning": tuning,
-        "n_spread": budget.n_spread,
-        "n_base": budget.n_base,
-    }
+    budget = plan.budget
+    return {**settings_inputs(plan), "n_spread": budget.n_spread, "n_base": budget.n_base}
 
 
 def estimate_s(plan: Plan) -> float:
     """Estimate how long it takes from nothing. [s]."""
     budget = plan.budget
     n_rows = max(budget.n_train) + 640 + 2 * len(SPREADS) * budget.n_spread
-    return plan.window_training_s + n_rows / SIMULATIONS_PER_S
+    return plan.trainings_s(budget.n_train) + n_rows / SIMULATIONS_PER_S
 
 
 def spread_set(study: Study, n: int, spread: float, important: list[str] | None) -> FloatArray:
@@ -68,13 +94,58 @@ def spread_set(study: Study, n: int, spread: float, important: list[str] | None)
 
 
 def run(plan: Plan) -> ItemResult:
-    """Simulate the test sets and let every size's best surrogate predict them."""
-    trials = plan.budget.window_trials
-    tuned = tune_sizes(plan.study, trials)
-    study, sizes = tuned.study, plan.budget.n_train
-    important: list[str] = numbers_of(study, "fig5")["important"]
+    """Simulate the test sets and let the best of every size, trained again, predict them."""
+    chosen = chosen_settings(plan)
+    models = train_again(plan.study, chosen.settings)
+    study, sizes = models.study, plan.budget.n_train
+    important: list[str] = numbers_of(plan.study, "fig5")["important"]
     mae, p90, n_rows = _judge(study, plan.budget.n_spread, important)
-    unit = difference_unit(study.case.outputs[0].unit)
+    found = [
+        SpreadSize(
+            n_train=n,
+            surrogate=study.profile.tuning.surrogate,
+            settings=chosen.settings[n],
+            tuned_on_d=chosen.window_d,
+            training_s=round(models.wall_s[n], 1),
+            important=tuple(important),
+            n_spread=plan.budget.n_spread,
+            n_rows=n_rows,
+            mae={kind: tuple(mae[kind][n].tolist()) for kind in KINDS},
+            p90={kind: tuple(p90[kind][n].tolist()) for kind in KINDS},
+        )
+        for n in sizes
+    ]
+    origin = origin_of(plan, plan.study, "fig7")
+    files = write_sizes(item_folder(plan.study, "fig7"), origin, found)
+    return replace(shown(origin, found), files=files)
+
+
+def drawn_from(folder: Path) -> tuple[Origin, ItemResult]:
+    """Return the same from the files of an earlier run, without simulations and trainings.
+
+    Raises:
+        InputError: the files cannot be read, or do not belong together.
+    """
+    origin, sizes = read_sizes(folder, "errors of Fig. 7", _size)
+    return origin, shown(origin, sizes)
+
+
+def _size(content: dict[str, Any]) -> SpreadSize:
+    lists = {key: tuple(content[key]) for key in ("tuned_on_d", "important")}
+    errors_ = {key: {k: tuple(v) for k, v in content[key].items()} for key in ("mae", "p90")}
+    return SpreadSize(**{**content, **lists, **errors_})
+
+
+def shown(origin: Origin, sizes: Sequence[SpreadSize]) -> ItemResult:
+    """Return Fig. 7.
+
+    Args:
+        origin: where the errors come from.
+        sizes: the errors by size, the smallest first.
+    """
+    mae: By = {kind: {one.n_train: np.array(one.mae[kind]) for one in sizes} for kind in KINDS}
+    p90: By = {kind: {one.n_train: np.array(one.p90[kind]) for one in sizes} for kind in KINDS}
+    unit, any_size = origin.unit, sizes[0]
     agreement, verdict = _verdict(mae, unit)
     title = _title(mae, unit)
     return ItemResult(
@@ -82,9 +153,9 @@ def run(plan: Plan) -> ItemResult:
         verdict=verdict,
         numbers={
             "spreads": SPREADS.tolist(),
-            "important": important,
-            "mae": {kind: {n: mae[kind][n].tolist() for n in sizes} for kind in KINDS},
-            "p90": {kind: {n: p90[kind][n].tolist() for n in sizes} for kind in KINDS},
+            "important": list(any_size.important),
+            "mae": {kind: {n: one.tolist() for n, one in by_size.items()} for kind, by_size in mae.items()},
+            "p90": {kind: {n: one.tolist() for n, one in by_size.items()} for kind, by_size in p90.items()},
         },
         paper={"mae_important_n32": FIG_7_AT_32, "statement": "(b): smaller spread, larger MAE for n <= 128"},
         tables=(
@@ -95,25 +166,34 @@ def run(plan: Plan) -> ItemResult:
             Picture(
                 "spread",
                 "Error over the spread of the test set",
-                f"Restricted in (a): {listed(important)}. A set of spread 1 is the test set of all trials; "
-                "one of spread 0 with all parameters restricted is a single point, where both errors are "
-                "the same.",
+                f"Restricted in (a): {listed(any_size.important)}. A set of spread 1 is the test set of all "
+                "trials; one of spread 0 with all parameters restricted is a single point, where both errors "
+                "are the same.",
                 lambda path: spread_figure(
                     SPREADS,
                     [SpreadErrors(heading, mae[kind], p90[kind]) for kind, heading in KINDS.items()],
                     path,
                     title=title,
                     unit=unit,
-                    footnote=study.label,
+                    footnote=origin.label,
                 ),
             ),
         ),
-        n_calls={**tuned.n_simulations, "narrower test sets": n_rows},
-        work_s=tuned.wall_s,
-        seeds={"training design": train_seed(study.profile.seed), "test sets": TEST_SEED},
-        settings=(("rows per test set", count(plan.budget.n_spread)), ("important", ", ".join(important))),
-        metrics={f"mae_all_spread0.2/n{n:04d}": float(mae["all"][n][2]) for n in sizes},
-        uses=tuned.commands(trials),
+        n_calls={
+            "train set": max(one.n_train for one in sizes),
+            "validation set": origin.n_validation,
+            "test set": origin.n_test,
+            "narrower test sets": any_size.n_rows,
+        },
+        work_s=sum(one.training_s for one in sizes),
+        seeds={"training design": train_seed(origin.seed), "test sets": TEST_SEED},
+        settings=(
+            ("surrogate", any_size.surrogate),
+            ("hyperparameters", tuned_for_fig6(any_size.tuned_on_d)),
+            ("rows per test set", count(any_size.n_spread)),
+            ("important", ", ".join(any_size.important)),
+        ),
+        metrics={f"mae_all_spread0.2/n{one.n_train:04d}": one.mae["all"][2] for one in sizes},
     )
 
 

@@ -1,8 +1,9 @@
 """How much of the paper is repeated: budgets, and the studies (window, seed, sizes) they are spent on."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -38,12 +39,11 @@ class PaperBudget:
         n_train: training-set sizes.
         trials: trials per size; a size that is not named gets those of the next larger one.
         faithful_trials: the same for the faithful form in Fig. 6; sizes above the largest have none.
-        window_trials: trials per size on the case's own window, for Fig. 7 and Table 4.
         n_base: Saltelli blocks of the Sobol indices.
         n_resamples: their bootstrap samples.
-        n_seeds: seeds of the robust statistics.
-        seed_sizes: training-set sizes of the robust statistics.
-        seed_trials: trials per seed and size.
+        n_seeds: seeds of Table 4 at some sizes, the first among them, and of Table 3 beside the first.
+        seed_sizes: training-set sizes of Table 4 with several seeds.
+        white_box_trials: trials per size of the white box, at the same sizes.
         max_row_calls: rows of Table 3 that took the paper more calls are left to another budget.
         max_seeded_calls: the same for rows that are repeated with other seeds.
         max_starts: most starts of Fig. 8.
@@ -55,12 +55,11 @@ class PaperBudget:
     n_train: tuple[int, ...]
     trials: dict[int, int]
     faithful_trials: dict[int, int]
-    window_trials: dict[int, int]
     n_base: int
     n_resamples: int
     n_seeds: int
     seed_sizes: tuple[int, ...]
-    seed_trials: int
+    white_box_trials: int
     max_row_calls: int
     max_seeded_calls: int
     max_starts: int
@@ -79,12 +78,11 @@ BUDGETS: dict[str, PaperBudget] = {
         n_train=(32, 64, 128, 256, 512, 1024),
         trials={4096: 4},
         faithful_trials={},
-        window_trials={4096: 4},
         n_base=4096,
         n_resamples=100,
         n_seeds=3,
         seed_sizes=(32, 64),
-        seed_trials=2,
+        white_box_trials=2,
         max_row_calls=100_000,
         max_seeded_calls=20_000,
         max_starts=256,
@@ -96,12 +94,11 @@ BUDGETS: dict[str, PaperBudget] = {
         n_train=(32, 64, 128, 256, 512, 1024, 1536, 2048, 4096),
         trials={512: 40, 4096: 16},
         faithful_trials={512: 16},
-        window_trials={256: 16, 512: 12, 1024: 8, 4096: 5},
         n_base=32_768,
         n_resamples=200,
         n_seeds=10,
         seed_sizes=(32, 64, 128, 256),
-        seed_trials=4,
+        white_box_trials=4,
         max_row_calls=2_000_000,
         max_seeded_calls=100_000,
         max_starts=256,
@@ -133,11 +130,10 @@ def budget_for(
             n_train=sizes,
             trials=every,
             faithful_trials={},
-            window_trials=every,
             n_base=profile.sensitivity.n_base,
             n_resamples=profile.sensitivity.n_resamples,
             seed_sizes=tuple(n for n in budget.seed_sizes if n in sizes) or sizes[:1],
-            seed_trials=min(budget.seed_trials, profile.tuning.n_trials),
+            white_box_trials=min(budget.white_box_trials, profile.tuning.n_trials),
             n_spread=profile.data.n_test,
             max_row_calls=min(budget.max_row_calls, 100 * profile.polish.max_calls),
             max_seeded_calls=min(budget.max_seeded_calls, 100 * profile.polish.max_calls),
@@ -147,7 +143,7 @@ def budget_for(
         every = {max(budget.n_train): trials}
         note = f"{budget.note} Trials: {trials} per size, not the budget's."
         faithful = {max(budget.faithful_trials): trials} if budget.faithful_trials else {}
-        budget = replace(budget, note=note, trials=every, faithful_trials=faithful, window_trials=every)
+        budget = replace(budget, note=note, trials=every, faithful_trials=faithful)
     return budget if n_seeds is None else replace(budget, n_seeds=n_seeds)
 
 
@@ -181,20 +177,18 @@ class Plan:
         opener: puts a study together.
         budget: how much is spent.
         words: the words of the command line that name case, profile, seed and budget.
+        trials: folder with the trials of Fig. 6 whose best are trained again; None takes this project's own.
     """
 
     opener: StudyOpener
     budget: PaperBudget
     words: str
+    trials: Path | None = None
 
     @cached_property
     def study(self) -> Study:
         """The study of the case's own window, which all results are named after."""
-        return self.window_study(self.budget.n_train, trials_for(self.budget.window_trials, 0))
-
-    def window_study(self, n_train: tuple[int, ...], trials: int) -> Study:
-        """Return the study of the case's own window with other sizes or trials."""
-        return self.opener(n_train=n_train, trials=trials)
+        return self.opener(n_train=self.budget.n_train, trials=min(self.budget.trials.values()))
 
     def hyperparameter_study(self) -> Study:
         """Return the study of Fig. 6, with all sizes."""
@@ -228,27 +222,31 @@ class Plan:
             return self.opener(profile=profile, n_train=n_train, trials=trials)
 
     def other_study(self, case: str) -> Study:
-        """Return the study of another case, with the sizes and trials of the robust statistics."""
-        return self.opener(case=case, n_train=self.budget.seed_sizes, trials=self.budget.seed_trials)
+        """Return the study of another case, with the sizes that have several seeds in Table 4."""
+        return self.opener(case=case, n_train=self.budget.seed_sizes, trials=self.budget.white_box_trials)
 
     def seed_study(self, seed: int) -> Study:
-        """Return the study of another seed."""
-        return self.opener(seed=seed, n_train=self.budget.seed_sizes, trials=self.budget.seed_trials)
+        """Return the study of another seed, with the sizes that have several."""
+        return self.opener(seed=seed, n_train=self.budget.seed_sizes, trials=1)
 
     @property
     def seeds(self) -> tuple[int, ...]:
-        """Seeds of the robust statistics: those after the plan's own, which has more trials."""
+        """Seeds after the plan's own, as many as the budget says."""
         first = self.study.profile.seed
         return tuple(range(first + 1, first + 1 + self.budget.n_seeds))
+
+    @property
+    def more_seeds(self) -> tuple[int, ...]:
+        """Seeds of Table 4 beside the plan's own."""
+        return self.seeds[:-1]
+
+    def seeds_of(self, n_train: int) -> tuple[int, ...]:
+        """Return the seeds of a size in Table 4, the plan's own first."""
+        return (self.study.profile.seed, *(self.more_seeds if n_train in self.budget.seed_sizes else ()))
 
     def command(self, item: str) -> str:
         """Return what makes one item alone."""
         return f"studies reproduce-paper {self.words} --only {item}".replace("  ", " ")
-
-    @property
-    def window_training_s(self) -> float:
-        """Estimated time of the studies of the case's own window. [s]."""
-        return self.training_s(self.budget.n_train, self.budget.window_trials)
 
     def training_s(
         self, sizes: tuple[int, ...], trials: dict[int, int], one_s: Mapping[int, float] = TRAINING_S
@@ -260,10 +258,18 @@ class Plan:
             trials: trials per size.
             one_s: duration of one training, by size. [s]
         """
-        known = sorted(one_s)
-        each = np.interp(np.log(sizes), np.log(known), [one_s[n] for n in known])
-        work = sum(float(s) * trials_for(trials, n) for n, s in zip(sizes, each, strict=True))
+        work = self.trainings_s([n for n in sizes for _ in range(trials_for(trials, n))], one_s)
         return work / min(self.study.n_jobs, len(sizes)) + 10.0
+
+    def trainings_s(self, sizes: Sequence[int], one_s: Mapping[int, float] = TRAINING_S) -> float:
+        """Estimate how long trainings take one after another. [s].
+
+        Args:
+            sizes: training-set size of each.
+            one_s: duration of one, by size. [s]
+        """
+        known = sorted(one_s)
+        return float(np.interp(np.log(sizes), np.log(known), [one_s[n] for n in known]).sum())
 
     def screening_s(self) -> float:
         """Estimate how long one calibration takes. [s]."""

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from studies.paper.catalog import Item, chosen_items, item_module
-from studies.paper.fig6_sizes import Origin
+from studies.paper.catalog import Item, item_module
 from studies.paper.plan import Plan
 from studies.paper.result import ItemResult, item_folder, write_result
+from studies.paper.size_files import Origin
 from studies.paper.telling import tell_item
 from studies.paths import ProjectPaths
 from studies.stages.knowledge import declared_inputs
@@ -37,37 +37,34 @@ def is_finished(plan: Plan, item: Item) -> bool:
 
 
 def estimates_s(plan: Plan, items: tuple[Item, ...]) -> dict[str, float]:
-    """Estimate how long items take, what is finished or shared left out. [s].
+    """Estimate how long items take, what is finished left out. [s].
 
     Args:
         plan: what is repeated, and with how much.
         items: which ones, in the order of the paper.
     """
-    costs, trained = {}, False
-    for item in items:
-        costs[item.name] = 0.0 if is_finished(plan, item) else item_module(item).estimate_s(plan)
-        if item.trains_own_window:
-            if trained and costs[item.name]:
-                costs[item.name] -= plan.window_training_s
-            trained = True
-    return costs
+    return {
+        item.name: 0.0 if is_finished(plan, item) else item_module(item).estimate_s(plan) for item in items
+    }
 
 
-def write_drawn(paths: ProjectPaths, origin: Origin, result: ItemResult, command: str) -> list[Path]:
-    """Write Fig. 6 as it was drawn from the trials of an earlier run.
+def write_drawn(
+    paths: ProjectPaths, item: Item, origin: Origin, result: ItemResult, command: str
+) -> list[Path]:
+    """Write an item as it was drawn from the files of an earlier run.
 
-    It does not count as finished: without these trials the item trains its own.
+    It does not count as finished: without these files the item makes its own.
 
     Args:
         paths: the project.
-        origin: where the trials come from.
+        item: which one.
+        origin: where the files come from.
         result: what they come to.
         command: what draws it.
 
     Returns:
         The files, the JSON file first.
     """
-    (item,) = chosen_items(["fig6"])
     head = _head(item, command, origin.case, origin.label, origin.note, origin.budget, origin.profile)
     folder = paths.results(origin.label) / "paper" / item.name
     return write_result(folder, replace(result, uses=(origin.command,)), head)

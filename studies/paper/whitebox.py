@@ -42,7 +42,7 @@ def inputs(plan: Plan) -> dict[str, Any]:
         "other_case": study.case.digest,
         "other_measurement": study.case.measurement.digest,
         "n_train": list(plan.budget.seed_sizes),
-        "trials": plan.budget.seed_trials,
+        "trials": plan.budget.white_box_trials,
         **{name: profile[name] for name in ("tuning", "screening", "polish")},
         "sets": [profile["data"]["n_validation"], profile["data"]["n_test"]],
     }
@@ -52,13 +52,13 @@ def estimate_s(plan: Plan) -> float:
     """Estimate how long it takes from nothing. [s]."""
     sizes, data = plan.budget.seed_sizes, plan.study.profile.data
     n_rows = max(sizes) + data.n_validation + data.n_test + len(sizes) * plan.study.profile.polish.max_calls
-    training = plan.training_s(sizes, {max(sizes): plan.budget.seed_trials})
+    training = plan.training_s(sizes, {max(sizes): plan.budget.white_box_trials})
     return n_rows / SIMULATIONS_PER_S + training + len(sizes) * plan.screening_s() + 120.0
 
 
 def run(plan: Plan) -> ItemResult:
     """Calibrate the white box with the paper's method and with the adaptive one."""
-    study, trials = _study(plan), {max(plan.budget.seed_sizes): plan.budget.seed_trials}
+    study, trials = _study(plan), {max(plan.budget.seed_sizes): plan.budget.white_box_trials}
     tuned = tune_sizes(study, trials)
     outcomes = {n: calibrate_stage(study, n) for n in plan.budget.seed_sizes}
     learns = are_state_equations_learnt(study.case, None)

@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 from mlflow_store_for_tests import give_store
+from paper_study_for_tests import ORIGIN
 
 from simulation.errors import InputError
 from studies.cli import main
 from studies.paper.fig6_shown import shown
-from studies.paper.fig6_sizes import Origin, SizeTrials, Trial, Tuning, read_sizes, write_sizes
+from studies.paper.fig6_sizes import SizeTrials, Trial, Tuning, read_trials
+from studies.paper.size_files import write_sizes
 from studies.report.wording import count, percent, setting, significant
 from studies.search_space import SearchParameter
 from studies.tuning.results import importances
@@ -23,21 +25,6 @@ SEARCH: dict[str, dict[str, Any]] = {
     "n_latent": {"kind": "int", "low": 8, "high": 256, "log": True},
     "n_hidden": {"kind": "int", "low": 64, "high": 512, "log": True},
 }
-ORIGIN = Origin(
-    command="studies reproduce-paper office-recorded --budget full --only fig6",
-    case="office-recorded",
-    case_sha256="0" * 64,
-    label="office-recorded-thorough",
-    note="",
-    budget="full",
-    profile="thorough",
-    seed=0,
-    window_d=(8.0, 16.0),
-    unit="K",
-    n_validation=320,
-    n_test=320,
-    versions={},
-)
 REPOSITORY = Path(__file__).resolve().parents[2]
 COMMITTED = REPOSITORY / "data" / "paper-results" / "fig6"
 Draw = Callable[..., tuple[int, dict[str, Any]]]
@@ -119,7 +106,7 @@ def test_it_is_drawn_without_simulations_and_trainings(tmp_path: Path, draw: Dra
 def test_the_committed_trials_are_drawn_and_the_documentation_has_their_numbers(draw: Draw) -> None:
     code, _ = draw("--from", str(COMMITTED))
     assert code == 0
-    origin, sizes = read_sizes(COMMITTED)
+    origin, sizes = read_trials(COMMITTED)
     documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
     for n, numbers in shown(origin, sizes).numbers["by_size"].items():
         assert documented_row(n, numbers) in documentation
@@ -144,7 +131,7 @@ def documented_row(n: int, numbers: Mapping[str, Any]) -> str:
 def test_files_are_read_as_they_were_written(tmp_path: Path) -> None:
     sizes = (size(32, 1.2, 1.0, faithful=1.4), size(1024, 0.1, 0.08))
     write_sizes(tmp_path, ORIGIN, sizes)
-    assert read_sizes(tmp_path) == (ORIGIN, sizes)
+    assert read_trials(tmp_path) == (ORIGIN, sizes)
 
 
 def test_errors_above_the_papers_differ() -> None:
@@ -160,10 +147,10 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path, draw: Dra
     assert "remove --again" in draw("--from", "trials", "--again")[1]["error"]
     write_sizes(folder, replace(ORIGIN, seed=1), [size(64, 1.2)])
     with pytest.raises(InputError, match=r"n0064.json belongs to other studies than n0032.json"):
-        read_sizes(folder)
+        read_trials(folder)
     (folder / "n0064.json").write_text('{"schema": 1}')
     with pytest.raises(InputError, match=r"n0064.json holds no trials of Fig. 6"):
-        read_sizes(folder)
+        read_trials(folder)
 
 
 def test_what_decides_the_order_is_most_important() -> None:

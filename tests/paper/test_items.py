@@ -17,7 +17,6 @@ from studies.paper.fig5 import daily_course
 from studies.paper.plan import BUDGETS, budget_for, trials_for
 from studies.paper.published import TABLE_4
 from studies.paper.result import ItemResult, finite, write_result
-from studies.paper.seeds import quartiles_of
 from studies.profile import load_profile
 from studies.report.findings import quartiles
 from studies.sensitivity import sobol_indices
@@ -83,16 +82,6 @@ def test_the_papers_own_table_adds_up_without_its_screening_check() -> None:
     assert [row.n_train + row.n_polish for row in TABLE_4] == [row.total for row in TABLE_4]
 
 
-def test_a_target_that_is_never_reached_makes_a_quartile_infinite_and_no_other() -> None:
-    known = {"test_mae": 1.0, "mse_surrogate": 1.0, "mse_screened": 1.0, "n_polish": 5, "mse_polished": 0.01,
-             "total_paper": 40}  # fmt: skip
-    rows = [{**known, "calls_to_usual": calls} for calls in (100, 140, 120, None)]
-    assert quartiles_of(rows)["calls_to_usual"] == [110.0, 130.0, np.inf]
-    never = [{**known, "calls_to_usual": calls} for calls in (100, None, None)]
-    assert quartiles_of(never)["calls_to_usual"] == [100.0, np.inf, np.inf]
-    assert quartiles_of(never)["n_polish"] == [5.0, 5.0, 5.0]
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 10])
 def test_the_median_is_the_one_of_numpy(n: int) -> None:
     values = np.random.default_rng(n).random(n)
@@ -115,13 +104,15 @@ def test_what_is_not_finite_becomes_nothing_in_the_files() -> None:
 
 def test_items_are_named_ordered_and_bring_what_they_need() -> None:
     assert [item.name for item in chosen_items(["fig9", "fig4"])] == ["fig4", "table4"]
-    assert [item.name for item in with_needs(chosen_items(["fig7"]))] == ["fig5", "fig7"]
+    assert [item.name for item in with_needs(chosen_items(["fig7"]))] == ["fig5", "fig6", "fig7"]
     assert chosen_items(None) == ITEMS
+    assert [item.name for item in with_needs(chosen_items(["seeds"]))] == ["fig6", "table4"]
+    assert [item.name for item in with_needs(chosen_items(["fig9"]), frozenset({"fig6"}))] == ["table4"]
     with pytest.raises(InputError, match=r"--only fig1: there is no such item; there are fig4, ") as refused:
         chosen_items(["fig1"])
-    named = str(refused.value).partition("there are ")[2].split(", ")
-    assert named == [item.words for item in ITEMS]
-    assert "table4 (or fig9)" in named
+    named = str(refused.value).partition("there are ")[2]
+    assert named == ", ".join(item.words for item in ITEMS)
+    assert "table4 (or fig9, seeds)" in named
     for item in ITEMS:
         module = item_module(item)
         assert all(callable(getattr(module, word)) for word in ("inputs", "estimate_s", "run"))

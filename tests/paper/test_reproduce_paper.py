@@ -10,13 +10,16 @@ from typing import Any
 import pytest
 
 from simulation.case import load_case
-from studies.paper.catalog import ITEMS
+from studies.paper.catalog import DRAWN, ITEMS
+from studies.paper.fig6_sizes import read_trials
 from studies.paper.fig7 import SPREADS
+from studies.paper.table4_shown import known
+from studies.paper.table4_sizes import read_calibrations
 from studies.paths import ProjectPaths
 from studies.tuning.results import read_studies
 
 Reproduce = Callable[..., tuple[int, dict[str, Any]]]
-MADE = ("fig5", "fig6", "fig7", "table3", "fig8", "table4", "seeds")
+MADE = ("fig5", "fig6", "fig7", "table3", "fig8", "table4")
 RESULTS = Path("mlruns") / "results" / "office-toy" / "paper"
 PAGE = Path("mlruns") / "reports" / "office-toy" / "paper" / "index.html"
 
@@ -32,9 +35,11 @@ def test_a_dry_run_says_what_it_costs_and_writes_nothing(project: Path, reproduc
     code, document = reproduce("--dry-run")
     assert code == 0
     assert set(document["estimated_s"]) == {item.name for item in ITEMS}
-    # Fig. 7 and Table 4 ask for the same studies: together they cost one training less.
+    # Table 4 trains the best of Fig. 6 again, unless their hyperparameters are given.
     _, alone = reproduce("--dry-run", "--only", "table4")
-    assert document["estimated_s"]["table4"] < alone["estimated_s"]["table4"]
+    assert set(alone["estimated_s"]) == {"fig6", "table4"}
+    _, given = reproduce("--dry-run", "--only", "table4", "--hyperparameters", "elsewhere")
+    assert set(given["estimated_s"]) == {"table4"}
     assert sorted(project.rglob("*")) == before
 
 
@@ -48,9 +53,8 @@ def made(reproduce: Reproduce) -> dict[str, Any]:
         "table2",
         "fig8",
         "fig9",
-        "seeds",
         "--seeds",
-        "1",
+        "2",
         "--export",
         "out/paper.json",
     )
@@ -69,12 +73,12 @@ def test_every_item_is_on_the_page_with_pictures_tables_and_verdict(project: Pat
     for item in ITEMS:
         section = section_of(page, item.name)
         assert ("Not there yet" in section) == (item.name not in MADE)
-        assert f"studies reproduce-paper office --profile toy.toml --seeds 1 --only {item.name}<" in section
+        assert f"studies reproduce-paper office --profile toy.toml --seeds 2 --only {item.name}<" in section
     for name in MADE:
         result, section = result_of(project, name), section_of(page, name)
         assert result["verdict"]
         assert html.escape(result["verdict"]) in section
-        assert result["command"].startswith("studies reproduce-paper office --profile toy.toml --seeds 1")
+        assert result["command"].startswith("studies reproduce-paper office --profile toy.toml --seeds 2")
         assert result["command"].endswith(f" --only {name}")
         assert result["n_calls"]["total"] == sum(n for w, n in result["n_calls"].items() if w != "total") > 0
         assert section.count("<img ") == len(result["pictures"]) > 0
@@ -87,7 +91,7 @@ def test_every_item_is_on_the_page_with_pictures_tables_and_verdict(project: Pat
 
 @pytest.mark.usefixtures("made")
 def test_finished_items_are_not_made_again(reproduce: Reproduce) -> None:
-    code, document = reproduce("--only", *MADE, "--seeds", "1")
+    code, document = reproduce("--only", *MADE, "--seeds", "2")
     assert code == 0
     assert all(stage["finished_before"] for stage in document["stages"])
     assert not any(document["estimated_s"].values())
@@ -105,13 +109,14 @@ def section_of(page: str, item: str) -> str:
 
 
 @pytest.mark.usefixtures("made")
-def test_fig6_is_drawn_again_from_its_trials(project: Path, reproduce: Reproduce) -> None:
-    trained = result_of(project, "fig6")
-    code, _ = reproduce("--only", "fig6", "--from", str(project / RESULTS / "fig6"))
+@pytest.mark.parametrize("item", DRAWN)
+def test_an_item_is_drawn_again_from_its_files(project: Path, reproduce: Reproduce, item: str) -> None:
+    made = result_of(project, item)
+    code, _ = reproduce("--only", item, "--from", str(project / RESULTS / item))
     assert code == 0
-    again = result_of(project, "fig6")
-    for part in ("verdict", "numbers", "tables", "pictures", "metrics", "n_calls", "seeds"):
-        assert again[part] == trained[part]
+    again = result_of(project, item)
+    for part in ("verdict", "numbers", "tables", "pictures", "metrics", "n_calls", "seeds", "settings"):
+        assert again[part] == made[part]
 
 
 @pytest.mark.usefixtures("made")
@@ -123,11 +128,7 @@ def test_a_spread_of_one_is_the_test_set_and_one_of_zero_a_single_point(project:
         assert len(everything) == len(SPREADS) == 11
         # At spread 1 nothing is restricted: both kinds are the test set that trials are judged by.
         assert important[-1] == everything[-1]
-        (tuned,) = (
-            one
-            for one in read_studies(ProjectPaths(project), label="office-toy")
-            if one.spec.n_train == int(n) and not one.spec.is_baseline
-        )
+        (tuned,) = read_studies(ProjectPaths(project), label="office-toy-fig6")
         assert tuned.best is not None
         assert everything[-1] == pytest.approx(tuned.best.metrics["test/mae"], rel=1e-6)
         # At spread 0 all rows are one, so the 90th percentile is the mean.
@@ -140,19 +141,39 @@ def test_a_spread_of_one_is_the_test_set_and_one_of_zero_a_single_point(project:
 @pytest.mark.usefixtures("made")
 def test_the_ledger_of_table_4_adds_up(project: Path) -> None:
     result = result_of(project, "table4")
-    rows = result["numbers"]["by_size"]
-    assert list(rows) == ["16"]
-    for n, row in rows.items():
-        checks = row["total_paper"] - int(n) - row["n_polish"]
-        assert 1 <= checks <= 5
-        assert row["total_honest"] == row["total_paper"] + 8 + 12
-        assert row["n_polish"] <= 16
-        assert row["polish_mse"][-1] == pytest.approx(row["mse_polished"])
-        assert row["mse_polished"] <= row["mse_screened"]
-        assert row["gap"] == pytest.approx(row["mse_screened"] - row["mse_surrogate"])
+    _, (size,) = read_calibrations(project / RESULTS / "table4")
+    assert size.n_train == 16
+    assert [one.seed for one in size.calibrations] == [0, 1]
+    for one in size.calibrations:
+        assert 1 <= one.n_checks <= 5
+        assert one.n_polish <= 16
+        assert one.polish_calls[-1] == one.n_checks + one.n_polish
+        assert one.polish_mse[-1] == pytest.approx(one.mse_polished)
+        assert known(one.mse_polished) <= known(one.mse_screened)
+    row = result["numbers"]["by_size"]["16"]
+    assert row["median"]["total_honest"] == row["median"]["total_paper"] + 8 + 12
     calls = result["n_calls"]
-    assert calls["polish"] == sum(row["n_polish"] for row in rows.values())
-    assert (calls["train set"], calls["validation set"], calls["test set"]) == (16, 8, 12)
+    assert calls["polish"] == sum(one.n_polish for one in size.calibrations)
+    assert (calls["training sets"], calls["validation and test sets"]) == (2 * 16, 8 + 12)
+
+
+@pytest.mark.usefixtures("made")
+def test_table_4_trains_the_best_of_fig_6_again(project: Path) -> None:
+    _, (trials,) = read_trials(project / RESULTS / "fig6")
+    _, (size,) = read_calibrations(project / RESULTS / "table4")
+    assert size.settings == trials.networks.best.params
+    (tuned,) = read_studies(ProjectPaths(project), label="office-toy-fig6")
+    assert [trial.params for trial in tuned.trials] == [size.settings]
+    assert tuned.best is not None
+    assert size.calibrations[0].test_mae == tuned.best.metrics["test/mae"]
+
+
+def test_hyperparameters_that_do_not_fit_are_refused(reproduce: Reproduce) -> None:
+    code, document = reproduce("--only", "table4", "--hyperparameters", "elsewhere")
+    assert (code, "elsewhere holds no trials of Fig. 6" in document["error"]) == (2, True)
+    committed = Path(__file__).resolve().parents[2] / "data" / "paper-results" / "fig6"
+    code, document = reproduce("--only", "table4", "--hyperparameters", str(committed))
+    assert (code, "holds no trials of n_train = 16" in document["error"]) == (2, True)
 
 
 @pytest.mark.usefixtures("made")
