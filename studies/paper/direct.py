@@ -15,7 +15,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.file_lock import FileLock
-from studies.paper.direct_crew import Crew, DirectProgress, OnDirectProgress, Task
+from studies.paper.direct_crew import OnStart, Task, compute_starts
 from studies.paper.direct_kept import KeptStarts
 from studies.paper.direct_optimizers import StartResult, thinned
 from studies.paper.direct_row import DirectRow, published_row, start_points
@@ -29,15 +29,13 @@ def direct_folder(study: Study) -> Path:
     return study.results / "paper" / "direct"
 
 
-def run_direct_row(
-    study: Study, row: DirectRow, on_progress: OnDirectProgress | None = None
-) -> dict[str, Any]:
+def run_direct_row(study: Study, row: DirectRow, on_start: OnStart | None = None) -> dict[str, Any]:
     """Compute a row, or read it where it is finished; the starts that it shares with others are not repeated.
 
     Args:
         study: The study: case, window, processes, where results lie.
         row: The row.
-        on_progress: Told how far it is, a few times per second.
+        on_start: Told how far it is, after each start.
 
     Returns:
         The row's numbers; the same as in `<row.name>.json`, with arrays beside it in `<row.name>.npz`.
@@ -52,7 +50,7 @@ def run_direct_row(
     finished = read_json(file)
     if finished is not None and finished.get("digest") == digest and file.with_suffix(".npz").is_file():
         return finished
-    starts = run_starts(study, row, on_progress)
+    starts = run_starts(study, row, on_start)
     numbers, arrays = _summarize(study, row, starts)
     write_arrays(file.with_suffix(".npz"), arrays)
     numbers = {"digest": digest, **numbers}
@@ -60,9 +58,7 @@ def run_direct_row(
     return numbers
 
 
-def run_starts(
-    study: Study, row: DirectRow, on_progress: OnDirectProgress | None = None
-) -> tuple[StartResult, ...]:
+def run_starts(study: Study, row: DirectRow, on_start: OnStart | None = None) -> tuple[StartResult, ...]:
     """Compute the starts of a row that no earlier run has finished, and return all of them in their order."""
     folder = direct_folder(study)
     lock = FileLock(folder / f"{row.series}.lock")
@@ -79,7 +75,12 @@ def run_starts(
             journal = folder / f"{row.series}.{digest[:16]}.journal" if is_long else None
             task = Task(study.case.make_model, study.case.measurement, row, journal)
             theta0 = start_points(study.case.parameter_space, row)
-            Crew(task, study.n_jobs, kept, row.n_starts, on_progress).run(missing, theta0)
+
+            def tell() -> None:
+                if on_start is not None:
+                    on_start(sum(j < row.n_starts for j in kept.starts), row.n_starts)
+
+            compute_starts(task, study.n_jobs, kept, missing, theta0, tell)
             for journal in folder.glob(f"{row.series}.*journal"):
                 journal.unlink()
         return tuple(kept.starts[j] for j in range(row.n_starts))
@@ -90,26 +91,19 @@ def run_starts(
 def row_over_seeds(
     study: Study,
     rows: Sequence[DirectRow],
-    on_progress: Callable[[DirectRow, DirectProgress], None] | None = None,
+    teller: Callable[[DirectRow], OnStart | None] = lambda row: None,
 ) -> dict[str, Any]:
     """Compute a row with several seeds and say how far they differ.
 
     Args:
         study: The study.
         rows: The same row, each with its seed.
-        on_progress: Told which row is how far.
+        teller: Makes what is told how far a row is.
 
     Returns:
         Quartiles of MSE and calls, and each seed's own numbers.
     """
-    found = []
-    for row in rows:
-
-        def tell(progress: DirectProgress, row: DirectRow = row) -> None:
-            if on_progress is not None:
-                on_progress(row, progress)
-
-        found.append(run_direct_row(study, row, tell))
+    found = [run_direct_row(study, row, teller(row)) for row in rows]
     mse, calls = (np.array([one[key] for one in found], dtype=np.float64) for key in ("mse", "n_calls"))
     return {
         "seeds": [row.seed for row in rows],

@@ -51,11 +51,6 @@ class KeptStarts:
         with self._file.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(values) + "\n")
 
-    @property
-    def best_mse(self) -> float:
-        """Best MSE of all starts, infinite before the first."""
-        return min((start.mse for start in self.starts.values()), default=float("inf"))
-
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
     try:

@@ -5,7 +5,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from studies.paper.direct import direct_folder
-from studies.paper.direct_crew import DirectProgress
 from studies.paper.plan import DIRECT_CALLS_PER_S, Plan
 from studies.paper.result import Agreement, ItemResult
 from studies.paper.uniqueness import (
@@ -59,8 +58,8 @@ def run(plan: Plan) -> ItemResult:
     with study.console.bars() as bars:
         for kind, row in rows.items():
 
-            def tell(now: DirectProgress, kind: str = kind) -> None:
-                bars(KINDS[kind], now.n_done, now.n_starts)
+            def tell(n_done: int, n_starts: int, kind: str = kind) -> None:
+                bars(KINDS[kind], n_done, n_starts)
 
             found[kind] = run_uniqueness(study, row, tell)
     arrays = read_arrays(direct_folder(study) / f"{rows['paper'].name}.uniqueness.npz")

@@ -10,7 +10,7 @@ from studies.paper.plan import Plan
 from studies.paper.result import item_folder
 from studies.search_space import SearchParameter, Value
 from studies.stages.learn import tune_stage
-from studies.stages.pipeline import Outcome, Study
+from studies.stages.pipeline import Study
 from studies.stages.simulate import simulate_stage
 
 Settings = dict[str, Value]
@@ -27,21 +27,6 @@ class Chosen:
 
     settings: Mapping[int, Settings]
     window_d: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Models:
-    """The best of each size, trained once more.
-
-    Args:
-        study: their study, whose label and results are their own.
-        simulated: its simulations.
-        wall_s: training time by size. [s]
-    """
-
-    study: Study
-    simulated: Outcome
-    wall_s: Mapping[int, float]
 
 
 def tuned_for_fig6(window_d: tuple[float, float]) -> str:
@@ -85,20 +70,21 @@ def settings_inputs(plan: Plan) -> dict[str, Any]:
     }
 
 
-def train_again(study: Study, settings: Mapping[int, Settings]) -> Models:
-    """Simulate a study's sets and train the surrogate of each of its sizes, with all epochs.
+def train_again(study: Study, n_train: int, settings: Settings) -> tuple[Study, float]:
+    """Simulate a study's sets and train the surrogate of one of its sizes, with all epochs.
 
     Args:
         study: the study, with all sizes.
-        settings: hyperparameters by size.
+        n_train: training-set size.
+        settings: hyperparameters.
+
+    Returns:
+        The study of these surrogates, with a label and results of its own; the training time [s].
     """
     study = replace(study, label=f"{study.label}-fig6")
     simulated = simulate_stage(study)
-    wall_s = {}
-    for n in study.profile.data.n_train:
-        (found,) = tune_stage(_with_settings(study, n, settings[n]), simulated).summary["studies"]
-        wall_s[n] = float(found["wall_s"])
-    return Models(study, simulated, wall_s)
+    (found,) = tune_stage(_with_settings(study, n_train, settings), simulated).summary["studies"]
+    return study, float(found["wall_s"])
 
 
 def _with_settings(study: Study, n_train: int, settings: Settings) -> Study:

@@ -8,7 +8,7 @@ import numpy as np
 from simulation.errors import InputError
 from studies.console import OnBar
 from studies.paper.direct import row_over_seeds, run_direct_row
-from studies.paper.direct_crew import DirectProgress
+from studies.paper.direct_crew import OnStart
 from studies.paper.direct_row import TITLES, DirectRow, PaperRow, paper_rows, published_row
 from studies.paper.plan import DIRECT_CALLS_PER_S, Plan
 from studies.paper.published import USUAL_MSE
@@ -83,7 +83,7 @@ def run(plan: Plan) -> ItemResult:
         found = [(one, run_direct_row(study, one.row, _teller(bars, one.row))) for one in _rows(plan)]
         own = [run_direct_row(study, row, _teller(bars, row)) for row in _own_rows(plan)]
         seeded = {
-            method: row_over_seeds(study, rows, lambda row, now: _teller(bars, row)(now))
+            method: row_over_seeds(study, rows, lambda row: _teller(bars, row))
             for method, rows in _seeded(plan).items()
         }
     error_unit = difference_unit(study.case.outputs[0].unit)
@@ -191,11 +191,8 @@ def _seeded(plan: Plan) -> dict[str, list[DirectRow]]:
     }
 
 
-def _teller(bars: OnBar, row: DirectRow) -> Any:
-    def tell(now: DirectProgress) -> None:
-        bars(f"{row.title}, seed {row.seed}", now.n_done, now.n_starts)
-
-    return tell
+def _teller(bars: OnBar, row: DirectRow) -> OnStart:
+    return lambda n_done, n_starts: bars(f"{row.title}, seed {row.seed}", n_done, n_starts)
 
 
 def _kept(numbers: Found) -> Found:

@@ -11,7 +11,7 @@ from scipy.cluster.vq import ClusterError, kmeans2
 from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from studies.paper.direct import direct_folder, run_direct_row
-from studies.paper.direct_crew import OnDirectProgress
+from studies.paper.direct_crew import OnStart
 from studies.paper.direct_row import TOLERANCE_TRF, DirectRow
 from studies.stages.calibrate import write_arrays
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
@@ -104,20 +104,20 @@ def cluster(points: FloatArray, n_clusters: int, seed: int) -> Clusters:
 
 
 def run_uniqueness(
-    study: Study, row: DirectRow, on_progress: OnDirectProgress | None = None, *, n_clusters: int = N_CLUSTERS
+    study: Study, row: DirectRow, on_start: OnStart | None = None, *, n_clusters: int = N_CLUSTERS
 ) -> dict[str, Any]:
     """Compute the optima of many starts, cluster them, and say which parameters compensate each other.
 
     Args:
         study: The study.
         row: The starts, see `uniqueness_rows`.
-        on_progress: Told how far the starts are.
+        on_start: Told how far the starts are.
         n_clusters: Number of centroids.
 
     Returns:
         The numbers; the same as in `<row.name>.uniqueness.json`, with arrays beside it.
     """
-    starts = run_direct_row(study, row, on_progress)
+    starts = run_direct_row(study, row, on_start)
     file = direct_folder(study) / f"{row.name}.uniqueness.json"
     digest = digest_of({"starts": starts["digest"], "n_clusters": n_clusters})
     finished = read_json(file)

@@ -1,14 +1,21 @@
 """Table 4 drawn from calibrations alone: medians, quartiles, and what was never reached."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from paper_study_for_tests import ORIGIN
+from paper_study_for_tests import ORIGIN, REPOSITORY
 
+from studies.paper import fig7
+from studies.paper.published import published_calibration
 from studies.paper.table4_shown import shown, values_of
-from studies.paper.table4_sizes import Calibration, SizeCalibrations
+from studies.paper.table4_sizes import Calibration, SizeCalibrations, read_calibrations
 from studies.report.findings import quartiles
+from studies.report.wording import count, significant
+
+COMMITTED = REPOSITORY / "data" / "paper-results"
 
 
 def calibration(seed: int, calls: int | None, *, final: float = 0.0110) -> Calibration:
@@ -59,3 +66,37 @@ def test_what_could_not_be_simulated_is_infinite() -> None:
     result = shown(ORIGIN, [size(32, failed), size(64, calibration(0, 50))])
     assert result.agreement == "agrees in part"
     assert result.numbers["by_size"][32]["median"]["mse_screened"] == np.inf
+
+
+def test_the_committed_calibrations_are_what_the_documentation_says() -> None:
+    origin, sizes = read_calibrations(COMMITTED / "table4")
+    documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
+    for n, numbers in shown(origin, sizes).numbers["by_size"].items():
+        assert documented_row(n, numbers) in documentation
+
+
+def documented_row(n: int, numbers: Mapping[str, Any]) -> str:
+    """Return a row of the table in docs/paper.md."""
+    row, paper = numbers["median"], published_calibration(n)
+    assert paper is not None
+    cells = [
+        f"{count(n)} ({numbers['n_seeds']})",
+        *(significant(row[key]) for key in ("test_mae", "mse_surrogate", "mse_screened")),
+        count(row["n_polish"]),
+        significant(row["mse_polished"]),
+        count(row["total_paper"]),
+        count(row["calls_to_usual"]) if np.isfinite(row["calls_to_usual"]) else "never",
+        significant(row["squared_mse"]),
+        *map(significant, (paper.mse_screened, paper.mse_polished)),
+        count(paper.total),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def test_the_committed_errors_of_fig_7_are_what_the_documentation_says() -> None:
+    _, result = fig7.drawn_from(COMMITTED / "fig7")
+    documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
+    for n, mae in result.numbers["mae"]["all"].items():
+        important = result.numbers["mae"]["important"][n]
+        cells = [count(n), *map(significant, (mae[-1], important[8], important[2], mae[8], mae[2], mae[0]))]
+        assert f"| {' | '.join(cells)} |" in documentation
