@@ -279,9 +279,10 @@ def _verdict(mae: By, unit: str) -> tuple[Agreement, str]:
         f"falls at {len(larger_fall)} of the {len(larger)} larger ones."
     )
     if not second:
+        ours = "shows it at fewer sizes" if grows else "does not show it"
         parts.append(
             "The paper explains its growth by less important parameters that small sets do not teach; ours "
-            "shows it at fewer sizes. The two trainings differ in what the paper does not print."
+            f"{ours}. The two trainings differ in what the paper does not print."
         )
     agreement: Agreement = (
         "agrees" if first and second else "agrees in part" if first or second else "differs"
