@@ -8,7 +8,7 @@ tells.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,8 @@ from simulation.arrays import FloatArray
 from simulation.counting import BudgetExceeded, CountingModel
 from simulation.forward_model import ForwardModel
 from simulation.measurement import Measurement
-from simulation.parameters import ParameterSpace
 from studies.paper.direct_journal import Journal
-from studies.paper.direct_row import Coordinates, DirectRow
+from studies.paper.direct_row import DirectRow
 
 FAILED = 1e6
 """MSE of a row that fails: worse than all others, and finite, so that no difference of two is NaN. [unit²]"""
@@ -85,7 +84,7 @@ class _Asked:
         self._journal = journal
         self._on_call = on_call
         self._n_replayed = 0
-        self.space = seen_space(model.parameter_space, row.coordinates)
+        self.space = model.parameter_space
         self.best_mse = np.inf
         self.best_theta: FloatArray = np.full(self.space.n_parameters, np.nan)
         self.entries: list[tuple[int, float]] = []
@@ -236,13 +235,6 @@ _SOLVERS: dict[str, Callable[[_Asked, DirectRow, FloatArray], str]] = {
     "ls-trf": _least_squares,
     "differential-evolution": _evolve,
 }
-
-
-def seen_space(space: ParameterSpace, coordinates: Coordinates) -> ParameterSpace:
-    """Return the box whose unit cube the optimizer sees."""
-    if coordinates == "log":
-        return space
-    return ParameterSpace(tuple(replace(one, scale="linear") for one in space.parameters))
 
 
 def thinned(history: FloatArray) -> FloatArray:

@@ -11,8 +11,7 @@ from simulation.parameters import ParameterSpace
 
 Method = Literal["powell", "nelder-mead", "slsqp", "ls-trf", "differential-evolution"]
 Objective = Literal["residuals", "squared", "scalar"]
-Coordinates = Literal["physical", "linear", "log"]
-Draw = Literal["deviation", "variance", "uniform"]
+Coordinates = Literal["physical", "log"]
 
 TITLES: dict[Method, str] = {
     "powell": "Powell",
@@ -58,13 +57,12 @@ class DirectRow:
             others are drawn (Table 2, "Multistart").
         objective: "scalar" is the MSE; "residuals" hands signed residuals to least squares, "squared" their
             squares as Table 2 says, which minimizes fourth powers. The error reported is the MSE always.
-        coordinates: What the optimizer sees: "physical" the parameters as they are, "linear" the same scaled
-            to the unit cube, "log" the unit cube in the case's own scales.
+        coordinates: What the optimizer sees: "physical" the parameters as they are, "log" the unit cube in
+            the scales of the case.
         seed: Of the drawn starts, or of differential evolution.
         max_calls: Most model calls of one start; None for no limit but the optimizer's own.
         tolerance: `tol` of `minimize` and of `differential_evolution`, `ftol` and `xtol` of `least_squares`;
             None for SciPy's default.
-        draw: How starts are drawn around the guess, see `start_points`.
     """
 
     method: Method
@@ -74,14 +72,12 @@ class DirectRow:
     seed: int = 0
     max_calls: int | None = None
     tolerance: float | None = None
-    draw: Draw = "deviation"
 
     def __post_init__(self) -> None:
         for key, value, known in (
             ("method", self.method, get_args(Method)),
             ("objective", self.objective, get_args(Objective)),
             ("coordinates", self.coordinates, get_args(Coordinates)),
-            ("draw", self.draw, get_args(Draw)),
         ):
             if value not in known:
                 raise InputError(f"{key} = {value!r} is unknown; give one of {', '.join(known)}")
@@ -110,8 +106,6 @@ class DirectRow:
         chosen = [self.method, self.objective, self.coordinates, f"seed{self.seed}"]
         if self.tolerance is not None:
             chosen.append(f"tol{self.tolerance:g}")
-        if self.draw != "deviation":
-            chosen.append(self.draw)
         if self.max_calls is not None:
             chosen.append(f"max{self.max_calls}")
         return "-".join(chosen)
@@ -143,9 +137,7 @@ class PaperRow:
     published: PublishedRow | None
 
 
-def paper_rows(
-    seed: int = 0, *, objective: Objective = "residuals", coordinates: Coordinates = "physical"
-) -> tuple[PaperRow, ...]:
+def paper_rows(seed: int = 0) -> tuple[PaperRow, ...]:
     """List the fifteen rows of Table 3 in the paper's order.
 
     As the paper's numbers tell (calls per start, best 5 % and mean over starts), its optimizers saw the
@@ -153,21 +145,13 @@ def paper_rows(
 
     Args:
         seed: Seed of the starts and of differential evolution.
-        objective: What LS-TRF is given: signed "residuals", or "squared" as Table 2 says.
-        coordinates: What the optimizers see.
     """
-    trf = DirectRow("ls-trf", "guess", objective, coordinates, seed, tolerance=TOLERANCE_TRF)
-    slsqp = DirectRow("slsqp", "guess", "scalar", coordinates, seed)
-    simplex = DirectRow("nelder-mead", "guess", "scalar", coordinates, seed, MAX_CALLS_LOCAL)
-    powell = DirectRow("powell", "guess", "scalar", coordinates, seed, MAX_CALLS_LOCAL)
+    trf = DirectRow("ls-trf", objective="residuals", seed=seed, tolerance=TOLERANCE_TRF)
+    slsqp = DirectRow("slsqp", seed=seed)
+    simplex = DirectRow("nelder-mead", seed=seed, max_calls=MAX_CALLS_LOCAL)
+    powell = DirectRow("powell", seed=seed, max_calls=MAX_CALLS_LOCAL)
     evolution = DirectRow(
-        "differential-evolution",
-        "guess",
-        "scalar",
-        coordinates,
-        seed,
-        MAX_CALLS_EVOLUTION,
-        TOLERANCE_EVOLUTION,
+        "differential-evolution", seed=seed, max_calls=MAX_CALLS_EVOLUTION, tolerance=TOLERANCE_EVOLUTION
     )
     table: tuple[tuple[DirectRow, Literal["guess"] | int, int, float], ...] = (
         (trf, "guess", 261, 0.0117),
@@ -202,15 +186,14 @@ def published_row(row: DirectRow) -> PublishedRow | None:
 def start_points(space: ParameterSpace, row: DirectRow) -> FloatArray:
     """Draw the starting points as the paper's Table 2 does: the guess, then normal draws around it.
 
-    The paper's "variance 0.5 (theta+ - theta-)" has the unit of a standard deviation. "deviation" reads it as
-    one; "variance" takes the numbers as printed, each in its parameter's unit; "uniform" is the whole box in
-    the case's scales, for comparison. "Repeated until a combination within the bounds is found" keeps the
+    The paper's "variance 0.5 (theta+ - theta-)" has the unit of a standard deviation and is read as one.
+    "Repeated until a combination within the bounds is found" keeps the
     parameters independent: each is a normal variable truncated at its bounds, drawn here by its inverse.
     Start j depends on the seed and j alone.
 
     Args:
         space: The parameters; one without an estimate starts in the middle of its box.
-        row: Number of starts, seed and manner.
+        row: Number of starts and seed.
 
     Returns:
         Starting points. Shape (s, p). [per parameter]
@@ -218,15 +201,11 @@ def start_points(space: ParameterSpace, row: DirectRow) -> FloatArray:
     from scipy.special import ndtr, ndtri
 
     guess = space.expected
-    width = space.upper - space.lower
-    sigma = np.sqrt(0.5 * width) if row.draw == "variance" else 0.5 * width
+    sigma = 0.5 * (space.upper - space.lower)
     low, high = ndtr((space.lower - guess) / sigma), ndtr((space.upper - guess) / sigma)
     starts = np.empty((row.n_starts, space.n_parameters))
     starts[0] = guess
     for j in range(1, row.n_starts):
         u = np.random.default_rng([row.seed, j]).random(space.n_parameters)
-        if row.draw == "uniform":
-            starts[j] = space.from_unit(u)
-        else:
-            starts[j] = guess + sigma * ndtri(low + u * (high - low))
+        starts[j] = guess + sigma * ndtri(low + u * (high - low))
     return np.clip(starts, space.lower, space.upper)

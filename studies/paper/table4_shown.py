@@ -99,7 +99,6 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
                 ),
                 tuple(_cells(n, medians[n], len(values[n]["test_mae"])) for n in values),
             ),
-            *([_seeds_table(many, origin.unit)] if many else []),
         ),
         pictures=(
             Picture(
@@ -235,25 +234,6 @@ def _theirs(n_train: int) -> dict[str, float]:
 def _cells(n: int, row: Mapping[str, float], n_seeds: int) -> tuple[Any, ...]:
     theirs = _theirs(n)
     return n, n_seeds, *(row[key] for key, _, _ in QUANTITIES), *(theirs.get(key) for key, _, _ in PAPER)
-
-
-def _seeds_table(many: Mapping[int, Values], error_unit: str) -> Table:
-    columns = (
-        ("n_train", "training simulations", ""), ("quantity", "quantity", ""), ("lowest", "lowest", ""),
-        ("q25", "lower quartile", ""), ("median", "median", ""), ("q75", "upper quartile", ""),
-        ("highest", "highest", ""), ("paper", "paper", ""),
-    )  # fmt: skip
-    units = {ERROR: error_unit, SQUARED_ERROR: squared(error_unit)}
-    cells: list[tuple[Any, ...]] = []
-    for n, values in many.items():
-        for key, title, unit in QUANTITIES:
-            shown_unit = units.get(unit, unit)
-            name = f"{title} [{shown_unit}]" if shown_unit else title
-            low, median, high = quartiles(values[key]).tolist()
-            spread = (values[key].min(), low, median, high, values[key].max())
-            cells.append((n, name, *spread, _theirs(n).get(key)))
-    title = f"Over {count(_n_seeds(many), 'seed')}; ∞ where the target was never reached"
-    return Table("seeds", title, columns_in(error_unit, columns), tuple(cells))
 
 
 def _n_seeds(many: Mapping[int, Values]) -> int:

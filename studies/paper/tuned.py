@@ -50,22 +50,13 @@ def tune_sizes(study: Study, trials: dict[int, int]) -> Tuned:
         study: the study, with all sizes.
         trials: trials per size, see `trials_for`.
     """
-    sizes = study.profile.data.n_train
+    wanted = {size: trials_for(trials, size) for size in study.profile.data.n_train}
     simulated = simulate_stage(study)
-    groups = _groups(sizes, trials)
-    least = min(groups)
+    found: dict[int, dict[str, Any]] = {}
     # Breadth first: an interruption leaves something of every size.
-    found = _by_size(_tune(study, simulated, sizes, least))
-    behind = {
-        n: [size for size in group if int(found[size]["n_trials"]) < n]
-        for n, group in groups.items()
-        if n > least
-    }
-    for n, group in sorted(behind.items()):
-        if group:
-            _tune(study, simulated, group, n)
-    if any(behind.values()):
-        found = _by_size(_tune(study, simulated, sizes, least))
+    for n in sorted(set(wanted.values())):
+        outcome = _tune(study, simulated, [size for size in wanted if wanted[size] >= n], n)
+        found |= {int(one["n_train"]): one for one in outcome.summary["studies"]}
     return Tuned(study, simulated, found)
 
 
@@ -77,10 +68,6 @@ def _tune(study: Study, simulated: Outcome, sizes: Sequence[int], n_trials: int)
         tuning=replace(profile.tuning, n_trials=n_trials),
     )
     return tune_stage(replace(study, profile=profile), simulated)
-
-
-def _by_size(tuned: Outcome) -> dict[int, dict[str, Any]]:
-    return {int(found["n_train"]): found for found in tuned.summary["studies"]}
 
 
 def _groups(sizes: Sequence[int], trials: dict[int, int]) -> dict[int, tuple[int, ...]]:

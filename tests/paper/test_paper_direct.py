@@ -25,7 +25,7 @@ TRUTH = np.array([[1.7, 2.3e4]])
 ROWS = [
     DirectRow("ls-trf", objective="residuals", tolerance=1e-6),
     DirectRow("ls-trf", objective="squared", coordinates="log"),
-    DirectRow("slsqp", coordinates="linear"),
+    DirectRow("slsqp", coordinates="log"),
     DirectRow("nelder-mead", coordinates="log", max_calls=80),
     DirectRow("powell", coordinates="log", max_calls=300),
     DirectRow("differential-evolution", max_calls=1500),
@@ -67,10 +67,9 @@ def test_a_row_that_makes_no_sense_is_refused(wrong, message):
         DirectRow(**wrong)
 
 
-@pytest.mark.parametrize("draw", ["deviation", "variance", "uniform"])
-def test_starts_begin_with_the_guess_stay_in_the_box_and_extend_each_other(draw):
+def test_starts_begin_with_the_guess_stay_in_the_box_and_extend_each_other():
     space = ToyRC().parameter_space
-    row = DirectRow("powell", 40, seed=2, draw=draw)
+    row = DirectRow("powell", 40, seed=2)
     starts = start_points(space, row)
     assert starts[0].tolist() == [1.0, 1e4]
     assert space.contains(starts).all()
@@ -85,16 +84,6 @@ def test_starts_are_distributed_as_draws_repeated_until_one_lies_inside():
     theirs = draws[(draws >= 0.2) & (draws <= 5.0)]
     # Two samples of thousands agree in their quantiles to some 2 % of the range.
     assert np.quantile(ours, [0.1, 0.5, 0.9]) == pytest.approx(np.quantile(theirs, [0.1, 0.5, 0.9]), abs=0.12)
-
-
-def test_the_variance_as_printed_depends_on_the_unit():
-    # The same capacity in J and in MJ: as printed, the first hardly moves.
-    spaces = [
-        ParameterSpace((Parameter("c", lower=factor * 0.2, upper=factor * 5, estimate=factor),))
-        for factor in (1e6, 1.0)
-    ]
-    spreads = [np.std(start_points(s, DirectRow("powell", 200, draw="variance"))) / s.upper for s in spaces]
-    assert spreads[0] < 0.01 < 0.1 < spreads[1]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=[row.name for row in ROWS])
@@ -115,7 +104,7 @@ def test_calls_are_those_the_model_was_asked_and_the_error_is_that_of_the_point(
 
 @pytest.mark.parametrize("method", ["nelder-mead", "slsqp", "ls-trf"])
 def test_rows_that_fail_are_bad_and_end_nothing(method):
-    row = DirectRow(method, objective="residuals" if method == "ls-trf" else "scalar", coordinates="linear")
+    row = DirectRow(method, objective="residuals" if method == "ls-trf" else "scalar", coordinates="log")
     found = minimize_from(ToyRC(fails_above_r=1.8), toy_measurement(), row, np.array([1.0, 1e4]))
     assert found.mse < 0.1
     assert found.theta[0] <= 1.8
