@@ -11,9 +11,10 @@ from simulation.arrays import FloatArray
 from studies.calibration.recorder import History
 from studies.paper.models import tuned_for_fig6
 from studies.paper.published import TABLE_4, USUAL_MSE, published_calibration
-from studies.paper.result import ERROR, SQUARED_ERROR, Agreement, ItemResult, columns_in
+from studies.paper.result import ERROR, SQUARED_ERROR, ItemResult, columns_in
 from studies.paper.size_files import Origin
 from studies.paper.table4_sizes import Calibration, SizeCalibrations
+from studies.paper.table4_words import Values, caption, middle, seeds_title, theirs_of, title, verdict_of
 from studies.report.contents import Picture
 from studies.report.data import Reference
 from studies.report.figures_polish_paths import (
@@ -24,7 +25,7 @@ from studies.report.figures_polish_paths import (
 )
 from studies.report.findings import quartiles
 from studies.report.tables import Table
-from studies.report.wording import count, listed, quantity, significant, squared
+from studies.report.wording import count, squared
 from studies.stages.simulate import train_seed
 
 QUANTITIES = (
@@ -47,7 +48,6 @@ PAPER = (
     ("mse_polished", "paper: final MSE", "K²"),
     ("total_paper", "paper: calls", ""),
 )
-Values = dict[str, FloatArray]
 
 
 def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
@@ -63,7 +63,7 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
     paths = [_path(size.n_train, size.calibrations[0]) for size in sizes]
     many = {n: by_key for n, by_key in values.items() if len(by_key["test_mae"]) > 1}
     references = [Reference(*one) for one in settings.references]
-    agreement, verdict = _verdict(medians, values, unit)
+    agreement, verdict = verdict_of(medians, values, unit)
     everything = [one for size in sizes for one in size.calibrations]
     seeds = sorted({one.seed for one in everything})
     panels = _panels(many, unit)
@@ -104,12 +104,12 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
             Picture(
                 "fig9",
                 "Fig. 9: prediction gap and polish",
-                _caption(paths, unit),
+                caption(paths, unit),
                 lambda path: polish_paths_figure(
                     paths,
                     references,
                     path,
-                    title=_title(paths, unit),
+                    title=title(paths, unit),
                     mse_unit=unit,
                     footnote=f"{origin.label}, seed {origin.seed}",
                 ),
@@ -120,7 +120,7 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
                         "seeds",
                         "How the result depends on the seed",
                         "Dots: one seed each; bar: median and quartiles; ◆: the paper's one value.",
-                        partial(seeds_figure, panels, title=_seeds_title(many), footnote=origin.label),
+                        partial(seeds_figure, panels, title=seeds_title(many), footnote=origin.label),
                     )
                 ]
                 if many
@@ -203,11 +203,6 @@ def known(value: float | None) -> float:
     return float("inf") if value is None else float(value)
 
 
-def middle(values: FloatArray) -> float:
-    """Return the median; infinite where the target was not reached by half of the seeds."""
-    return float(quartiles(values)[1])
-
-
 def _path(n_train: int, one: Calibration) -> PolishPath:
     return PolishPath(
         n_train=n_train,
@@ -218,26 +213,9 @@ def _path(n_train: int, one: Calibration) -> PolishPath:
     )
 
 
-def _theirs(n_train: int) -> dict[str, float]:
-    """Return the paper's row of a size by our names."""
-    row = published_calibration(n_train)
-    if row is None:
-        return {}
-    return {
-        "mse_screened": row.mse_screened,
-        "n_polish": row.n_polish,
-        "mse_polished": row.mse_polished,
-        "total_paper": row.total,
-    }
-
-
 def _cells(n: int, row: Mapping[str, float], n_seeds: int) -> tuple[Any, ...]:
-    theirs = _theirs(n)
+    theirs = theirs_of(n)
     return n, n_seeds, *(row[key] for key, _, _ in QUANTITIES), *(theirs.get(key) for key, _, _ in PAPER)
-
-
-def _n_seeds(many: Mapping[int, Values]) -> int:
-    return max(len(values["test_mae"]) for values in many.values())
 
 
 def _panels(many: Mapping[int, Values], unit: str) -> list[SeedPanel]:
@@ -260,77 +238,3 @@ def _panels(many: Mapping[int, Values], unit: str) -> list[SeedPanel]:
         panel("FMU at the screened point", f"MSE [{unit}]", "mse_screened",
               {n: p.mse_screened for n, p in papers.items()}, is_log=True),
     ]  # fmt: skip
-
-
-def _seeds_title(many: Mapping[int, Values]) -> str:
-    said = [f"{_reached(middle(values['calls_to_usual']))} (n = {n})" for n, values in many.items()]
-    return f"Median model calls to {USUAL_MSE}: {listed(said)}"
-
-
-def _reached(calls: float) -> str:
-    return count(calls) if np.isfinite(calls) else "never"
-
-
-def _title(paths: Sequence[PolishPath], unit: str) -> str:
-    gaps = [one.mse_screened - one.mse_surrogate for one in paths]
-    finals = [float(one.mse[-1]) for one in paths]
-    return (
-        f"The gap at the screened point is {significant(min(gaps))} to {quantity(max(gaps), unit)}; "
-        f"polishing ends at {significant(min(finals))} to {quantity(max(finals), unit)}"
-    )
-
-
-def _caption(paths: Sequence[PolishPath], unit: str) -> str:
-    first, last = (
-        f"{quantity(one.mse_screened - one.mse_surrogate, unit)} at n = {count(one.n_train)}"
-        for one in (paths[0], paths[-1])
-    )
-    return (
-        "Left: MSE at the screened point by the surrogate and by the FMU; the gap goes from "
-        f"{first} to {last}. Right: the best MSE over the calls of the polish. One seed."
-    )
-
-
-def _verdict(
-    medians: Mapping[int, Mapping[str, float]], values: Mapping[int, Values], unit: str
-) -> tuple[Agreement, str]:
-    compared = [(n, row, paper) for n, row in medians.items() if (paper := _theirs(n))]
-    if not compared:
-        return "beyond the paper", "None of these sizes is in the paper's table."
-    no_worse = [n for n, row, paper in compared if row["mse_polished"] <= paper["mse_polished"]]
-    smaller_gap = [n for n, row, paper in compared if row["mse_screened"] <= paper["mse_screened"]]
-    cheaper = [n for n, row, paper in compared if row["calls_to_paper"] <= paper["total_paper"]]
-    m = len(compared)
-    agreement: Agreement = "agrees" if len(no_worse) == m else "agrees in part" if no_worse else "differs"
-    parts = [
-        f"The final MSE is no worse than the paper's at {len(no_worse)} of {m} sizes, the FMU's MSE at the "
-        f"screened point at {len(smaller_gap)} of {m}. The paper's final MSE is reached within the paper's "
-        f"calls at {len(cheaper)} of {m}" + (f" (n = {listed(map(count, cheaper))})." if cheaper else "."),
-    ]
-    first, last = medians[min(medians)], medians[max(medians)]
-    if len(medians) > 1:
-        verb = "falls, as in the paper" if last["gap"] < first["gap"] else "does not fall"
-        parts.append(f"From the smallest to the largest training set the gap {verb}.")
-    cheapest = min(medians, key=lambda n: (medians[n]["calls_to_usual"], n))
-    if np.isfinite(medians[cheapest]["calls_to_usual"]):
-        calls = count(medians[cheapest]["calls_to_usual"])
-        parts.append(f"Fewest calls to {USUAL_MSE}: {calls}, with n = {count(cheapest)}.")
-    pairs = np.array([[row["squared_mse"], row["mse_polished"]] for row in medians.values()])
-    theirs, ours = np.median(pairs[np.isfinite(pairs).all(axis=1)], axis=0).tolist()
-    parts.append(
-        "Polished with squared residuals in linear coordinates, from the same points, the final MSE is "
-        f"{quantity(theirs, unit)} in the median of the sizes against {quantity(ours, unit)}"
-        + (": the form of the polish makes a difference." if theirs > 1.05 * ours else ".")
-    )
-    many = {n: found for n, found in values.items() if len(found["test_mae"]) > 1}
-    if many:
-        said = []
-        for n, found in many.items():
-            low, median, high = quartiles(found["calls_to_usual"]).tolist()
-            spread = f"quartiles {_reached(low)} and {_reached(high)}"
-            said.append(f"{_reached(median)} calls ({spread}) at n = {n}")
-        parts.append(
-            f"Over {count(_n_seeds(many), 'seed')}, {USUAL_MSE} {unit} is reached after {listed(said)}, in "
-            "the median. The paper has one run per size; the quartiles show what another seed changes."
-        )
-    return agreement, " ".join(parts)
