@@ -34,7 +34,7 @@ from simulation.trajectories import Trajectories
 
 _LOG = logging.getLogger(__name__)
 # Long enough to hide what it costs to hand out a chunk; to another machine that costs more.
-_CHUNK_S: Final = 0.03
+_CHUNK_S: Final = 0.05
 _REMOTE_CHUNK_S: Final = 1.0
 # A chunk that takes so much longer than expected leaves the rest of its rows to others.
 _MAX_OVERRUN: Final = 4.0

@@ -42,7 +42,7 @@ _CRASHING_S: Final = 10.0
 _MERCY: Final = 3
 _MAX_IN_VAIN: Final = 5
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
-_LOOK_S: Final = 0.03
+_LOOK_S: Final = 0.05
 _PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
 _MAX_LOG_BYTES: Final = 10_000_000
 _MAX_SAID: Final = 300

@@ -21,8 +21,8 @@ HERE = Path(__file__).parent
 N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
 # A row fails whose process is lost again and again: so many deaths in a row at most.
 N_DEATHS = 3
-# A chunk of 0.03 s, and one row more.
-N_CHUNK = 5
+# A chunk of 0.05 s, and one row more.
+N_CHUNK = 7
 
 # A master with the smallest store there can be: a file per chunk, and what it holds at each start.
 MASTER = """

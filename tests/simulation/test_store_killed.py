@@ -16,7 +16,7 @@ from simulation.store.store import SimulationStore
 from simulation.toy import ToyRC
 
 ROOT = Path(__file__).parents[2]
-N_ROWS, N_MASTERS, N_WORKERS, N_CHUNK = 3000, 25, 25, 11
+N_ROWS, N_MASTERS, N_WORKERS, N_CHUNK = 3000, 25, 25, 17
 LIMIT_S = 240.0
 
 CAMPAIGN = """
@@ -130,6 +130,6 @@ def test_no_reported_row_is_lost_or_simulated_twice_whoever_is_killed(tmp_path: 
     with open_store(tmp_path / "store") as store:
         assert store.read(theta).digest == ToyRC().simulate(theta).digest
         assert len(store.theta) == N_ROWS
-    # What a killed process had in hand is the only thing that is done again: a chunk of 0.03 s.
+    # What a killed process had in hand is the only thing that is done again: a chunk of 0.05 s.
     assert len(begun(tmp_path / "begun")) <= N_ROWS + N_CHUNK * (2 * N_MASTERS + N_WORKERS)
     assert not list((tmp_path / "store").glob(".*.tmp"))
