@@ -46,6 +46,10 @@ class RemoteModel:
         Returns:
             See Processes.simulate.
         """
+        return self._processes().simulate(theta, budget_s, slowest_s)
+
+    def _processes(self) -> Processes:
+        # Not above: the traceback of an error there would keep the processes of all models alive.
         kept: OrderedDict[RemoteModel, Processes] = vars(_kept).setdefault("models", OrderedDict())
         if self not in kept:
             while len(kept) >= _KEPT_MODELS:
@@ -56,4 +60,4 @@ class RemoteModel:
                 make_model = getattr(owner, make_model.__name__)
             kept[self] = Processes(make_model, self.policy)
         kept.move_to_end(self)
-        return kept[self].simulate(theta, budget_s, slowest_s)
+        return kept[self]
