@@ -208,7 +208,7 @@ def test_a_guided_calibration_takes_two_calls_more_than_it_learns_from() -> None
 
 
 def test_a_guide_that_misses_is_no_longer_asked() -> None:
-    found, guide = guided(problem_of(TwoRooms(roughness=0.3), TRUTH), 0, max_calls=30)
+    found, guide = guided(problem_of(TwoRooms(roughness=0.8), TRUTH), 0, max_calls=30)
     assert guide.n_asked > 3
     assert not guide.is_believed
     assert found.n_calls == 30
