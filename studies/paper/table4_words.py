@@ -42,8 +42,8 @@ def _n_seeds(many: Mapping[int, Values]) -> int:
 
 def seeds_title(many: Mapping[int, Values]) -> str:
     """Say how many calls each size with several seeds takes."""
-    said = [f"{_reached(middle(values['calls_to_usual']))} (n = {n})" for n, values in many.items()]
-    return f"Median model calls to {USUAL_MSE}: {listed(said)}"
+    said = [_reached(middle(values["calls_to_usual"])) for values in many.values()]
+    return f"Median model calls to {USUAL_MSE}: {listed(said)} for n = {listed(map(count, many))}"
 
 
 def _reached(calls: float) -> str:

@@ -114,7 +114,13 @@ def decimal_log(axes: Axes, lower: float, upper: float) -> None:
     axes.set_ylim(lower, upper)
     axis = axes.yaxis
     decades = math.log10(upper / lower)
-    subs = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if decades < 1 else (1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)
+    ticks = {
+        0.3: (1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0),
+        1.0: (1.0, 1.5, 2.0, 3.0, 5.0, 7.0),
+        2.5: (1.0, 2.0, 5.0),
+        math.inf: (1.0,),
+    }
+    subs = next(subs for most, subs in ticks.items() if decades < most)
     axis.set_major_locator(LogLocator(base=10.0, subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
     axis.set_minor_formatter(NullFormatter())
