@@ -72,8 +72,8 @@ def test_a_prior_costs_no_simulation_again_and_is_told(project: Path, studies: R
 @pytest.mark.parametrize(
     ("prior", "message"),
     [
-        ("{ about = 0.75, within = 0.1 }", "prior.within belongs to a linear scale; scale is log, so write"),
-        ("{ about = 0.75 }", "give either within (in the parameter's unit) or within_factor"),
+        ("{ about = 0.75, within = 0.1 }", 'prior does not fit scale = "log"; write within_factor'),
+        ("{ about = 0.75 }", 'prior does not fit scale = "log"; write within_factor'),
         (
             "{ abut = 0.75, within_factor = 2 }",
             "unknown key parameters[UWin].prior.abut (did you mean about?)",

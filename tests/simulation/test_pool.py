@@ -110,7 +110,7 @@ def test_chunks_come_as_they_finish_and_each_row_once():
 
 def test_who_stops_asking_ends_what_runs():
     began = time.monotonic()
-    with PoolModel(SlowToy(row_s=2.0).open, 2) as model:
+    with PoolModel(SlowToy(row_s=3.0).open, 2) as model:  # after 2 s a second process is worth its start
         model.simulate(_rows(1))
         with closing(model.as_finished(_rows(60))) as chunks:
             next(chunks)

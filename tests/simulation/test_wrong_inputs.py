@@ -156,8 +156,8 @@ WRONG: dict[str, tuple[Change, str]] = {
     "misspelt input": (toml('name = "u"', 'name = "uu"'), r"no input named uu; did you mean u\?"),
     "misspelt output": (toml('name = "y"\nunit', 'name = "Y"\nunit'), r"no output named Y; did you mean y\?"),
     "wrong causality": (
-        toml('name = "mode"', 'name = "u"'),
-        r"parameters\[u\]: u is input in decay\.fmu, not parameter; choose one of: k, x0, mode",
+        toml('name = "mode"', 'name = "y"'),
+        r"parameters\[y\]: y is output in decay\.fmu, not parameter; choose one of: k, x0, mode",
     ),
     "input left out": (
         toml(
