@@ -11,7 +11,7 @@ from typing import Any
 from simulation.errors import InputError
 from simulation.foreign_file import parse_toml
 from studies.paths import ProjectPaths
-from studies.recipe import file_digest, text_digest
+from studies.recipe import file_digest
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import difference_unit, squared
 from studies.stages.pipeline import read_json
@@ -111,13 +111,9 @@ def _changed(paths: ProjectPaths, recipe: Mapping[str, Any]) -> list[str]:
     """Return the names of the files of a recipe that hold something else now."""
     changed = []
     for one in (recipe["case"], *recipe["files"]) if recipe else ():
-        file = paths.located(one["place"])
-        if file is None:
-            continue
         with suppress(OSError):
-            is_text = "text_sha256" in one  # the case file
-            now = text_digest(file.read_text("utf-8-sig", "replace")) if is_text else file_digest(file)
-            changed += [file.name] if now != one["text_sha256" if is_text else "sha256"] else []
+            file = paths.located(one["place"])
+            changed += [file.name] if file is not None and file_digest(file) != one["sha256"] else []
     return list(dict.fromkeys(changed))
 
 

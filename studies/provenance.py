@@ -17,10 +17,10 @@ from studies.tuning.declaration import Declaration
 
 @dataclass(frozen=True)
 class NamedCase:
-    """The case of a recipe: where it lay, and the SHA-256 of its text, its model and its measurement."""
+    """The case of a recipe: where it lay, and the SHA-256 of its file, its model and its measurement."""
 
     place: str
-    text_sha256: str
+    sha256: str
     digest: str
     measurement_digest: str
 
@@ -75,8 +75,8 @@ class Provenance:
     @property
     def n_threads(self) -> int | None:
         """Threads of the linear algebra, on which last digits depend; None where that is not known."""
-        told = self.environment.get("n_threads", "1")
-        return int(told) if told.isdecimal() and len(told) < len("10000") else None
+        noted = self.environment.get("n_threads", "1")
+        return int(noted) if noted.isdecimal() and len(noted) < len("10000") else None
 
 
 _READER = TypeAdapter(Provenance)
@@ -98,13 +98,10 @@ def provenance_of(record: Mapping[str, Any], owner: str) -> Provenance:
     if not recipe:
         raise InputError(f"{owner} was recorded without a recipe; make it again with this version")
     kind, schema = (recipe.get("kind"), recipe.get("schema")) if isinstance(recipe, dict) else (None, None)
-    if schema != SCHEMA:
+    if schema != SCHEMA or kind not in [*NEEDED]:  # which may be anything
         raise InputError(
-            f"the recipe of {owner} has schema {quoted(schema)}, this version follows {SCHEMA}; "
-            "use the version that wrote it"
+            f"{owner} is a {quoted(kind)} of schema {quoted(schema)}, which this version cannot make again"
         )
-    if kind not in [*NEEDED]:  # which may be anything
-        raise InputError(f"{owner} is a {quoted(kind)}, which this version cannot make again")
     try:
         made = _READER.validate_python(record)
         if made.declaration is not None:

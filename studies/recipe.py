@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from studies.stages.pipeline import Study
 
-SCHEMA = 1
+SCHEMA = 2
 
 Recipe = dict[str, Any]
 
@@ -29,7 +29,6 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
 
     case = study.case
     declared = read_case_file(case.path)
-    text = case.path.read_text(encoding="utf-8-sig")
     uses = [("inputs", one.file) for one in declared.inputs] + [
         ("measurement", o.file) for o in declared.outputs
     ]
@@ -44,8 +43,8 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         "case": {
             "name": case.name,
             "place": study.paths.recorded(case.path),
-            "text": text,
-            "text_sha256": text_digest(text),
+            "text": case.path.read_text(encoding="utf-8-sig"),
+            "sha256": file_digest(case.path),
             "digest": case.digest,
             "model_digest": case.model_digest,
             "measurement_digest": case.measurement.digest,
@@ -64,11 +63,6 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
         "seed": study.profile.seed,
         **more,
     }
-
-
-def text_digest(text: str) -> str:
-    """Return the SHA-256 of a text."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def file_digest(file: Path) -> str:

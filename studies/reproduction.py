@@ -23,7 +23,7 @@ from studies.comparison import Compared, compare
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
 from studies.provenance import FollowedRecipe, Provenance, provenance_of
-from studies.recipe import text_digest
+from studies.recipe import file_digest
 from studies.stages.pipeline import Study, read_json
 from studies.stages.results import read_arrays
 from studies.tracking.origin import environment
@@ -67,10 +67,8 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
         recipe = made.recipe
         study = _study(paths, recipe, console, n_jobs)
         _say_differences(console, made.environment)
-        with (
-            console.stage("reproduce", f"{run.info.run_name} of {study.label} once more"),
-            threadpool_limits(made.n_threads),
-        ):
+        what = f"{run.info.run_name} of {study.label} once more"
+        with console.stage("reproduce", what), threadpool_limits(made.n_threads):
             if made.declaration is not None:
                 (numbers, arrays), (numbers_now, arrays_now) = _trial(run, runs, study, made)
             else:
@@ -115,10 +113,8 @@ def _find(runs: RunStore, name: str) -> "Run":
         for run in reversed(runs.find(label, {"role": "calibration"}) if found else []):
             if stage == run.info.run_name.removesuffix(" calibration"):
                 return run
-    raise InputError(
-        f"nothing is called {name!r}; give the id of an MLflow run (`studies best --json` has those of the "
-        "best trials), or a calibration such as office-quick/adaptive"
-    )
+    known = "an MLflow run's id (`studies best --json` has some) or a calibration as in `studies status`"
+    raise InputError(f"nothing is called {name!r}; give {known}")
 
 
 def _study(paths: ProjectPaths, recipe: FollowedRecipe, console: Console, n_jobs: int) -> Study:
@@ -127,24 +123,20 @@ def _study(paths: ProjectPaths, recipe: FollowedRecipe, console: Console, n_jobs
     Raises:
         InputError: the case or one of its files is not as it was.
     """
-    told = recipe.case
-    file = paths.located(told.place)
+    recorded = recipe.case
+    file = paths.located(recorded.place)
     if file is None:
-        raise InputError(
-            f"the case file {quoted(told.place)} of this run is not in the project; put it there"
-        )
+        raise InputError(f"this run's case file {quoted(recorded.place)} is not in the project; put it there")
     case = load_case(file, window_d=recipe.window_d)
     checks = (
-        (told.text_sha256, text_digest(file.read_text(encoding="utf-8-sig")), "the file itself"),
-        (told.digest, case.digest, "its FMU or its inputs"),
-        (told.measurement_digest, case.measurement.digest, "its measurement"),
+        (recorded.sha256, file_digest(file), "the file itself"),
+        (recorded.digest, case.digest, "its FMU or its inputs"),
+        (recorded.measurement_digest, case.measurement.digest, "its measurement"),
     )
     for was, now, what in checks:
         if was != now:
-            place = paths.show(file)
-            raise InputError(
-                f"{place}: {what} changed since this was made; restore it ({shortened(was[:12])})"
-            )
+            before = shortened(was[:12])
+            raise InputError(f"{paths.show(file)}: {what} changed since this was made; restore it ({before})")
     return Study(
         case=case,
         profile=recipe.profile,
@@ -195,11 +187,11 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
     with suppress(_LastEpochError):
         _, numbers = train(spec, config, made.seed, data, on_epoch=hear, on_report=lambda *_: None)
     was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
-    curves, curves_now = (
-        {name: np.array([of[name][step] for step in sorted(of[name])]) for name in history}
-        for of in (history, seen)
-    )
-    return (was, curves), (numbers, curves_now)
+
+    def rows(of: Mapping[str, Mapping[int, float]]) -> dict[str, NDArray[Any]]:
+        return {name: np.array([of[name][step] for step in sorted(of[name])]) for name in history}
+
+    return (was, rows(history)), (numbers, rows(seen))
 
 
 def _recorded(run: "Run", runs: RunStore, folder: Path) -> Result:

@@ -26,9 +26,7 @@ class ProjectArtifacts(LocalArtifactRepository):
         known = [uri for uri in (tracking_uri, served, mlflow.get_tracking_uri()) if uri]
         store = next((uri for uri in known if uri.startswith("sqlite:")), None)
         if store is None:
-            raise MlflowException(
-                f"{artifact_uri} lies in a project; set the tracking URI to its mlruns/mlflow.db"
-            )
+            raise MlflowException(f"{artifact_uri}: set the tracking URI to the project's mlruns/mlflow.db")
         root = (Path(urlparse(store).path.removeprefix("/")).resolve().parent / "artifacts").resolve()
         place = (root / unquote(urlparse(artifact_uri).path).lstrip("/")).resolve()
         if not place.is_relative_to(root):

@@ -4,7 +4,7 @@ import tempfile
 import warnings
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import pelsvae
 from simulation.errors import InputError
@@ -21,9 +21,7 @@ SURROGATE = "surrogate"
 """Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""
 
 
-def load_surrogate(
-    runs: RunStore, run_id: str, *, device: Literal["auto", "cpu", "cuda"] = "cpu"
-) -> "Surrogate":
+def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate":
     """Load the surrogate of a trial from its run.
 
     Raises:
@@ -34,7 +32,7 @@ def load_surrogate(
     with tempfile.TemporaryDirectory(prefix="studies-surrogate-") as scratch:
         folder = runs.fetch(run_id, SURROGATE, Path(scratch))
         try:
-            return Surrogate.load(folder, device=device)
+            return Surrogate.load(folder, device="cpu")
         except (ValueError, FileNotFoundError) as error:
             raise InputError(f"the surrogate of MLflow's run {run_id} cannot be loaded: {error}") from None
 

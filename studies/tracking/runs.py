@@ -76,13 +76,9 @@ class RunStore:
         """Return the runs of an experiment that have all of some tags, the earliest first."""
         wanted = [f"tags.`{name}` = '{value}'" for name, value in tags.items()]
         wanted += [f"attributes.status = '{status}'"] if status else []
-        found: list[Run] = mlflow.search_runs(
-            [self.experiment(label)],
-            " and ".join(wanted),
-            order_by=["attributes.start_time ASC"],
-            output_format="list",
-        )
-        return found
+        where, order = [self.experiment(label)], ["attributes.start_time ASC"]
+        query = " and ".join(wanted)
+        return list(mlflow.search_runs(where, query, order_by=order, output_format="list"))
 
     def begin(self, label: str, name: str, tags: Mapping[str, Any], *, start_s: float | None = None) -> str:
         """Make a run, and return its id."""
@@ -102,23 +98,16 @@ class RunStore:
     ) -> None:
         """Write settings, results and tags of a run; a metric that is no finite number is left out."""
         now = round(1000.0 * time.time())
-        self.client.log_batch(
-            run_id,
-            metrics=[
-                entities.Metric(k, float(v), now, 0) for k, v in (metrics or {}).items() if math.isfinite(v)
-            ],
-            params=[entities.Param(name, str(value)[:6000]) for name, value in (params or {}).items()],
-            tags=[entities.RunTag(name, str(value)) for name, value in (tags or {}).items()],
-        )
+        finite = {name: float(value) for name, value in (metrics or {}).items() if math.isfinite(value)}
+        results = [entities.Metric(name, value, now, 0) for name, value in finite.items()]
+        settings = [entities.Param(name, str(value)[:6000]) for name, value in (params or {}).items()]
+        marks = [entities.RunTag(name, str(value)) for name, value in (tags or {}).items()]
+        self.client.log_batch(run_id, metrics=results, params=settings, tags=marks)
 
     def log_points(self, run_id: str, points: Sequence[entities.Metric]) -> None:
         """Write points of curves."""
         for begin in range(0, len(points), MAX_METRICS):
             self.client.log_batch(run_id, metrics=points[begin : begin + MAX_METRICS])
-
-    def log_json(self, run_id: str, content: Mapping[str, Any], name: str) -> None:
-        """Write a JSON file among a run's artifacts."""
-        self.client.log_dict(run_id, dict(content), name)
 
     def log_files(self, run_id: str, files: Iterable[Path], folder: str | None = None) -> None:
         """Copy files among a run's artifacts."""
@@ -140,7 +129,3 @@ class RunStore:
     def end(self, run_id: str, status: RunStatus, *, end_s: float | None = None) -> None:
         """End a run."""
         self.client.set_terminated(run_id, status, None if end_s is None else round(1000.0 * end_s))
-
-    def wake(self, run_id: str) -> None:
-        """Let a run that has ended run again."""
-        self.client.update_run(run_id, status="RUNNING")

@@ -72,8 +72,7 @@ def log_stage(paths: ProjectPaths, stage: StageRun) -> None:
         if run.info.status == "RUNNING":
             runs.end(run.info.run_id, "KILLED")
     started_s = time.time() - stage.wall_s if stage.started_s is None else stage.started_s
-    tags = {"role": stage.kind, "stage_key": stage.key, **stage.tags}
-    tags |= {NOTE: stage.note} if stage.note else {}
+    tags = {"role": stage.kind, "stage_key": stage.key, NOTE: stage.note, **stage.tags}
     run_id = runs.begin(stage.label, stage.name, tags, start_s=started_s)
     runs.log(run_id, params=stage.params, metrics=metrics)
     at = round(1000.0 * (started_s + stage.wall_s))
@@ -83,7 +82,7 @@ def log_stage(paths: ProjectPaths, stage: StageRun) -> None:
     runs.log_files(run_id, stage.figures, "figures")
     runs.log_files(run_id, stage.artifacts)
     if stage.record:
-        runs.log_json(run_id, stage.record, "provenance.json")
+        runs.client.log_dict(run_id, dict(stage.record), "provenance.json")
     runs.end(run_id, "FINISHED", end_s=started_s + stage.wall_s)
 
 

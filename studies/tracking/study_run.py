@@ -27,7 +27,7 @@ def open_study_run(runs: RunStore, spec: Declaration, n_trials: int, run_id: str
     if run_id is not None:
         with suppress(MlflowException):  # deleted by its user
             if runs.client.get_run(run_id).info.lifecycle_stage == "active":
-                runs.wake(run_id)
+                runs.client.update_run(run_id, status="RUNNING")
                 return run_id
     role = "baseline study" if spec.is_baseline else "study"
     tags = {"role": role, "study": spec.name, "n_train": spec.n_train, "surrogate": spec.surrogate}

@@ -50,7 +50,7 @@ class TrialRun:
         self._points: list[entities.Metric] = []
         self._flushed_s = time.monotonic()
         runs.log(self.id, params={"n_train": spec.n_train, **params})
-        runs.log_json(self.id, record, "provenance.json")
+        runs.client.log_dict(self.id, record, "provenance.json")
 
     def hear(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""

@@ -109,8 +109,7 @@ def place_of(trial: FrozenTrial, trials: Sequence[FrozenTrial]) -> int:
 
 def places(trials: Sequence[FrozenTrial]) -> list[FrozenTrial]:
     """Return the latest attempt at each place of a study, in order."""
-    latest = {first_number(trial): trial for trial in trials}
-    return [latest[number] for number in sorted(latest)]
+    return list({first_number(trial): trial for trial in trials}.values())
 
 
 def is_unfinished(trials: Sequence[FrozenTrial], n_trials: int) -> bool:
@@ -144,11 +143,8 @@ def retry_lost(study: optuna.Study) -> list[int]:
     """
     trials = study.get_trials(deepcopy=False)
     repeated = {n for trial in trials for n in RetryHeartbeatStaleTrialCallback.retry_history(trial)}
-    lost = [
-        trial
-        for trial in trials
-        if trial.state == TrialState.RUNNING and is_owned(trial) and is_dead(trial.user_attrs[OWNER])
-    ]
+    ours = [trial for trial in trials if trial.state == TrialState.RUNNING and is_owned(trial)]
+    lost = [trial for trial in ours if is_dead(trial.user_attrs[OWNER])]
     for trial in lost:
         if trial.number not in repeated:
             run_again(study, trial)

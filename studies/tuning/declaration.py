@@ -150,9 +150,7 @@ class Declaration:
         """
         file = (paths.root / self.files[name]).resolve()
         if not file.is_relative_to(paths.root.resolve()):
-            raise InputError(
-                f"the study {self.name!r} names a file outside the project: {self.files[name]!r}"
-            )
+            raise InputError(f"study {self.name!r}: {self.files[name]!r} lies outside the project")
         return file
 
     def to_dict(self) -> dict[str, Any]:
@@ -169,9 +167,7 @@ class Declaration:
         names = {one.name for one in fields(cls)}
         if set(content) != names:
             odd = sorted(set(content) ^ names)[0]
-            raise InputError(
-                f"a study was declared by another version ({odd}); use that version, or tune anew"
-            )
+            raise InputError(f"a study is of another version ({odd}); use that version, or tune anew")
         values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
         return cls(**values)
 

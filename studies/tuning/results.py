@@ -91,8 +91,7 @@ class TunedStudy:
     @property
     def default(self) -> TrialView | None:
         """The trial with the surrogate's own settings, where it was trained to its end."""
-        found = (t for t in self.trials if t.proposed_by == "default" and t.state == "complete")
-        return next(found, None)
+        return next((t for t in self.trials if t.proposed_by == "default" and t.state == "complete"), None)
 
     @property
     def gain(self) -> float | None:
@@ -189,9 +188,8 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
             declared = study.user_attrs.get(attempts.DECLARATION)
             if isinstance(declared, dict) and label in (None, declared.get("label")):
                 found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
-    return sorted(
-        found, key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s)
-    )
+    found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s))
+    return found
 
 
 def latest_studies(
@@ -261,5 +259,4 @@ def importances(
             if name in point:
                 one.suggest(trial, name)
         study.tell(trial, value)
-    found = optuna.importance.get_param_importances(study)
-    return dict(sorted(((name, float(part)) for name, part in found.items()), key=lambda pair: -pair[1]))
+    return dict(optuna.importance.get_param_importances(study))

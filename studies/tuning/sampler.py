@@ -36,12 +36,9 @@ def make_pruner(declared: Mapping[str, Any]) -> BasePruner:
 
 def _made(kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base: type, **more: Any) -> Any:
     name, arguments = declared.get("name"), {k: v for k, v in declared.items() if k != "name"}
-    found = known.get(str(name))
-    if not isinstance(found, type) or not issubclass(found, base) or found is base:
-        offered = sorted(
-            n for n, v in known.items() if isinstance(v, type) and issubclass(v, base) and v is not base
-        )
-        raise InputError(f"tuning.{kind}: Optuna has no {kind} {name!r}; it has {', '.join(offered)}")
+    offered = {n: v for n, v in known.items() if isinstance(v, type) and issubclass(v, base) and v != base}
+    if (found := offered.get(str(name))) is None:
+        raise InputError(f"tuning.{kind}: Optuna has no {kind} {name!r}; it has {', '.join(sorted(offered))}")
     arguments = {
         key: _made(kind, value, known, base, **more) if isinstance(value, dict) and "name" in value else value
         for key, value in arguments.items()

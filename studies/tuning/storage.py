@@ -32,10 +32,11 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
     try:
         # Two processes that make the tables at the same moment would get in each other's way.
         with FileLock(paths.mlruns / ".optuna.lock"):
-            if paths.storage is None:
-                _prepare_sqlite(paths)
-            else:
+            if paths.storage is not None:
                 _prepare_schemas(paths.storage)
+            elif not paths.optuna_database.is_file():
+                with closing(sqlite3.connect(paths.optuna_database)) as made:
+                    made.execute("pragma journal_mode=wal")
             waits, asks = {"connect_args": {"timeout": 60}}, {"pool_pre_ping": True}
             storage = RDBStorage(
                 paths.optuna_url,
@@ -71,20 +72,12 @@ def storage_of(paths: ProjectPaths) -> Iterator[RDBStorage]:
         storage.engine.dispose()
 
 
-def _prepare_sqlite(paths: ProjectPaths) -> None:
-    if not paths.optuna_database.is_file():
-        with closing(sqlite3.connect(paths.optuna_database)) as made:
-            made.execute("pragma journal_mode=wal")
-
-
 def _prepare_schemas(storage: str) -> None:
     """Make a schema for Optuna and one for MLflow: both own a table `alembic_version`."""
     try:
         import psycopg
     except ImportError:
-        raise InputError(
-            "a PostgreSQL storage needs psycopg; type: pip install 'pelsvae-studies[postgres]'"
-        ) from None
+        raise InputError("PostgreSQL needs: pip install 'pelsvae-studies[postgres]'") from None
     try:
         with psycopg.connect(storage, autocommit=True, connect_timeout=10) as connection:
             connection.execute("select pg_advisory_lock(7365747570)")
@@ -93,9 +86,8 @@ def _prepare_schemas(storage: str) -> None:
     except psycopg.Error as error:
         said = next(iter(hide_passwords(str(error)).splitlines()), type(error).__name__)
         kind = MachineError if "refused" in said or "timeout" in said else InputError
-        raise kind(
-            f"the storage {hide_passwords(storage)} cannot be used ({said}); correct it or start it"
-        ) from None
+        shown = hide_passwords(storage)
+        raise kind(f"the storage {shown} cannot be used ({said}); correct it or start it") from None
 
 
 @contextmanager

@@ -18,7 +18,6 @@ from studies.tuning.declaration import SETS, Declaration, output_metric
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing
 PRUNE_AFTER = 0.1  # part of the epochs before trials are compared
-NORMAL_90 = 1.6449  # standard deviations to both sides that hold 90 % of a normal distribution
 
 StudyData = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 """The data sets of a study by name without their failed rows: pairs of theta (n, p) and y (n, t, k)."""
@@ -38,9 +37,7 @@ def load_data(spec: Declaration, paths: ProjectPaths) -> StudyData:
             raise InputError(f"{file} has changed since the study was declared; type: studies tune")
         good = rows.take(~rows.failed)
         if good.n < 2:
-            raise InputError(
-                f"{file} has {good.n} good simulations of {rows.n}; a surrogate needs at least 2"
-            )
+            raise InputError(f"{file}: {good.n} of {rows.n} simulations did not fail; at least 2 are needed")
         data[name] = good.theta, good.y
     return data
 
@@ -113,7 +110,4 @@ def judge(surrogate: Surrogate, spec: Declaration, data: StudyData) -> dict[str,
             by_output = np.abs(predicted - y).mean(axis=(0, 1))
             for output, mae in zip(spec.output_names, by_output, strict=True):
                 judged[f"{name}/{output_metric(output)}"] = float(mae)
-        if name == "test" and surrogate.states_deviation:
-            inside = np.abs(predicted - y) <= NORMAL_90 * surrogate.deviation(theta)
-            judged["test/coverage90"] = float(inside.mean())
     return judged

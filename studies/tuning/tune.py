@@ -110,11 +110,9 @@ class _Size:
                 raise InputError(said)
             if worker.returncode > 0:
                 raise TuningError(f"a worker of {name} failed: {said}")
-            before, self.n_ended = (
-                self.n_ended,
-                sum(t.state.is_finished() for p in self.parts for t in p.trials),
-            )
-            self.n_deaths = self.n_deaths + 1 if self.n_ended <= before else 1
+            n_ended = sum(trial.state.is_finished() for part in self.parts for trial in part.trials)
+            self.n_deaths = self.n_deaths + 1 if n_ended <= self.n_ended else 1
+            self.n_ended = n_ended
             if self.n_deaths > MAX_DEATHS:
                 raise TuningError(
                     f"a worker of {name} was killed by signal {-worker.returncode} {self.n_deaths} times "
@@ -225,8 +223,6 @@ def closed_studies(
     """Return the studies where all of them are finished and registered, None where work is left."""
     known = {one.spec.name: one for one in read_studies(paths, label=specs[0].label)}
     found = [known[spec.name] for spec in specs if spec.name in known]
-    are_closed = len(found) == len(specs) and all(
-        one.n_closed == one.n_ended == len(one.trials) >= (1 if one.spec.is_baseline else n_trials)
-        for one in found
-    )
-    return found if are_closed else None
+    are_ended = all(one.n_closed == one.n_ended == len(one.trials) for one in found)
+    are_enough = all(one.n_ended >= (1 if one.spec.is_baseline else n_trials) for one in found)
+    return found if len(found) == len(specs) and are_ended and are_enough else None

@@ -108,7 +108,7 @@ def write_calibration(
         json.dumps(manifest | {"finished": finished}), encoding="utf-8"
     )
     told = {"place": f"fmus/{case.parent.name}/case.toml", "text": case.read_text(encoding="utf-8")}
-    told |= dict.fromkeys(("digest", "measurement_digest", "text_sha256"), "1" * 64)
+    told |= dict.fromkeys(("digest", "measurement_digest", "sha256"), "1" * 64)
     recipe = {"case": told, "files": [], "window_d": [0.0, 9.0]}
     (folder / f"calibration-{name}.json").write_text(
         json.dumps({**numbers, "recipe": recipe}), encoding="utf-8"

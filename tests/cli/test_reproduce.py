@@ -219,7 +219,7 @@ def test_a_damaged_record_of_a_run_is_one_line_at_the_terminal(copied: Path, stu
     (file,) = copied.glob(f"mlruns/artifacts/*/{run}/artifacts/provenance.json")
     record = json.loads(file.read_text(encoding="utf-8"))
     for change, said in (
-        ({"recipe": [None]}, "has schema None"),
+        ({"recipe": [None]}, "of schema None"),
         ({"recipe": record["recipe"] | {"window_d": [[], 2]}}, "recipe.window_d.0 = []"),
         ({"params": "../../x"}, "params = '../../x'"),
         ({"params": {"n_hidden": -1}}, "n_hidden = -1 must be at least 1"),

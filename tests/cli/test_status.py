@@ -150,7 +150,7 @@ def test_a_study_of_another_version_is_one_line(project: Path, studies: Run) -> 
     for command in ("status", "best"):
         answer = studies(command)
         assert (answer.code, answer.err.count("\n")) == (2, 1)
-        assert "declared by another version (objectives)" in answer.err
+        assert "a study is of another version (objectives)" in answer.err
 
 
 def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(

@@ -159,14 +159,14 @@ def test_changed_data_is_refused(project: ProjectPaths) -> None:
 
 def test_a_file_outside_the_project_is_refused(project: ProjectPaths) -> None:
     spec = toy_study(16, files=FILES | {"test": "../elsewhere.npz"})
-    with pytest.raises(InputError, match="names a file outside the project"):
+    with pytest.raises(InputError, match="lies outside the project"):
         prepared(project, spec, 1)
 
 
 def test_a_study_of_another_version_is_refused() -> None:
     content = toy_study(16).to_dict()
     assert Declaration.from_dict(content) == toy_study(16)
-    with pytest.raises(InputError, match=r"declared by another version \(n_rooms\)"):
+    with pytest.raises(InputError, match=r"a study is of another version \(n_rooms\)"):
         Declaration.from_dict({**content, "n_rooms": 1})
 
 
