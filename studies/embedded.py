@@ -3,6 +3,7 @@
 The wheel holds them in `studies/cases`. A checkout has them in its own `fmus` and `data`, beside the package.
 """
 
+import os
 import shutil
 import tomllib
 from pathlib import Path
@@ -17,7 +18,9 @@ def case_files(fmus: Path) -> dict[str, Path]:
     # build.toml says how an FMU is compiled.
     others = {"case.toml", "build.toml"}
     named = {file.stem: file for file in sorted(fmus.glob("*/*.toml")) if file.name not in others}
-    named |= {file.parent.name: file for file in sorted(fmus.glob("*/case.toml"))}
+    # A link that leads nowhere counts, too: an embedded case of that name shall not take its place.
+    found = [folder / "case.toml" for folder in fmus.glob("*/") if os.path.lexists(folder / "case.toml")]
+    named |= {file.parent.name: file for file in found}
     return dict(sorted(named.items()))
 
 

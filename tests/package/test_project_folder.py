@@ -185,6 +185,9 @@ def test_a_case_of_the_project_comes_before_an_embedded_one(folder: Path) -> Non
     assert find_case(paths, "wall") == own
     with pytest.raises(InputError, match=r"did you mean 'wall'\? .*fmus: wall; embedded cases: .*thermostat"):
         find_case(paths, "walll")
+    own.unlink()
+    own.symlink_to(own)  # a link that leads nowhere is the project's, too
+    assert find_case(paths, "wall") == own
 
 
 def test_cases_are_copied_to_their_recording(folder: Path) -> None:
