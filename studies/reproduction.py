@@ -189,7 +189,7 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
     was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
 
     def rows(of: Mapping[str, Mapping[int, float]]) -> dict[str, NDArray[Any]]:
-        return {name: np.array([of[name][step] for step in sorted(of[name])]) for name in history}
+        return {name: np.array([of[name].get(step) for step in sorted(history[name])]) for name in history}
 
     return (was, rows(history)), (numbers, rows(seen))
 

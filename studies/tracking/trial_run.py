@@ -16,6 +16,8 @@ from studies.tracking.runs import CURVE, PARENT, RunStore
 from studies.tuning.attempts import errors_of
 from studies.tuning.declaration import Declaration
 
+N_POINTS = 100
+"""Of the loss and of each of its terms; the validation error is written at every epoch."""
 FLUSH_S = 2.0
 """Points of curves are written this often: each call costs as much as many points."""
 
@@ -42,9 +44,8 @@ class TrialRun:
         params: dict[str, Any],
         record: dict[str, Any],
     ) -> None:
-        tags = {"role": "trial", "study": spec.name, "trial": trial, "n_train": spec.n_train}
-        if study_run:
-            tags[PARENT] = study_run
+        parent = {PARENT: study_run} if study_run else {}
+        tags = {"role": "trial", "study": spec.name, "trial": trial, "n_train": spec.n_train, **parent}
         self.id = runs.begin(spec.label, f"{spec.size} trial {trial:03d}", tags)
         self._runs = runs
         self._points: list[entities.Metric] = []
@@ -55,7 +56,9 @@ class TrialRun:
     def hear(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""
         now = round(1000.0 * time.time())
-        seen = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
+        seen = {"validation_mae": report.validation_mae}
+        if report.epoch % math.ceil(report.max_epochs / N_POINTS) == 0:
+            seen |= {"loss": report.train_loss, **report.terms}
         finite = {name: value for name, value in seen.items() if math.isfinite(value)}
         self._points += [entities.Metric(f"{CURVE}{k}", v, now, report.epoch) for k, v in finite.items()]
         if time.monotonic() - self._flushed_s >= FLUSH_S:

@@ -164,10 +164,8 @@ class Declaration:
         Raises:
             InputError: it was written by another version.
         """
-        names = {one.name for one in fields(cls)}
-        if set(content) != names:
-            odd = sorted(set(content) ^ names)[0]
-            raise InputError(f"a study is of another version ({odd}); use that version, or tune anew")
+        if odd := sorted(set(content) ^ {one.name for one in fields(cls)}):
+            raise InputError(f"a study is of another version ({odd[0]}); use that version, or tune anew")
         values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
         return cls(**values)
 
