@@ -1,4 +1,4 @@
-"""What a training tells while it goes, and how it fails."""
+"""What a training reports while it goes, and how it fails."""
 
 from __future__ import annotations
 

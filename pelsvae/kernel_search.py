@@ -17,7 +17,7 @@ from pelsvae.side_by_side import SideBySide
 from pelsvae.standardize import Array
 
 # Rows on which kernels are searched for, and how many of them go on from each to the next: a search on few
-# rows costs little, and tells which of several likely kernels is worth more.
+# rows costs little, and shows which of several likely kernels is worth more.
 ROWS = (128, 256, 512, 1024)
 SURVIVORS = (6, 2, 1, 1)
 # With more rows the kernel of all codes is searched for on 1,024 of them, and leading ones have none.

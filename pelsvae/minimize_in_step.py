@@ -17,7 +17,7 @@ Found = tuple[float, Array]
 
 
 class _GivenUpError(Exception):
-    """Nobody answers any more."""
+    """No one asks any more."""
 
 
 def minimize_in_step(

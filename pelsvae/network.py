@@ -13,7 +13,7 @@ _LOG_VARIANCE_BOUND = 12.0  # reached by no good training; a leap of the optimiz
 
 
 class _Linear(nn.Linear):
-    """A layer whose weights are unset until somebody draws them: torch would, from the global generator."""
+    """A layer whose weights are unset until they are drawn: torch would, from the global generator."""
 
     def reset_parameters(self) -> None:
         """Leave the weights as they are."""

@@ -64,7 +64,7 @@ def fit_processes(
         validation_error: Judges a network.
         seed: Of the searches' starts and of networks.
         n_jobs: Threads that work side by side; a GPU and few rows have one.
-        on_epoch: Told of searches, in parts of `max_epochs`, and last of what is returned.
+        on_epoch: Called with searches, in parts of `max_epochs`, and last of what is returned.
 
     Returns:
         The network, and what was last reported, by name: its error, and the loss of the likeliest kernel of

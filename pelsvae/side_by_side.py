@@ -20,7 +20,7 @@ R = TypeVar("R")
 
 
 class GivenUpError(Exception):
-    """Nobody waits for this computation any more."""
+    """No one waits for this computation any more."""
 
 
 class SideBySide:
@@ -45,7 +45,7 @@ class SideBySide:
         return cache(function) if self._threads is None else self._threads.submit(function).result
 
     def check(self) -> None:
-        """End a long computation that nobody waits for any more; it calls this now and then.
+        """End a long computation that no one waits for any more; it calls this now and then.
 
         Raises:
             GivenUpError: It is so.

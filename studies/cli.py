@@ -134,7 +134,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if is_interrupt(error):
                 return _interrupted(console, arguments)
             try:
-                return _told(console, error)
+                return _report(console, error)
             except OSError:
                 # The report cannot be written either.
                 return FAILED
@@ -142,17 +142,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _make_writable() -> None:
     """Make standard output and error writable, also if they are closed or cannot encode a character."""
-    sys.stdout, sys.stderr = sys.stdout or _nobody(), sys.stderr or _nobody()
+    sys.stdout, sys.stderr = sys.stdout or _nowhere(), sys.stderr or _nowhere()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
             stream.reconfigure(errors="replace")
 
 
-def _nobody() -> TextIO:
+def _nowhere() -> TextIO:
     return Path(os.devnull).open("w", encoding="utf-8", errors="replace")
 
 
-def _told(console: Console, error: BaseException) -> int:
+def _report(console: Console, error: BaseException) -> int:
     """Report the error that ended a command, and return its exit code."""
     if isinstance(error, InputError) and not isinstance(error, MachineError):
         return _bad_input(console, " ".join(str(error).split()))
@@ -265,8 +265,8 @@ def _failed(console: Console, error: BaseException) -> int:
 
     explained = explain(error)
     if explained is None and not isinstance(error, StageError | MachineError):
-        told = hide_passwords("".join(traceback.format_exception(error)))
-        sys.stderr.write(escaped(told, keep_lines=True))
+        text = hide_passwords("".join(traceback.format_exception(error)))
+        sys.stderr.write(escaped(text, keep_lines=True))
     line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
     line = shortened(line, MOST_SAID)
     console.warn(f"error: {line}")

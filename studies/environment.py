@@ -1,4 +1,4 @@
-"""What a user is told when the machine is in the way: a full disk, a missing permission, no memory."""
+"""What a user reads when the machine is in the way: a full disk, a missing permission, no memory."""
 
 import errno
 import re
@@ -56,7 +56,7 @@ def check_surroundings(words: Sequence[str]) -> None:
                 "rename it where its name is not UTF-8"
             )
     if not Path("/proc/self/status").exists():
-        raise MachineError("/proc is missing, which tells of processes and memory; mount it")
+        raise MachineError("/proc is missing, which shows processes and memory; mount it")
 
 
 def explain(error: BaseException) -> str | None:

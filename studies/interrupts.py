@@ -15,10 +15,10 @@ def interrupts_kept() -> Iterator[None]:
     """Interrupt again where a Ctrl-C came to nothing.
 
     Python raises KeyboardInterrupt wherever it is, also in code that drops whatever is raised in it: in a
-    `__del__`, or in what NumPy asks of Python when it makes a dtype. The work would go on as if nobody had
-    pressed a key. So a moment later it is raised again, unless somebody handles it by then.
+    `__del__`, or in what NumPy asks of Python when it makes a dtype. The work would go on as if no key had
+    been pressed. So a moment later it is raised again, unless it is handled by then.
 
-    Only on the main thread, where Ctrl-C means KeyboardInterrupt and nobody else waits for the timer:
+    Only on the main thread, where Ctrl-C means KeyboardInterrupt and nothing else waits for the timer:
     elsewhere nothing is changed.
     """
     if (
@@ -67,7 +67,7 @@ def _look_again(number: int, frame: object) -> None:
     if is_interrupt(error) or isinstance(error, GeneratorExit):
         signal.setitimer(signal.ITIMER_REAL, _LOOK_AFTER_S)
     else:
-        # Not raised from here: somebody may hold Ctrl-C back.
+        # Not raised from here: a caller may hold Ctrl-C back.
         signal.raise_signal(signal.SIGINT)
 
 

@@ -103,7 +103,7 @@ def failed_numbers(model: StoredModel) -> dict[str, Any]:
 
 
 def warn_failed(study: Study, found: Mapping[str, Any]) -> None:
-    """Tell the user of simulations that failed, if any.
+    """Warn of simulations that failed, if any.
 
     Args:
         study: the study.

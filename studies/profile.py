@@ -190,8 +190,8 @@ def in_one_line(error: ValidationError) -> str:
     if unknown:
         return f"unknown key {shortened(key)}; remove or correct it"
     value = "" if isinstance(fault["input"], dict | ArgsKwargs) else f" = {quoted(fault['input'])}"
-    told = shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED)
-    return f"{shortened(key)}{value}: {told}"
+    said = shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED)
+    return f"{shortened(key)}{value}: {said}"
 
 
 _OPTIONS = {

@@ -80,7 +80,7 @@ def hide_passwords(text: str) -> str:
 
     Hidden are what stands between the user and the last @ behind a URL, and all that follows the name of an
     option like `password=` or `sslpassword=`, whose value may be quoted, escaped or neither. A URL whose
-    password was hidden before stays as it is, so that the line around it can be told.
+    password was hidden before stays as it is, so that the line around it can be shown.
     """
     for option in _OPTION.finditer(text):
         if _SECRET.search(unquote(option[1])):

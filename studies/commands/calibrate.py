@@ -137,8 +137,8 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
         outcome.summary["n_train"]: guideline_numbers(judged_values(study, outcome.summary))
         for outcome in outcomes
     }
-    told = target_numbers(study, outcomes, chosen.target)
-    return hand_over(study, "calibrate", outcomes, guideline14=judged, **told)
+    reached = target_numbers(study, outcomes, chosen.target)
+    return hand_over(study, "calibrate", outcomes, guideline14=judged, **reached)
 
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:

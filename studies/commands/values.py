@@ -31,7 +31,7 @@ class Window:
 
     @property
     def label(self) -> str:
-        """How results of this window are told apart: d8-16."""
+        """How results of this window are distinguished: d8-16."""
         return f"{self.unit}{_all_digits(self.begin)}-{_all_digits(self.end)}"
 
     def __str__(self) -> str:

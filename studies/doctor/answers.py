@@ -104,7 +104,7 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
 
 
 def _jumps(uncertainty: float, values: FloatArray) -> bool:
-    """Tell whether the first value is off by more than all others differ. Shape of values (t,)."""
+    """Say whether the first value is off by more than all others differ. Shape of values (t,)."""
     step = abs(float(values[0] - values[1]))
     return len(values) > 2 and step > max(10.0 * uncertainty, float(np.ptp(values[1:])))
 
@@ -138,7 +138,7 @@ def coverage_points(case: Case, n: int) -> FloatArray:
 
 
 def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
-    """Tell how much of the measurement the box can produce."""
+    """Say how much of the measurement the box can produce."""
     n_failed = int(answer.failed.sum())
     good = answer.y[~answer.failed]
     if len(good) < 2:
@@ -198,7 +198,7 @@ def influence(case: Case, estimates: Estimates, answer: Trajectories) -> FloatAr
 
 
 def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | None) -> Finding:
-    """Tell whether every parameter moves an output.
+    """Say whether every parameter moves an output.
 
     Args:
         case: the case.
@@ -243,7 +243,7 @@ def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | Non
 
 
 def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Trajectories) -> Finding:
-    """Tell whether every input moves an output.
+    """Say whether every input moves an output.
 
     Args:
         names: inputs that were changed, one per row of the answer.

@@ -1,4 +1,4 @@
-"""What a plan will cost, told before it is spent."""
+"""What a plan will cost, said before it is spent."""
 
 import math
 
@@ -50,11 +50,11 @@ def tell_timeout(case: Case, simulation_s: float) -> Finding:
     """Propose a time-out where there is none."""
     if case.policy.timeout_s is not None:
         tight = case.policy.timeout_s < 3.0 * simulation_s
-        told = f"{case.policy.timeout_s:g} s" if math.isfinite(case.policy.timeout_s) else "never"
+        limit = f"{case.policy.timeout_s:g} s" if math.isfinite(case.policy.timeout_s) else "never"
         return Finding(
             "time-out",
             "warn" if tight else "ok",
-            f"{told}; the estimates take {_duration(simulation_s)}",
+            f"{limit}; the estimates take {_duration(simulation_s)}",
             "raise [simulation] timeout_s: other parameters may take longer" if tight else "",
         )
     proposed = max(LEAST_TIMEOUT_S, float(f"{SLOWER * simulation_s:.1g}"))

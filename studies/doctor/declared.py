@@ -25,7 +25,7 @@ MANY = 0.2
 BARE = 0.05
 """Share of the window at its begin or end that may be without measured values, as a gap may lie there."""
 LONGEST = 4
-"""Names told in one line."""
+"""Names in one line."""
 
 
 def look_at_declaration(case: Case) -> Iterator[Finding]:
@@ -45,8 +45,8 @@ def look_at_data(case: Case) -> Iterator[Finding]:
     partly = list(_partly_covered(case))
     remedies = ["shorten the window, or measure all of it: the rest is not calibrated"] * bool(partly)
     if n_samples <= p:
-        told = f"{count(p, 'parameter')} cannot be told from {count(n_samples, 'value')}"
-        remedies.append(told if partly else f"{told}; lengthen the window")
+        excess = f"{count(p, 'parameter')} cannot be found from {count(n_samples, 'value')}"
+        remedies.append(excess if partly else f"{excess}; lengthen the window")
     yield Finding(
         "data",
         "warn" if remedies else "ok",
@@ -98,13 +98,13 @@ def _partly_covered(case: Case) -> Iterator[str]:
     for output, samples in zip(case.outputs, case.measurement.samples, strict=True):
         bare_s = max(GAP_STEPS * float(np.median(np.diff(samples.time))), BARE * (end_s - begin_s))
         first, last = (case.window_d[0] + (float(samples.time[i]) - begin_s) / DAY_S for i in (0, -1))
-        told = "covered"
+        covered = "covered"
         if samples.time[0] - begin_s > bare_s:
-            told += f" from {unit.moment(first)}"
+            covered += f" from {unit.moment(first)}"
         if end_s - samples.time[-1] > bare_s:
-            told += f" to {unit.moment(last)}"
-        if told != "covered":
-            yield f"{output.name} is {told} of {unit.period(case.window_d)}"
+            covered += f" to {unit.moment(last)}"
+        if covered != "covered":
+            yield f"{output.name} is {covered} of {unit.period(case.window_d)}"
 
 
 def _far_from_others(case: Case) -> Iterator[Finding]:
@@ -150,7 +150,7 @@ def _usual(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _is_far(values: FloatArray) -> BoolArray:
-    """Tell which values lie far from all others: a few, or more that are all the same. Shape (n,)."""
+    """Say which values lie far from all others: a few, or more that are all the same. Shape (n,)."""
     n_most = max(1, len(values) // FEW)
     others = np.sort(values)[n_most:-n_most]
     far = np.zeros(len(values), dtype=np.bool_)

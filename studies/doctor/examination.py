@@ -64,7 +64,7 @@ class Surgery:
     Attributes:
         case: the case.
         halved: the same case at half the communication step.
-        profile: the budget whose cost is told.
+        profile: the budget whose cost is said.
         open_model: opens the model for batches.
         n_workers: processes that simulate at once.
         command: what was typed, to ask for a thorough examination.

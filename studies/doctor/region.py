@@ -17,9 +17,9 @@ from studies.report.wording import percent, shown_unit
 N_HALVINGS = 5
 """Rows that find out from where on a bound fails: to 1/32 of the way to it."""
 EXPLAINED = 0.9
-"""One parameter explains failures that tells so much of the failed rows, and of the others, apart."""
+"""One parameter explains failures that separates so much of the failed rows from the others."""
 LONGEST = 3
-"""Regions told in one line."""
+"""Regions named in one line."""
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -46,11 +46,11 @@ def failing_region(space: ParameterSpace, theta: FloatArray, failed: BoolArray) 
         for edge in 0.5 * (values[1:] + values[:-1]):
             is_below = u[:, j] < edge
             for is_region, where in ((is_below, "below"), (~is_below, "above")):
-                told = min(float(is_region[failed].mean()), float(1.0 - is_region[~failed].mean()))
-                if told > best[0]:
+                part = min(float(is_region[failed].mean()), float(1.0 - is_region[~failed].mean()))
+                if part > best[0]:
                     value = space.from_unit(np.where(np.arange(u.shape[1]) == j, edge, 0.5))[j]
                     text = f"{parameter.name} {where} {value:.3g} {shown_unit(parameter.unit)}".rstrip()
-                    best = told, f"mostly with {text}" if told < 1.0 else f"all with {text}"
+                    best = part, f"mostly with {text}" if part < 1.0 else f"all with {text}"
     return best[1]
 
 
@@ -63,7 +63,7 @@ def look_at_bounds(
         case: The case.
         base: The estimates. Shape (p,). [per parameter]
         answer: The answers to `moved_points`, or to the first of them.
-        model: Tells from where on a bound fails; None where there is no time for that.
+        model: Shows from where on a bound fails; None where there is no time for that.
 
     Returns:
         The finding, None where no bound fails.
@@ -78,22 +78,22 @@ def look_at_bounds(
         middle = 0.5 * (good + bad)
         is_good = ~model.simulate(space.from_unit(middle)).failed
         good, bad = np.where(is_good[:, None], middle, good), np.where(is_good[:, None], bad, middle)
-    told = []
+    regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
         j, is_upper = divmod(int(row), 2)
         parameter = space.parameters[j]
         bound, where = (parameter.upper, "above") if is_upper else (parameter.lower, "below")
         from_where = f"{where} {edge[j]:.3g}, " if model is not None else ""
-        told.append(
+        regions.append(
             f"{parameter.name} fails {from_where}at its {'upper' if is_upper else 'lower'} bound "
             f"{bound:.4g} {shown_unit(parameter.unit)}".rstrip()
         )
     share = len(failed) / answer.n
-    more = f" and {len(told) - LONGEST} more" if len(told) > LONGEST else ""
+    more = f" and {len(regions) - LONGEST} more" if len(regions) > LONGEST else ""
     return Finding(
         "every parameter reaches its bounds",
         "warn",
-        f"{'; '.join(told[:LONGEST])}{more} ({percent(share)} of the bounds); the reason: "
+        f"{'; '.join(regions[:LONGEST])}{more} ({percent(share)} of the bounds); the reason: "
         f"{commonest(answer.failures)}",
         "narrow these bounds to where the model can be simulated, if what lies beyond is not wanted",
     )

@@ -56,7 +56,7 @@ def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: T
 
 
 def look_at_restart(answer: Trajectories) -> Finding | None:
-    """Tell how rows are started over.
+    """Say how rows are started over.
 
     Args:
         answer: the answer of a RestartModel.

@@ -35,7 +35,7 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
 
 
 def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Trajectories) -> Finding:
-    """Tell what half the communication step changes."""
+    """Say what half the communication step changes."""
     what = f"{HALVING} ({halved.communication_step_s:g} s)"
     if answer.failed[0]:
         return Finding(what, "warn", f"failed: {answer.failures[0]}", "check the FMU's smallest step")

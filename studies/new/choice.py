@@ -97,7 +97,7 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     Args:
         fmu: The FMU.
         patterns: Names, or globs like "wall.*"; empty for the first parameters at the top level whose start
-            values tell their order of magnitude. One that matches no parameter may match inputs.
+            values show their order of magnitude. One that matches no parameter may match inputs.
     """
     candidates, inputs = parameter_candidates(fmu), [v for v in inputs_of(fmu) if _is_number(v)]
     if patterns and inputs:
@@ -126,7 +126,7 @@ def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     """
     outputs = [v for v in _of(fmu, "output") if _is_number(v)]
     candidates = [v for v in outputs if not is_internal(v)] or outputs
-    # Local variables can be read as well, where somebody asks for one or there is nothing else.
+    # Local variables can be read as well, where one is asked for or there is nothing else.
     local = [v for v in _of(fmu, "local") if _is_number(v) and not is_internal(v) and v.name[:4] != "der("]
     if not candidates and not local:
         raise InputError(f"{fmu.path}: has no real output; export it with the measured variables as outputs")
@@ -153,7 +153,7 @@ def other_parameters(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
 
 
 def is_internal(variable: FmuVariable) -> bool:
-    """Tell whether a variable belongs to the tool or its solver, as `_cs_rel_tol` and `CPUtime` do."""
+    """Say whether a variable belongs to the tool or its solver, as `_cs_rel_tol` and `CPUtime` do."""
     name = variable.name
     return name.startswith(("_", "$")) or "._" in name or _OF_A_SOLVER.search(name) is not None
 

@@ -14,7 +14,7 @@ from studies.new.choice import Bounds, Choice, Times, bounds_for
 
 EDIT = "EDIT"
 MOST_SHOWN = 40
-"""Commented entries of one kind; the rest is told as a number, unless all are asked for."""
+"""Commented entries of one kind; the rest is given as a number, unless all are asked for."""
 INPUTS_FILE, MEASURED_FILE = "inputs.csv", "measured.csv"
 _TEMPERATURES = ("K", "degC", "°C")
 
@@ -124,7 +124,7 @@ window_{key} = [0, {_number(stop)}]   # {EDIT}: the part of the recording to cal
 # zero = "2024-01-01"         # for timestamps: the model's time 0 and day 0; else the first row
 communication_step_s = {
         _number(times.communication_step_s)
-    }   # an input is constant over it; `studies check` halves it and tells
+    }   # an input is constant over it; `studies check` halves it and says what changes
 output_step_s = {_number(times.output_step_s)}   # {
         EDIT
     }: as your measurement is sampled; a multiple of the step above"""

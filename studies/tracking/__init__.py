@@ -1,1 +1,1 @@
-"""What MLflow is told, and where a number comes from."""
+"""What MLflow shows, and where a number comes from."""

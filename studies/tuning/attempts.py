@@ -165,7 +165,7 @@ def this_machine() -> str:
 
 
 def is_dead(owner: Mapping[str, Any]) -> bool:
-    """Say whether a process of this machine has ended; of other machines Optuna's heartbeat tells."""
+    """Say whether a process of this machine has ended; of other machines Optuna's heartbeat decides."""
     if owner.get("machine") != this_machine():
         return False
     try:

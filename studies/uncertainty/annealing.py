@@ -44,7 +44,7 @@ Density = Callable[[FloatArray], FloatArray]
 """Logarithm of a density at points, shape (n, p); minus infinity outside its support."""
 
 OnShare = Callable[[float], None]
-"""Told about which share of the work is done."""
+"""Called with the share of the work that is done."""
 
 LAST_SHARE = 0.3
 """Share of the work that the last power's steps are, about."""
@@ -138,11 +138,11 @@ def sample_density(
         reference: Where the particles begin.
         seed: Seed of all draws.
         n_particles: How many.
-        on_share: Told how far it is.
+        on_share: Called with the share of the work that is done.
     """
-    tell = on_share or (lambda share: None)
+    report = on_share or (lambda share: None)
     with threadpool_limits(limits=1, user_api="blas"):
-        return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(tell)
+        return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(report)
 
 
 @dataclass(eq=False)

@@ -25,7 +25,7 @@ Z = 1.6448536269514722
 """Quantile of the normal distribution at the upper end of an interval of `LEVEL`."""
 
 OnPhase = Callable[[str, int, int], None]
-"""Told the name of a phase, the rows asked in it and the most that it may ask."""
+"""Called with the name of a phase, the rows asked in it and the most that it may ask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Assessment:
         local: What the residuals around it determine.
         sample: Equally good parameter sets.
         n_differences: Rows asked for the differences; the point itself was known.
-        by_equations: Whether state equations told all but the sample.
+        by_equations: Whether state equations gave all but the sample.
     """
 
     noise: Noise
@@ -110,9 +110,9 @@ def assess(
         seed: Seed of all draws.
         stand_in: The model's state equations, where they are known exactly: then the model simulates the
             sample alone, as long as it agrees.
-        on_phase: Told how far it is.
+        on_phase: Called with how far it is.
     """
-    tell = on_phase or (lambda what, done, total: None)
+    report = on_phase or (lambda what, done, total: None)
     space, model = problem.space, problem.model
     p = space.n_parameters
     rows = difference_rows(np.clip(space.to_unit(theta), 0.0, 1.0), STEP)
@@ -125,7 +125,7 @@ def assess(
         return around, found
 
     def tell_calls(n: int) -> None:
-        tell("posterior sample", n, sampling.max_calls)
+        report("posterior sample", n, sampling.max_calls)
 
     n_in_vain = 0
     if stand_in is not None:
@@ -139,15 +139,15 @@ def assess(
             # What was simulated, not solved.
             joined([*known_rows, around.take(0)]),
             seed=seed,
-            on_share=lambda share: tell("sampling by state equations", round(100 * share), 100),
+            on_share=lambda share: report("sampling by state equations", round(100 * share), 100),
             on_calls=tell_calls,
         )
         if sample is not None:
             return Assessment(noise, around.take(0), local, sample, 0, by_equations=True)
         known_rows, n_in_vain = [*known_rows, asked], asked.n
-    tell("differences", 0, 2 * p)
+    report("differences", 0, 2 * p)
     around, local = differences(problem)
-    tell("differences", 2 * p, 2 * p)
+    report("differences", 2 * p, 2 * p)
     left = replace(sampling, max_calls=sampling.max_calls - n_in_vain)
     sample = PosteriorSampler(
         problem, posterior, left, joined([*known_rows, around]), seed=seed, on_calls=tell_calls

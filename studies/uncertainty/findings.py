@@ -26,7 +26,7 @@ NAMED = 0.6
 """Correlation from which two parameters are said to compensate each other though no product is known."""
 
 MOST_NAMED = 6
-"""Pairs that are told of."""
+"""Pairs that are named."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, .
 
 
 def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) -> dict[str, str]:
-    """Say of each parameter what the data tell: "determined", "narrowed", "open" or, of a prior's, "prior".
+    """Say of each parameter what the data say: "determined", "narrowed", "open" or, of a prior's, "prior".
 
     An interval counts as a share of what it would be without data: nine tenths of the range, or the prior's.
 

@@ -74,7 +74,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What a measurement tells about each parameter near one point.
+    """What a measurement says about each parameter near one point.
 
     Attributes:
         names: Names of the p parameters.
@@ -139,7 +139,7 @@ class Identifiability:
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
-        """Pairs that the data cannot tell apart: the directions left open that two parameters make up."""
+        """Pairs that the data cannot distinguish: the directions left open that two parameters make up."""
         found = []
         for direction in self.directions[self.n_determined_directions :][::-1]:
             i, j = np.argsort(-(direction**2))[:2] if len(direction) > 1 else (0, 0)

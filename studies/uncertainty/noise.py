@@ -12,7 +12,7 @@ slowly against the noise and too careful for others, and it leaves the best para
 Fitted parameters take away the slow part of the noise, so what is left of it is smaller and seems less
 correlated. Each of p takes away what one independent sample holds, a share p / n of the variance and of the
 covariance from one sample to the next, as in restricted maximum likelihood (Patterson and Thompson 1971,
-doi:10.1093/biomet/58.3.545); put back, both tell n and s.
+doi:10.1093/biomet/58.3.545); put back, both give n and s.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Noise:
 
     @property
     def raised(self) -> float:
-        """Deviation of white noise that tells as little. [first output's unit]."""
+        """Deviation of white noise that says as little. [first output's unit]."""
         return self.deviation * float(np.sqrt(self.n_samples / self.n_independent))
 
     def log_likelihood(self, mse: FloatArray) -> FloatArray:

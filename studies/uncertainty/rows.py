@@ -1,4 +1,4 @@
-"""Rows of a model's answers: put together, and chosen for what they tell a surrogate of an optimum."""
+"""Rows of a model's answers: put together, and chosen for what they teach a surrogate of an optimum."""
 
 import numpy as np
 
@@ -12,11 +12,11 @@ N_BEST = 50
 """So many of the most probable rows are among them, known or asked, however many were asked."""
 
 SAME_ROW = 1e-3
-"""Rows nearer to a better one than this in the unit cube tell nothing new."""
+"""Rows nearer to a better one than this in the unit cube add nothing."""
 
 
 def telling_rows(u: FloatArray, log_density: FloatArray, n_known: int | None = None) -> IntArray:
-    """Return the rows that tell most, the most probable first, none that repeats a better one. Shape (r,).
+    """Return the rows that say most, the most probable first, none that repeats a better one. Shape (r,).
 
     Of known rows these are the most probable ones. Rows that a sampler asked come before them: one that
     turned out improbable is where the surrogate was wrong, and forgotten it would be asked again. Only where

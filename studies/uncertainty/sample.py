@@ -6,7 +6,7 @@ disagrees with the prediction by too much, the batch teaches the process and the
 agrees, more of the same particles are simulated until the sample is large enough. Each of its members then
 weighs as much as the model's density exceeds the predicted one (importance sampling): so the sample is the
 model's. Before, batches are asked farther than the density is expected, as long as that finds more of it:
-what no member is near to no weight can tell.
+what no member is near to no weight can show.
 
 Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
 goes on where it stopped.
@@ -138,7 +138,7 @@ class PosteriorSampler:
             settings: How to sample.
             known: Rows that are known already.
             seed: Seed of all draws.
-            on_calls: Told how many rows were asked so far.
+            on_calls: Called with how many rows were asked so far.
         """
         self._problem, self._posterior, self._settings = problem, posterior, settings
         self._features = Features.of(problem.space)

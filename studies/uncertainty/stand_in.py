@@ -80,8 +80,8 @@ def sample_with(
         settings: How to sample; the budget is of the physical model.
         known: Rows that are known already.
         seed: Seed of all draws.
-        on_share: Told how far the stand-in's density is sampled.
-        on_calls: Told how many rows were asked of the physical model so far.
+        on_share: Called with how far the stand-in's density is sampled.
+        on_calls: Called with how many rows were asked of the physical model so far.
     """
     rng = np.random.default_rng(seed)
 
