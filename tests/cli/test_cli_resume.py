@@ -97,10 +97,8 @@ def there_is(pattern: str) -> Callable[[Path, str], bool]:
 
 
 MOMENTS = {
-    "check": said("check: examining"),
     "simulate": stored_after("simulate: 96"),
     "sensitivity": stored_after("sensitivity: Sobol"),
-    "tune, at its start": said("tune: "),
     "tune, after a trial": a_trial_has_ended,
     "calibrate": said("calibrate-n0016: differential"),
     "report": there_is(f"mlruns/reports/{LABEL}/*.png"),
