@@ -184,6 +184,13 @@ def test_shown_python_compiles(page: Path) -> None:
         compile(block, str(page), "exec")
 
 
+def test_places_named_in_contributing_exist() -> None:
+    rooms = "simulation|pelsvae|studies|fmus|tests|data|docs"
+    named = re.findall(rf"`((?:{rooms})/[\w./-]+)`", read(ROOT / "CONTRIBUTING.md"))
+    assert named
+    assert not [name for name in named if not (ROOT / name).exists()]
+
+
 def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
     from studies.profile import load_profile
 
