@@ -144,7 +144,7 @@ def test_decisions_are_a_map() -> None:
         assert len(lines) <= 12, lines[0]
         assert max(map(len, lines)) <= 140, lines[0]
         assert re.search(r"^Status: (accepted|superseded by \d+)\.", record, flags=re.MULTILINE), lines[0]
-        parts = re.findall(r"^\*\*(\w+)\.\*\*", record, flags=re.MULTILINE)
+        parts = re.findall(r"^- \*\*(\w+)\.\*\*", record, flags=re.MULTILINE)
         assert parts == ["Context", "Decision", "Consequence"], lines[0]
         assert "](docs/notes/" in record, lines[0]
 
