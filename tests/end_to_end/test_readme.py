@@ -16,8 +16,16 @@ from studies.cli import COMMANDS, DESCRIPTION, EPILOG, build_parser, command_mod
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-OTHERS = ("data/benchmarks/README.md", "mlruns/README.md", "SECURITY.md", "CHANGELOG.md", "CONTRIBUTING.md")
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), *(ROOT / name for name in OTHERS)]
+OTHERS = (
+    "data/benchmarks/README.md",
+    "mlruns/README.md",
+    "SECURITY.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "DECISIONS.md",
+)
+DOCS = ROOT / "docs"
+PAGES = [README, *sorted(DOCS.rglob("*.md")), *(ROOT / name for name in OTHERS)]
 MAX_LINES, MAX_WORDS, MAX_SENTENCE = 120, 1000, 30
 BANNED = re.compile(
     r"\b(nursery|arena|spool|campaign|row desk|hire[sd]?|fire[sd]?|bury|buries|buried|heart|hearts"
@@ -122,9 +130,30 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 
 
 def test_every_page_is_listed() -> None:
-    index = read(ROOT / "docs" / "index.md")
-    pages = [page.name for page in PAGES if page.parent.name == "docs" and page.name != "index.md"]
+    index = read(DOCS / "index.md")
+    pages = {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")} - {"index.md"}
     assert not [name for name in pages if f"({name})" not in index]
+
+
+def test_decisions_are_a_map() -> None:
+    records = re.split(r"^### ", read(ROOT / "DECISIONS.md"), flags=re.MULTILINE)[1:]
+    assert [int(record.partition(".")[0]) for record in records] == [*range(1, len(records) + 1)]
+    assert len(records) <= 25
+    for record in records:
+        lines = record.partition("\n## ")[0].strip().splitlines()
+        assert len(lines) <= 12, lines[0]
+        assert max(map(len, lines)) <= 140, lines[0]
+        assert re.search(r"^Status: (accepted|superseded by \d+)\.", record, flags=re.MULTILINE), lines[0]
+        parts = re.findall(r"^- \*\*(\w+)\.\*\*", record, flags=re.MULTILINE)
+        assert parts == ["Context", "Decision", "Consequence"], lines[0]
+        assert "](docs/notes/" in record, lines[0]
+
+
+def test_notes_say_that_they_are_a_history() -> None:
+    notes = sorted((DOCS / "notes").glob("*.md"))
+    assert notes
+    for note in notes:
+        assert re.match(r"# Notes: .*\n\nThis is a history of measurements of version", read(note)), note.name
 
 
 def commands_shown() -> list[str]:
@@ -153,6 +182,13 @@ def test_shown_scripts_exist() -> None:
 def test_shown_python_compiles(page: Path) -> None:
     for block in code_blocks(read(page), "python"):
         compile(block, str(page), "exec")
+
+
+def test_places_named_in_contributing_exist() -> None:
+    rooms = "simulation|pelsvae|studies|fmus|tests|data|docs"
+    named = re.findall(rf"`((?:{rooms})/[\w./-]+)`", read(ROOT / "CONTRIBUTING.md"))
+    assert named
+    assert not [name for name in named if not (ROOT / name).exists()]
 
 
 def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
