@@ -22,11 +22,11 @@ from simulation.arrays import FloatArray  # noqa: E402
 from simulation.case import Case, load_case  # noqa: E402
 from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
 from simulation.measurement import Measurement  # noqa: E402
-from simulation.states import StateSignals, WatchedModel, watching_states  # noqa: E402
 from simulation.trajectories import Trajectories  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.calibration.state_guide import StateGuide  # noqa: E402
+from studies.calibration.states import StateSignals, WatchedModel, watching_states  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402
