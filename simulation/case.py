@@ -15,7 +15,6 @@ from simulation.arrays import FloatArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
 from simulation.case_parts import (
-    Value,
     check_inputs,
     conversions,
     fixed_values,
@@ -27,6 +26,7 @@ from simulation.case_reading import read_case_file
 from simulation.errors import errors_at
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
+from simulation.fmi.variable import Value
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.pool.execution import ExecutionPolicy
@@ -244,7 +244,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         interface=file.interface,
         relative_tolerance=file.relative_tolerance,
         accepted=np.array(bands) if any(table.accepted for table in file.outputs) else None,
-        shared_warmup=file.time.shared_warmup,
         warmup_theta=space.expected if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import fmpy
 
 from simulation.errors import InputError
-from simulation.fmi.variable import FmiVersion, FmuInterface, FmuVariable
+from simulation.fmi.variable import SETTERS, FmiVersion, FmuInterface, FmuVariable
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
@@ -99,7 +99,7 @@ def declared_interface(declared: Any) -> FmuInterface:
     )
 
 
-def declared_variable(variable: Any) -> FmuVariable:
+def declared_variable(variable: Any, version: FmiVersion) -> FmuVariable:
     """Say what a variable of fmpy says, its declared type included."""
     declared = variable.declaredType
     reference = int(variable.valueReference)
@@ -110,6 +110,7 @@ def declared_variable(variable: Any) -> FmuVariable:
     def said(attribute: str) -> Any:
         return getattr(variable, attribute) or getattr(declared, attribute, None)
 
+    setter, dtype = SETTERS[version].get(str(variable.type), ("", None))
     is_difference = variable.relativeQuantity
     if is_difference is None:
         is_difference = getattr(declared, "relativeQuantity", None)
@@ -133,6 +134,8 @@ def declared_variable(variable: Any) -> FmuVariable:
             for item in getattr(declared, "items", ())
             if item.value is not None
         },
+        setter=setter,
+        dtype=dtype,
     )
 
 

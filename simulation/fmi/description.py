@@ -4,7 +4,7 @@ import difflib
 import hashlib
 import io
 import zipfile
-from collections.abc import Collection, Container, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from simulation.fmi.declared import (
 )
 from simulation.fmi.variable import (
     REAL_KINDS,
-    SETTERS,
     DefaultExperiment,
     FmiVersion,
     FmuInterface,
@@ -31,12 +30,6 @@ from simulation.fmi.variable import (
 from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, read_limited
 from simulation.foreign_text import shortened
 from simulation.units import UnitDefinition
-
-# The loops read outputs into an array of doubles; inputs are set by the function of their kind.
-_USABLE_KINDS: Mapping[str, Container[str]] = {
-    "output": ("Real", "Float64"),
-    "input": [kind for setters in SETTERS.values() for kind, (_, dtype) in setters.items() if dtype],
-}
 
 
 @dataclass(frozen=True)
@@ -126,7 +119,13 @@ class FmuDescription:
             InputError: If there is none of this name, or it is something else.
         """
         variable = self.find(name, causality, where, may_be_input=may_be_input)
-        if variable.kind not in _USABLE_KINDS.get(causality, REAL_KINDS):
+        is_usable = variable.kind in REAL_KINDS
+        if causality == "output":
+            # The loops read outputs into an array of doubles.
+            is_usable = variable.kind in ("Real", "Float64")
+        elif causality == "input":
+            is_usable = variable.dtype is not None
+        if not is_usable:
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
             both = "Float64" if causality == "output" else "Float64 or Float32"
             numbers = "Real" if self.fmi_version == "2.0" else both
@@ -254,7 +253,9 @@ def _described(
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        variables={str(variable.name): declared_variable(variable) for variable in model.modelVariables},
+        variables={
+            str(variable.name): declared_variable(variable, version) for variable in model.modelVariables
+        },
         fmi_version=version,
         interfaces=runnable,
         default_experiment=DefaultExperiment(

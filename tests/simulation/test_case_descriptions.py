@@ -131,7 +131,7 @@ def test_what_is_no_number_can_be_fixed(decay_case: Path, line: str, value: obje
         ("on = 1", r"fixed\.on = 1: on is of type Boolean; give true or false"),
         ("file = 1", r'fixed\.file = 1: file is of type String; give a text in "quotes"'),
         ("kind = 3", r"fixed\.kind = 3: kind has no such item; choose one of: plain, wrapped"),
-        ('kind = "rapped"', r'fixed\.kind = "rapped": kind has no such item; choose one of: plain, wrapped'),
+        ('kind = "rapped"', r"fixed\.kind = 'rapped': kind has no such item; choose one of: plain, wrapped"),
         (
             'n = { value = 5, unit = "1" }',
             r"fixed\.n: n is of type Integer, which has no unit; give the value",

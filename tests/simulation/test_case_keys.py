@@ -85,8 +85,8 @@ def test_a_fixed_value_may_have_a_unit(decay_case: Path, value: str, kelvin: flo
     ("value", "message"),
     [
         ('{ value = 7.0, unit = "W" }', r'fixed\.x0: unit = "W" contradicts the FMU\'s "K"'),
-        ("true", r"fixed\.x0 = true: x0 is a number; give one"),
-        ('"warm"', r"fixed\.x0 = 'warm': x0 is a number; give one"),
+        ("true", r"fixed\.x0 = true: x0 is of type Real; give a number"),
+        ('"warm"', r"fixed\.x0 = 'warm': x0 is of type Real; give a number"),
         ("[1.0]", r"fixed\.x0 = \[1\.0\]: give a number, true or false, a text, \{ value = 20\.0"),
         ("{ value = 7.0 }", r"toml: fixed\.x0 = \{'value': 7\.0\}: give a number, .*, \{ value = 20\.0"),
         ('{ value = 7.0, unti = "K" }', r"toml: fixed\.x0 = \{'value': 7\.0, 'unti': 'K'\}: give a number"),
@@ -225,7 +225,6 @@ def test_a_shared_warm_up_starts_from_the_expected_parameters(decay_case: Path):
         load_case(decay_case)
     edit(decay_case, ("[time]\n", "[time]\nstart_d = 0\n"))
     settings = load_case(decay_case).settings
-    assert settings.shared_warmup
     # The estimate of k, the middle of mode's bounds.
     assert settings.warmup_theta is not None
     assert settings.warmup_theta.tolist() == [1e-4, 3.0]

@@ -121,7 +121,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "fixed is text": (
         toml('{ first_measured = "y" }', '"y"'),
-        r"fixed\.x0 = 'y': x0 is a number; give one",
+        r"fixed\.x0 = 'y': x0 is of type Real; give a number",
     ),
     "first measured of nothing": (
         toml('first_measured = "y"', 'first_measured = "T"'),
