@@ -1,7 +1,6 @@
 """Cases: a case file read, checked against its FMU and its recordings, and ready to be opened."""
 
 import json
-import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,13 +13,7 @@ import numpy as np
 from simulation.arrays import FloatArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
-from simulation.case_parts import (
-    check_inputs,
-    conversions,
-    fixed_values,
-    input_values,
-    with_units,
-)
+from simulation.case_parts import check_inputs, conversions, fixed_values, input_values, with_units
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
 from simulation.case_reading import read_case_file
 from simulation.errors import errors_at
@@ -266,7 +259,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,
         settings=settings,
-        policy=ExecutionPolicy(**file.simulation.model_dump(), opening_s=_finite(file.simulation.timeout_s)),
+        policy=ExecutionPolicy(**file.simulation.model_dump()),
         said_units=_said_units(file),
         references=tuple(
             KnownError(table.label, table.mse, table.target)
@@ -279,10 +272,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
 def _unless(usual: float, values: list[float]) -> FloatArray | None:
     """Return the values as an array, None where all are as usual."""
     return None if all(value == usual for value in values) else np.array(values)
-
-
-def _finite(seconds: float | None) -> float | None:
-    return None if seconds is None or math.isinf(seconds) else seconds
 
 
 def _json(content: dict[str, Any]) -> str:

@@ -154,13 +154,11 @@ def test_patience_is_declared_and_changes_no_digest(decay_case: Path):
         ),
     )
     after = load_case(decay_case)
-    assert after.policy == ExecutionPolicy(
-        timeout_s=30, opening_s=30, retries=2, max_failed_share=0.9, max_workers=1
-    )
+    assert after.policy == ExecutionPolicy(timeout_s=30, retries=2, max_failed_share=0.9, max_workers=1)
     assert (after.digest, after.model_digest) == (before.digest, before.model_digest)
     edit(decay_case, ("timeout_s = 30", "timeout_s = inf"))
     never = load_case(decay_case).policy
-    assert (never.timeout_s, never.opening_s) == (math.inf, None)
+    assert (never.timeout_s, never.finite_timeout_s) == (math.inf, None)
 
 
 @pytest.mark.parametrize(
