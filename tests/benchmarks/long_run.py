@@ -18,9 +18,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "cli")]
 
 from made_up_recording import write_csv_files  # noqa: E402
 
-from simulation.case import load_case  # noqa: E402
-from simulation.design import uniform_design  # noqa: E402
-from simulation.pool.pool_model import PoolModel  # noqa: E402
+from simulation import PoolModel, load_case, uniform_design  # noqa: E402
 
 GROWTH = 0.05
 N_PARTS = 10

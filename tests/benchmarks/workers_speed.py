@@ -20,8 +20,7 @@ import psutil
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from simulation.case import load_case  # noqa: E402
-from simulation.pool.pool_model import PoolModel  # noqa: E402
+from simulation import PoolModel, load_case  # noqa: E402
 
 FOLDER = ROOT / "fmus" / "office"
 

@@ -26,12 +26,10 @@ from bad_fmus import (
     make_theta,
 )
 
-from simulation.errors import InputError
-from simulation.fmi.fmu import FmuModel, FmuSettings
-from simulation.parameters import Parameter, ParameterSpace
+from simulation import FmuModel, InputError, Parameter, ParameterSpace, PoolModel
+from simulation.fmi.fmu import FmuSettings
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
-from simulation.pool.pool_model import PoolModel
 from simulation.scenario import Scenario
 
 N = 1000

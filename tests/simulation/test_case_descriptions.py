@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
+from simulation import InputError, load_case
 
 X0 = (
     b'<ScalarVariable name="x0" valueReference="1" causality="parameter" variability="tunable">\n'

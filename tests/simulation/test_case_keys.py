@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.case import load_case
+from simulation import InputError, load_case
 from simulation.case_parts import with_units
-from simulation.errors import InputError
 from simulation.pool.execution import ExecutionPolicy
 
 DAY = 86400

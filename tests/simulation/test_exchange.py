@@ -10,8 +10,7 @@ import pytest
 from exchange_for_tests import build, run, settings
 from scipy.integrate import solve_ivp
 
-from simulation.errors import InputError
-from simulation.fmi.fmu import FmuModel
+from simulation import FmuModel, InputError
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])

@@ -13,9 +13,7 @@ import numpy as np
 import psutil
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
-from simulation.fmi.fmu import FmuModel
+from simulation import FmuModel, InputError, load_case
 from simulation.fmi.runner import NeedsFreshProcess
 
 # Modes of the test FMU, see decay.c.

@@ -11,7 +11,7 @@ import kinds_fmu
 import numpy as np
 import pytest
 
-from simulation.errors import InputError
+from simulation import InputError
 from simulation.fmi.description import read_description
 from simulation.fmi.fmu import FmuSettings
 from simulation.fmi.loop import step_through

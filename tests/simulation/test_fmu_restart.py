@@ -7,7 +7,7 @@ import kinds_fmu
 import numpy as np
 import pytest
 
-from simulation.errors import InputError
+from simulation import InputError
 from simulation.fmi.runner import NeedsFreshProcess
 
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 300.0], [2e-4, 310.0], [9e-4, 250.0]])

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from simulation import foreign_file
+from simulation import InputError, foreign_file
 from simulation.case_reading import read_case_file
-from simulation.errors import InputError
 from simulation.fmi.description import read_description
 from simulation.foreign_file import (
     CASE,

@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simulation import CountingModel, InputError, Trajectories, uniform_design
 from simulation.arrays import FloatArray, IntArray
-from simulation.counting import CountingModel
-from simulation.design import uniform_design
-from simulation.errors import InputError, MachineError
+from simulation.errors import MachineError
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
-from simulation.trajectories import Trajectories
 from studies.commands.simulate import MORE
 
 TOY = ToyRC(fails_above_r=4.0)
