@@ -82,25 +82,6 @@ def test_after_a_fatal_error_rows_need_another_process(model: FmuModel):
             model.simulate(rows[:1])
 
 
-def test_an_output_outside_its_band_is_a_failed_row(decay_case: Path):
-    settings = load_case(decay_case).settings
-    rows = np.array([[5e-4, 0.0], [1e-4, 0.0]])
-    with settings.open() as model:
-        y = model.simulate(rows).y[:, :, 0]
-    # The second row falls further; the band lies between the two lowest values.
-    low = (y[0].min() + y[1].min()) / 2
-    banded = dataclasses.replace(settings, accepted=np.array([[low, np.inf]]))
-    with banded.open() as model:
-        answer = model.simulate(rows)
-    first = int(np.argmax(y[1] < low))
-    assert answer.failures == (
-        "",
-        f"output y is {y[1, first]:.6g} at {answer.time[first]:g} s, outside the accepted {low:g} to inf",
-    )
-    assert np.array_equal(answer.y[0, :, 0], y[0])
-    assert np.isnan(answer.y[1]).all()
-
-
 def test_three_hundred_rows_leave_no_memory_behind(decay_case: Path):
     with load_case(decay_case).open_model() as model:
         rows = np.column_stack([np.linspace(2e-5, 5e-4, 300), np.zeros(300)])

@@ -118,10 +118,6 @@ WRONG: dict[str, tuple[Change, str]] = {
         toml('column = "heating"', 'column = "heating"\nsum = { heating = 1.0 }'),
         r"inputs\[u\]: give either column or sum",
     ),
-    "fixed is text": (
-        toml('{ first_measured = "y" }', '"y"'),
-        r"fixed\.x0 = 'y': x0 is of type Real; give a number",
-    ),
     "first measured of nothing": (
         toml('first_measured = "y"', 'first_measured = "T"'),
         r'fixed\.x0: first_measured = "T" is no output of the case; choose one of: y',
