@@ -110,7 +110,7 @@ class FmuSettings:
         )
 
     def open(self) -> "FmuModel":
-        """Open the model; the bound method is the picklable recipe that worker processes are given."""
+        """Open the model; the bound method is the factory that worker processes are given."""
         return FmuModel(self)
 
 
