@@ -43,11 +43,7 @@ class ExecutionPolicy:
 
     def __post_init__(self) -> None:
         for name, is_right, remedy in (
-            (
-                "timeout_s",
-                self.timeout_s is None or self.timeout_s > 0,
-                "seconds above 0, inf for never",
-            ),
+            ("timeout_s", self.timeout_s is None or self.timeout_s > 0, "seconds above 0, or inf"),
             ("retries", self.retries >= 0, "0 or more"),
             ("max_failed_share", 0 < self.max_failed_share <= 1, "a share up to 1"),
             ("max_workers", self.max_workers is None or self.max_workers >= 1, "1 or more"),
