@@ -393,6 +393,7 @@ def test_code_of_the_user_is_read_again(tmp_path: Path, monkeypatch: pytest.Monk
 
 TWO_POOLS = """
 import numpy as np, psutil
+from simulation import PoolModel, load_case
 case = load_case({case!r})
 for _ in range(2):
     with PoolModel(case.make_model, 1) as model:
@@ -460,6 +461,7 @@ SCRIPT = """
 import sys
 sys.path[:0] = [{tests!r}, {root!r}]
 import numpy as np
+from simulation import PoolModel
 from slow_models import SlowToy
 
 rows = SlowToy().parameter_space.from_unit(np.random.default_rng(0).random((4000, 2)))

@@ -33,6 +33,7 @@ import pickle, sys
 from pathlib import Path
 sys.path[:0] = {places!r}
 import numpy as np
+from simulation import PoolModel
 from simulation.whole_file import whole_file
 from slow_models import SlowToy
 
