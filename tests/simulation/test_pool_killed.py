@@ -117,8 +117,9 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path, mon
                 said, _ = master.communicate()
                 assert said in ("", "finished\n")
                 master = _start(script, temporary)
-                # Half of the time long enough to get to work.
-                time.sleep(chance.choice((0.0, 1.0)))
+                # Half of the time it gets to work.
+                if chance.random() < 0.5:
+                    _wait_for_progress(tmp_path, progress, master)
         said, _ = master.communicate(timeout=60)
         assert said == "finished\n"
     finally:
