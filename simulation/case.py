@@ -1,7 +1,6 @@
 """Cases: a case file read, checked against its FMU and its recordings, and ready to be opened."""
 
 import json
-import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,19 +13,13 @@ import numpy as np
 from simulation.arrays import FloatArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
-from simulation.case_parts import (
-    Value,
-    check_inputs,
-    conversions,
-    fixed_values,
-    input_values,
-    with_units,
-)
+from simulation.case_parts import check_inputs, conversions, fixed_values, input_values, with_units
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
 from simulation.case_reading import read_case_file
 from simulation.errors import errors_at
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.fmu import FmuModel, FmuSettings
+from simulation.fmi.variable import Value
 from simulation.measurement import Measurement
 from simulation.parameters import ParameterSpace
 from simulation.pool.execution import ExecutionPolicy
@@ -244,7 +237,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         interface=file.interface,
         relative_tolerance=file.relative_tolerance,
         accepted=np.array(bands) if any(table.accepted for table in file.outputs) else None,
-        shared_warmup=file.time.shared_warmup,
         warmup_theta=space.expected if file.time.shared_warmup else None,
         output_factors=_unless(1.0, [one.factor for one in outputs]),
         parameter_factors=_unless(1.0, [one.factor for one in parameters]),
@@ -267,7 +259,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
         communication_step_s=file.time.communication_step_s,
         output_step_s=file.time.output_step_s,
         settings=settings,
-        policy=ExecutionPolicy(**file.simulation.model_dump(), opening_s=_finite(file.simulation.timeout_s)),
+        policy=ExecutionPolicy(**file.simulation.model_dump()),
         said_units=_said_units(file),
         references=tuple(
             KnownError(table.label, table.mse, table.target)
@@ -280,10 +272,6 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
 def _unless(usual: float, values: list[float]) -> FloatArray | None:
     """Return the values as an array, None where all are as usual."""
     return None if all(value == usual for value in values) else np.array(values)
-
-
-def _finite(seconds: float | None) -> float | None:
-    return None if seconds is None or math.isinf(seconds) else seconds
 
 
 def _json(content: dict[str, Any]) -> str:

@@ -10,7 +10,6 @@ from simulation.case_data import CaseData
 from simulation.case_file import (
     CaseFile,
     FirstMeasured,
-    FixedValue,
     InputTable,
     OutputTable,
     ParameterTable,
@@ -18,12 +17,10 @@ from simulation.case_file import (
 )
 from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
-from simulation.fmi.variable import REAL_KINDS, FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_text import shortened
 from simulation.scenario import values_over_steps
 from simulation.units import Conversion, conversion
-
-Value = float | int | bool | str
 
 
 def with_units(fmu: FmuDescription, units: Mapping[str, str]) -> FmuDescription:
@@ -120,24 +117,8 @@ def input_values(
                     time, values, edges, interpolation=table.interpolation
                 )
             over_steps[:] = change.factor * over_steps + change.offset
-            if variable.kind not in REAL_KINDS:
-                _check_whole(variable, over_steps, edges, " + ".join(table.weights))
+            variable.check_series(over_steps, edges, " + ".join(table.weights))
     return inputs
-
-
-def _check_whole(variable: FmuVariable, values: FloatArray, edges: FloatArray, source: str) -> None:
-    """Check the values of an input that is no real number: whole, and known to its type."""
-    words, known = "whole numbers", values == np.rint(values)
-    if variable.kind == "Boolean":
-        words, known = "0 or 1", np.isin(values, (0.0, 1.0))
-    elif variable.items:
-        words = "one of: " + ", ".join(f"{number} ({item})" for item, number in variable.items.items())
-        known = np.isin(values, list(variable.items.values()))
-    for step in np.flatnonzero(~known)[:1]:
-        raise InputError(
-            f"{source} is {values[step]:g} at {edges[step]:.12g} s, and the FMU's {variable.name} is of type "
-            f"{variable.kind}; give {words}"
-        )
 
 
 def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float) -> dict[str, Value]:
@@ -153,16 +134,15 @@ def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: f
     for name, value in file.fixed.items():
         where = f"fixed.{name}"
         variable = fmu.find(name, "parameter", where, may_be_input=True)
-        if variable.kind not in REAL_KINDS:
-            values[name] = _not_real(variable, value, where)
-        elif isinstance(value, bool | str):
-            raise InputError(f"{where} = {_as_toml(value)}: {name} is a number; give one")
-        elif isinstance(value, int | float):
-            values[name] = float(value)
-        else:
+        if isinstance(value, FirstMeasured | ValueWithUnit):
+            if variable.kind not in REAL_KINDS:
+                raise InputError(
+                    f"{where}: {name} is of type {variable.kind}, which has no unit; give the value alone"
+                )
             number, unit = _with_unit(file, data, value, start_s, where)
             change = _into(fmu, variable, unit, where)
-            values[name] = number * change.factor + change.offset
+            value = number * change.factor + change.offset
+        values[name] = variable.held_at(value, where)
     return values
 
 
@@ -180,31 +160,3 @@ def _with_unit(
         )
     with errors_at(where):
         return data.first_measured(table, start_s), table.unit
-
-
-def _not_real(variable: FmuVariable, value: FixedValue, where: str) -> Value:
-    """Check a value against the kind of its variable, which is not a real number."""
-    kind, items = variable.kind, variable.items
-    if isinstance(value, FirstMeasured | ValueWithUnit):
-        raise InputError(
-            f"{where}: {variable.name} is of type {kind}, which has no unit; give the value alone"
-        )
-    chosen: Value | None = value
-    if kind == "Enumeration" and isinstance(value, str):
-        chosen, said = items.get(value), f'"{value}"'
-    else:
-        wanted = {"Boolean": ("true or false", bool), "String": ('a text in "quotes"', str)}
-        words, python_type = wanted.get(kind, ("a whole number", int))
-        if type(value) is not python_type:
-            raise InputError(f"{where} = {_as_toml(value)}: {variable.name} is of type {kind}; give {words}")
-        said = f"{value}"
-    if chosen is None or (items and chosen not in items.values()):
-        raise InputError(
-            f"{where} = {said}: {variable.name} has no such item; choose one of: "
-            f"{shortened(', '.join(items), 1000) or 'its numbers'}"
-        )
-    return chosen
-
-
-def _as_toml(value: Value) -> str:
-    return str(value).lower() if isinstance(value, bool) else repr(value)

@@ -5,7 +5,6 @@ import fcntl
 import os
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Final
 
 from simulation.errors import MachineError
@@ -22,12 +21,10 @@ class FileLock:
 
     Args:
         file: the file to lock; created empty where absent, never removed.
-        shared: whether others may hold it too, as long as they share it as well.
     """
 
-    def __init__(self, file: Path, *, shared: bool = False) -> None:
+    def __init__(self, file: Path) -> None:
         self._file = file
-        self._shared = shared
         self._descriptor: int | None = None
 
     def try_acquire(self) -> bool:
@@ -40,7 +37,7 @@ class FileLock:
             self._file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            fcntl.flock(descriptor, (fcntl.LOCK_SH if self._shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(descriptor)
             if error.errno in _HELD:
@@ -73,7 +70,5 @@ class FileLock:
         self.acquire()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()

@@ -72,19 +72,6 @@ UNPACKED: Final = Limit("what is unpacked of an archive", 2000)
 DESCRIPTION: Final = Limit("a modelDescription.xml", 64)
 MEMBERS: Final = Limit("an archive", 100_000, "files")
 EVENT_INDICATORS: Final = Limit("an FMU", 1_000_000, "event indicators")
-LIMITS: Final = (
-    CASE,
-    PROFILE,
-    PROJECT,
-    RECORDING,
-    RECORD,
-    FMU,
-    UNPACKED,
-    DESCRIPTION,
-    MEMBERS,
-    EVENT_INDICATORS,
-)
-"""All limits, as the documentation tells them."""
 
 
 def quoted_amount(amount: float) -> str:

@@ -173,11 +173,8 @@ class Trajectories:
             raise ValueError("there is nothing to concatenate")
         first, *others = parts
         for part in others:
-            has_same_names = (part.parameter_names, part.output_names) == (
-                first.parameter_names,
-                first.output_names,
-            )
-            if not (has_same_names and np.array_equal(part.time, first.time)):
+            are_named = [(one.parameter_names, one.output_names) for one in (first, part)]
+            if are_named[0] != are_named[1] or not np.array_equal(part.time, first.time):
                 raise ValueError("trajectories of different models or time grids cannot be concatenated")
         return replace(
             first,

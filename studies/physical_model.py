@@ -9,13 +9,13 @@ from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.pool_model import PoolModel
-from simulation.states import StateSignals, watching_states
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.store.watched_model import StoredWatchedModel
+from studies.calibration.states import StateSignals, watching_states
 from studies.paths import ProjectPaths
 from studies.report.wording import count
 from studies.stages.pipeline import StageError, Study
+from studies.watched_model import StoredWatchedModel
 
 
 def store_file(paths: ProjectPaths, case: Case) -> Path:

@@ -10,7 +10,7 @@ from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
-from simulation.streaming import streamed
+from simulation.store.stored_model import StoredModel
 from simulation.whole_file import whole_file
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
@@ -184,7 +184,13 @@ def _saltelli_blocks(
 
     size = theta.shape[1] + 2
     rest = np.empty((0, len(model.time) * len(model.output_names)))
-    for answer in streamed(model, theta, on_progress=advance, block_rows=CHUNK):
+    if isinstance(model, StoredModel):
+        # No process waits for the next block.
+        model.complete(theta, on_progress=advance)
+    for start in range(0, len(theta), CHUNK):
+        answer = model.simulate(theta[start : start + CHUNK])
+        if not isinstance(model, StoredModel):
+            advance(start + answer.n)
         rows = np.concatenate([rest, answer.y.reshape(answer.n, -1)])
         whole = len(rows) // size * size
         rest = rows[whole:].copy()

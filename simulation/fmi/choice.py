@@ -38,7 +38,7 @@ def runner_for(
     """
     where = str(description.path)
     said = description.interface(interface, where)
-    start = Start(instance, plan, where)
+    start = Start(instance, plan)
     if warmup is not None:
         _check_shared_warmup(where, interface, said, plan)
         shared = SharedWarmup(CoSimulation(instance, plan, start), plan, start, warmup)
@@ -64,10 +64,6 @@ def _check_shared_warmup(where: str, interface: Interface, said: FmuInterface, p
         raise InputError(
             f"{where}: shared_warmup = true needs a co-simulation FMU that can get and set its state; "
             "this one cannot, drop shared_warmup"
-        )
-    if not plan.n_warmup:
-        raise InputError(
-            f"{where}: shared_warmup = true without a warm-up; set start_d or drop shared_warmup"
         )
     for variable in plan.calibrated:
         if variable.causality != "parameter" or variable.variability != "tunable":

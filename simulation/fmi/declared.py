@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import fmpy
 
 from simulation.errors import InputError
-from simulation.fmi.variable import FmiVersion, FmuInterface, FmuVariable
+from simulation.fmi.variable import SETTERS, FmiVersion, FmuInterface, FmuVariable
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
@@ -32,7 +32,7 @@ def binary_member(fmi_version: str, model_identifier: str) -> str:
     return f"binaries/{PLATFORM_FOLDERS[fmi_version]}/{model_identifier}{fmpy.sharedLibraryExtension}"
 
 
-def declared_unit(unit: Any) -> UnitDefinition:
+def unit_of(unit: Any) -> UnitDefinition:
     """Say what a unit definition of fmpy says; what has no size is none."""
     base = unit.baseUnit
     return UnitDefinition(
@@ -79,7 +79,7 @@ def _leave_out_inverse_units(model: Any, content: bytes) -> None:
         unit.displayUnits = [one for one in unit.displayUnits if (unit.name, one.name) not in inverse]
 
 
-def declared_version(path: Path, said: str) -> FmiVersion:
+def version_of(path: Path, said: str) -> FmiVersion:
     """Say which of the versions that can be run it is; InputError where it is none of them."""
     if said == "2.0":
         return "2.0"
@@ -89,7 +89,7 @@ def declared_version(path: Path, said: str) -> FmiVersion:
     raise InputError(f"{path}: speaks FMI {shortened(said)}; export it as FMI 2.0 or 3.0")
 
 
-def declared_interface(declared: Any) -> FmuInterface:
+def interface_of(declared: Any) -> FmuInterface:
     """Say what an interface of fmpy says."""
     return FmuInterface(
         model_identifier=str(declared.modelIdentifier),
@@ -99,7 +99,7 @@ def declared_interface(declared: Any) -> FmuInterface:
     )
 
 
-def declared_variable(variable: Any) -> FmuVariable:
+def variable_of(variable: Any, version: FmiVersion) -> FmuVariable:
     """Say what a variable of fmpy says, its declared type included."""
     declared = variable.declaredType
     reference = int(variable.valueReference)
@@ -110,6 +110,7 @@ def declared_variable(variable: Any) -> FmuVariable:
     def said(attribute: str) -> Any:
         return getattr(variable, attribute) or getattr(declared, attribute, None)
 
+    setter, dtype = SETTERS[version].get(str(variable.type), ("", None))
     is_difference = variable.relativeQuantity
     if is_difference is None:
         is_difference = getattr(declared, "relativeQuantity", None)
@@ -133,6 +134,8 @@ def declared_variable(variable: Any) -> FmuVariable:
             for item in getattr(declared, "items", ())
             if item.value is not None
         },
+        setter=setter,
+        dtype=dtype,
     )
 
 

@@ -4,22 +4,13 @@ import difflib
 import hashlib
 import io
 import zipfile
-from collections.abc import Collection, Container, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
-from simulation.fmi.declared import (
-    PLATFORM_FOLDERS,
-    binary_member,
-    declared_interface,
-    declared_unit,
-    declared_variable,
-    declared_version,
-    number_or_none,
-    read_model,
-)
+from simulation.fmi import declared
 from simulation.fmi.variable import (
     REAL_KINDS,
     SETTERS,
@@ -31,12 +22,6 @@ from simulation.fmi.variable import (
 from simulation.foreign_file import DESCRIPTION, EVENT_INDICATORS, FMU, check_members, read_limited
 from simulation.foreign_text import shortened
 from simulation.units import UnitDefinition
-
-# The loops read outputs into an array of doubles; inputs are set by the function of their kind.
-_USABLE_KINDS: Mapping[str, Container[str]] = {
-    "output": ("Real", "Float64"),
-    "input": [kind for setters in SETTERS.values() for kind, (_, dtype) in setters.items() if dtype],
-}
 
 
 @dataclass(frozen=True)
@@ -126,10 +111,11 @@ class FmuDescription:
             InputError: If there is none of this name, or it is something else.
         """
         variable = self.find(name, causality, where, may_be_input=may_be_input)
-        if variable.kind not in _USABLE_KINDS.get(causality, REAL_KINDS):
+        # The loops read outputs into an array of doubles.
+        usable = ("Real", "Float64") if causality == "output" else REAL_KINDS
+        if variable.kind not in usable and not (causality == "input" and variable.dtype is not None):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
-            both = "Float64" if causality == "output" else "Float64 or Float32"
-            numbers = "Real" if self.fmi_version == "2.0" else both
+            numbers = " or ".join(kind for kind in usable if kind in SETTERS[self.fmi_version])
             raise InputError(
                 f"{where}: {name} is of type {variable.kind}; only {numbers} variables can be used, {remedy}"
             )
@@ -202,7 +188,7 @@ def read_description(path: Path) -> FmuDescription:
     if "modelDescription.xml" not in sizes:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
     DESCRIPTION.check(sizes["modelDescription.xml"] / 1e6, str(path))
-    model, complaint = read_model(path, content)
+    model, complaint = declared.read_model(path, content)
     try:
         return _described(path, content, model, complaint, names=sizes)
     except InputError:
@@ -222,14 +208,16 @@ def _described(
         InputError: If nothing here can run it, or a number in it is absurd.
         Exception: If something in it is not what its name promises.
     """
-    version = declared_version(path, str(model.fmiVersion))
-    declared = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
-    interfaces = {name: declared_interface(one) for name, one in declared.items() if one is not None}
+    version = declared.version_of(path, str(model.fmiVersion))
+    found = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
+    interfaces = {name: declared.interface_of(one) for name, one in found.items() if one is not None}
     if not interfaces:
         raise InputError(
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
         )
-    binaries = {name: binary_member(version, one.model_identifier) for name, one in interfaces.items()}
+    binaries = {
+        name: declared.binary_member(version, one.model_identifier) for name, one in interfaces.items()
+    }
     runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
     if not runnable:
         platforms = {
@@ -240,7 +228,7 @@ def _described(
         )
         raise InputError(
             f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, "
-            f"{held}); export or compile it for {PLATFORM_FOLDERS[version]}"
+            f"{held}); export or compile it for {declared.PLATFORM_FOLDERS[version]}"
         )
     n_event_indicators = int(model.numberOfEventIndicators)
     if n_event_indicators < 0:
@@ -254,11 +242,13 @@ def _described(
         model_name=str(model.modelName),
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
-        variables={str(variable.name): declared_variable(variable) for variable in model.modelVariables},
+        variables={
+            str(variable.name): declared.variable_of(variable, version) for variable in model.modelVariables
+        },
         fmi_version=version,
         interfaces=runnable,
         default_experiment=DefaultExperiment(
-            *(number_or_none(getattr(model.defaultExperiment, name, None)) for name in experiment)
+            *(declared.number_or_none(getattr(model.defaultExperiment, name, None)) for name in experiment)
         ),
         states=tuple(str(one.derivative.name) for one in derivatives),
         derivatives=tuple(str(one.name) for one in derivatives),
@@ -269,7 +259,7 @@ def _described(
         },
         n_event_indicators=n_event_indicators,
         complaint=complaint,
-        units={str(unit.name): declared_unit(unit) for unit in model.unitDefinitions},
+        units={str(unit.name): declared.unit_of(unit) for unit in model.unitDefinitions},
     )
 
 

@@ -10,35 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
+from simulation.fmi import exchange_calls as calls
 from simulation.fmi.call import call_status, compiled
-from simulation.fmi.exchange_calls import (
-    ABSOLUTE,
-    COMPLETED,
-    COMPONENT,
-    ENTER_CONTINUOUS,
-    ENTER_EVENT,
-    FIRST_INPUT,
-    GET,
-    GET_NOMINALS,
-    GET_STATES,
-    INTERPOLATE,
-    N_INDICATORS,
-    N_STATES,
-    NOT_FINITE,
-    RESTART,
-    SOLVE,
-    SOLVER,
-    STAGE,
-    STATUS,
-    STOP_AT,
-    TOLERANCES,
-    X_BETWEEN,
-    X,
-    at_point,
-    called,
-    first_not_finite,
-    update_discrete_states,
-)
 from simulation.fmi.loop import WARNING, set_inputs
 
 # How a simulation ends; what CVODE returned where it gave up is negative.
@@ -87,16 +60,16 @@ def _go_through_event(
         How it ended, and the time of the next time event, infinite for none. [s]
     """
     x, _, absolute = vectors
-    if step != _FIRST and not called(table, ENTER_EVENT, ()):
+    if step != _FIRST and not calls.called(table, calls.ENTER_EVENT, ()):
         return BAD_CALL, np.inf
     if step >= 0:
-        status, row = set_inputs(table[COMPONENT], inputs, step)
+        status, row = set_inputs(table[calls.COMPONENT], inputs, step)
         if status > WARNING:
-            table[STATUS], table[STAGE] = status, FIRST_INPUT + row
+            table[calls.STATUS], table[calls.STAGE] = status, calls.FIRST_INPUT + row
             return BAD_CALL, np.inf
     again, nominals, later = True, step == _FIRST, np.inf
     for _ in range(MOST_ITERATIONS):
-        good, again, ends, changed, later = update_discrete_states(table, info)
+        good, again, ends, changed, later = calls.update_discrete_states(table, info)
         if not good or ends:
             return (ENDED if good else BAD_CALL), later
         nominals = nominals or changed
@@ -104,23 +77,24 @@ def _go_through_event(
             break
     if again:
         return ENDLESS_ITERATION, later
-    n = table[N_STATES]
-    good = called(table, ENTER_CONTINUOUS, ())
+    n = table[calls.N_STATES]
+    good = calls.called(table, calls.ENTER_CONTINUOUS, ())
     if good and n > 0:
-        good = called(table, GET_STATES, (x.ctypes.data, n))
-        table[NOT_FINITE] = first_not_finite(x)
-        if good and table[NOT_FINITE] != 0:
+        good = calls.called(table, calls.GET_STATES, (x.ctypes.data, n))
+        table[calls.NOT_FINITE] = calls.first_not_finite(x)
+        if good and table[calls.NOT_FINITE] != 0:
             return BAD_STATE, later
         if good and nominals:
-            good = called(table, GET_NOMINALS, (absolute.ctypes.data, n))
+            good = calls.called(table, calls.GET_NOMINALS, (absolute.ctypes.data, n))
             for index in range(n):
                 size = abs(absolute[index])
                 absolute[index] = rtol * (size if size > 0.0 and np.isfinite(size) else 1.0)
-            call_status(table[TOLERANCES], (table[SOLVER], rtol, table[ABSOLUTE]))
+            call_status(table[calls.TOLERANCES], (table[calls.SOLVER], rtol, table[calls.ABSOLUTE]))
     if not good:
         return BAD_CALL, later
-    if n + table[N_INDICATORS] > 0:
-        return min(GOOD, call_status(table[RESTART], (table[SOLVER], time, table[X]))), later
+    if n + table[calls.N_INDICATORS] > 0:
+        flag = call_status(table[calls.RESTART], (table[calls.SOLVER], time, table[calls.X]))
+        return min(GOOD, flag), later
     return GOOD, later
 
 
@@ -164,23 +138,22 @@ def simulate_row(
     # among zeros.
     said = np.zeros(2, dtype=np.int64)
     # Without states and indicators there is nothing to integrate and nothing to look for between events.
-    integrates = table[N_STATES] + table[N_INDICATORS] > 0
+    integrates = table[calls.N_STATES] + table[calls.N_INDICATORS] > 0
     time, passed, n_changes, n_internal, n_events, n_stuck = edges[0], 0, 0, 0, 0, 0
     end, later = _go_through_event(table, time, info, vectors, rtol, inputs, _FIRST)
     if end != GOOD:
         return end, time
-    if not called(table, GET, (output_list, n_outputs, y_address, n_outputs)):
+    if not calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs)):
         return BAD_CALL, time
     while passed < n_steps:
         target = min(edges[changes[n_changes]], max(later, time))
         is_root = False
         if integrates and target - time > 100.0 * _EPSILON * max(abs(time), abs(target)):
             if n_internal == 0:
-                table[STATUS], table[NOT_FINITE] = 0, 0
-            call_status(table[STOP_AT], (table[SOLVER], target))
-            flag = call_status(
-                table[SOLVE], (table[SOLVER], target, table[X], reached.ctypes.data, _ONE_STEP)
-            )
+                table[calls.STATUS], table[calls.NOT_FINITE] = 0, 0
+            call_status(table[calls.STOP_AT], (table[calls.SOLVER], target))
+            to_target = (table[calls.SOLVER], target, table[calls.X], reached.ctypes.data, _ONE_STEP)
+            flag = call_status(table[calls.SOLVE], to_target)
             if flag < 0:
                 return flag, time
             is_root = flag == _ROOT_RETURN
@@ -199,17 +172,18 @@ def simulate_row(
             if passed % output_every == 0:
                 y_address += y_stride
                 if integrates:
-                    call_status(table[INTERPOLATE], (table[SOLVER], edges[passed], 0, table[X_BETWEEN]))
+                    at_edge = (table[calls.SOLVER], edges[passed], 0, table[calls.X_BETWEEN])
+                    call_status(table[calls.INTERPOLATE], at_edge)
                 if not (
-                    at_point(table, edges[passed], x_between.ctypes.data)
-                    and called(table, GET, (output_list, n_outputs, y_address, n_outputs))
+                    calls.at_point(table, edges[passed], x_between.ctypes.data)
+                    and calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs))
                 ):
                     return BAD_CALL, edges[passed]
-        if not at_point(table, time, x.ctypes.data):
+        if not calls.at_point(table, time, x.ctypes.data):
             return BAD_CALL, time
         # Also where the FMU says that it can do without: the call costs next to nothing.
         said[:] = 0
-        if not called(table, COMPLETED, (1, said.ctypes.data, said.ctypes.data + 8)):
+        if not calls.called(table, calls.COMPLETED, (1, said.ctypes.data, said.ctypes.data + 8)):
             return BAD_CALL, time
         if said[1] != 0:
             return ENDED, time
@@ -226,7 +200,7 @@ def simulate_row(
         passed, n_internal, n_events = passed + 1, 0, 0
         if passed % output_every == 0:
             y_address += y_stride
-            if not called(table, GET, (output_list, n_outputs, y_address, n_outputs)):
+            if not calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs)):
                 return BAD_CALL, time
         if passed == changes[n_changes] and passed < n_steps:
             n_changes += 1

@@ -1,7 +1,7 @@
 """FmuModel: an FMU as a forward model, run in this process."""
 
 import weakref
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.fmi.choice import runner_for
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
@@ -36,9 +35,8 @@ class FmuSettings:
         relative_tolerance: Of the solver; None for the FMU's own.
         accepted: Band outside of which an output makes its row a failed one, None for no band. Shape (k, 2).
             [declared output units]
-        shared_warmup: Whether the warm-up is simulated once, with warmup_theta, and every row starts from the
-            state at its end.
-        warmup_theta: Parameters of that warm-up. Shape (p,). [declared units]
+        warmup_theta: Parameters with which the warm-up is simulated once, so that every row starts from the
+            state at its end; None for a warm-up of each row's own. Shape (p,). [declared units]
         output_factors: The FMU's outputs are multiplied by it before the offset; None for 1. Shape (k,).
         parameter_factors: From the declared unit of a parameter to the FMU's; None for 1. Shape (p,).
         parameter_offsets: Added to a parameter after that; None for 0. Shape (p,). [FMU's units]
@@ -54,7 +52,6 @@ class FmuSettings:
     interface: Interface = "co-simulation"
     relative_tolerance: float | None = None
     accepted: FloatArray | None = None
-    shared_warmup: bool = False
     warmup_theta: FloatArray | None = None
     output_factors: FloatArray | None = None
     parameter_factors: FloatArray | None = None
@@ -62,14 +59,11 @@ class FmuSettings:
     is_watched: bool = False
 
     def __post_init__(self) -> None:
-        both = [name for name in self.fixed if name in self.parameter_space.names]
-        if both:
-            raise InputError(f"{self.path}: {both[0]} is both fixed and calibrated; drop one of the two")
         k, p = len(self.output_names), self.parameter_space.n_parameters
         if self.accepted is not None and self.accepted.shape != (k, 2):
             raise ValueError(f"accepted has shape {self.accepted.shape}; expected {(k, 2)}")
-        if self.shared_warmup and (self.warmup_theta is None or self.warmup_theta.shape != (p,)):
-            raise ValueError(f"a shared warm-up needs warmup_theta of shape {(p,)}")
+        if self.warmup_theta is not None and self.warmup_theta.shape != (p,):
+            raise ValueError(f"warmup_theta has shape {self.warmup_theta.shape}; expected {(p,)}")
 
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
         """Convert a row from the declared units to the FMU's. Shape (p,)."""
@@ -94,15 +88,19 @@ class FmuSettings:
                 description.require(name, causality, where, may_be_input=is_set_once) for name in names
             )
 
+        def held(name: str, value: Value) -> tuple[FmuVariable, Value]:
+            variable = description.find(name, "parameter", where, may_be_input=True)
+            return variable, variable.held_at(value, f"{where}: fixed.{name}")
+
+        inputs = found(scenario.input_names, "input")
+        for variable, values in zip(inputs, scenario.inputs.T, strict=True):
+            variable.check_series(values, scenario.time_communication, f"{where}: input {variable.name}")
         references = [variable.reference for variable in found(self.output_names, "output")]
         suggested = description.default_experiment.tolerance
         return RunPlan(
             calibrated=found(self.parameter_space.names, "parameter"),
-            fixed=tuple(
-                (description.find(name, "parameter", where, may_be_input=True), value)
-                for name, value in self.fixed.items()
-            ),
-            input_variables=found(scenario.input_names, "input"),
+            fixed=tuple(held(name, value) for name, value in self.fixed.items()),
+            input_variables=inputs,
             inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
             output_references=np.array(references, dtype=np.uint32),
             edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
@@ -112,7 +110,7 @@ class FmuSettings:
         )
 
     def open(self) -> "FmuModel":
-        """Open the model; the bound method is the picklable recipe that worker processes are given."""
+        """Open the model; the bound method is the factory that worker processes are given."""
         return FmuModel(self)
 
 
@@ -144,7 +142,7 @@ class FmuModel:
             stack.callback(scratch.remove)
             instance = FmuInstance(description, settings.interface, scratch.folder)
             stack.callback(instance.close)
-            warmup = settings.warmup_theta if settings.shared_warmup else None
+            warmup = settings.warmup_theta
             self._runner = runner_for(
                 instance,
                 description,
@@ -187,43 +185,15 @@ class FmuModel:
         Raises:
             NeedsFreshProcess: If the FMU cannot go on in this process; the answers so far are lost.
         """
-        theta = np.asarray(theta, dtype=np.float64)
-        failures = [""] * len(theta)
-        y = np.empty((len(theta), len(self.time), len(self.output_names)))
-        self.simulate_into(theta, y, before=lambda _: None, after=failures.__setitem__)
-        return Trajectories(
-            np.array(theta), y, self.time, self.parameter_space.names, self.output_names, tuple(failures)
-        )
-
-    def simulate_into(
-        self,
-        theta: FloatArray,
-        y: FloatArray,
-        *,
-        before: Callable[[int], None],
-        after: Callable[[int, str], None],
-    ) -> None:
-        """Simulate row after row into an array, telling of each when it starts and when it is done.
-
-        Args:
-            theta: Parameters. Shape (n, p). [model's units]
-            y: Filled with the outputs; NaN throughout in failed rows. Shape (n, t, k).
-                [declared output units]
-            before: Called with the row's number just before it starts.
-            after: Called with the row's number and why it failed ("" when it is good) once its y is complete.
-
-        Raises:
-            NeedsFreshProcess: If the row last told of by before() can only be answered by another process.
-        """
         if not self._finalizer.alive:
             raise ValueError("the model is closed; open it again")
-        if theta.ndim != 2 or theta.shape[1] != self.parameter_space.n_parameters:
-            raise ValueError(
-                f"theta has shape {theta.shape}; expected (n, {self.parameter_space.n_parameters})"
-            )
-        for i, row in enumerate(np.ascontiguousarray(theta, dtype=np.float64)):
-            before(i)
-            after(i, self._simulate_row(row, y[i]))
+        theta = np.array(theta, dtype=np.float64)
+        names = self.parameter_space.names
+        if theta.ndim != 2 or theta.shape[1] != len(names):
+            raise ValueError(f"theta has shape {theta.shape}; expected (n, {len(names)})")
+        y = np.empty((len(theta), len(self.time), len(self.output_names)))
+        failures = tuple(map(self._simulate_row, theta, y))
+        return Trajectories(theta, y, self.time, names, self.output_names, failures)
 
     def _simulate_row(self, row: FloatArray, y: FloatArray) -> str:
         """Fill y with one row's outputs; return why it failed, "" when it did not."""

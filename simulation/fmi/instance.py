@@ -224,15 +224,8 @@ class FmuInstance:
         if self.prefix == "fmi2":
             function = "Instantiate"
             kind, uri = c_int(1 if self._is_co_simulation else 0), resources.as_uri().encode()
-            arguments: tuple[Any, ...] = (
-                name,
-                kind,
-                self._guid,
-                uri,
-                ctypes.byref(CALLBACKS_2),
-                c_int(0),
-                c_int(0),
-            )
+            no_2 = c_int(0)  # neither visible nor logging
+            arguments: tuple[Any, ...] = (name, kind, self._guid, uri, ctypes.byref(CALLBACKS_2), no_2, no_2)
         else:
             # The standard wants the folder to end with a separator.
             arguments = (name, self._guid, os.fsencode(resources) + os.sep.encode(), no, no)

@@ -7,10 +7,9 @@ from typing import Any, Final
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.plan import RunPlan
-from simulation.fmi.variable import REAL_KINDS, SETTERS, FmuVariable, Value
+from simulation.fmi.variable import FmuVariable
 
 
 class Setting:
@@ -47,44 +46,38 @@ class Start:
         input_table: The same for the loops (see loop). Shape (n_functions, 5), intp.
     """
 
-    def __init__(self, instance: FmuInstance, plan: RunPlan, where: str) -> None:
-        """Sort the parameters and the inputs by their kinds and check the values that do not change.
+    def __init__(self, instance: FmuInstance, plan: RunPlan) -> None:
+        """Sort the parameters and the inputs by the functions that set them.
 
         Args:
             instance: The FMU.
             plan: What is to be set.
-            where: The FMU's file, for messages.
-
-        Raises:
-            InputError: If a fixed value or an input does not fit its variable.
         """
         self._instance = instance
         self._time = float(plan.edges[0])
-        setters = SETTERS[instance.prefix]
 
         def sorted_by_function(variables: Sequence[FmuVariable], values: list[Any]) -> list[Setting]:
             groups: dict[str, list[int]] = {}
             for column, variable in enumerate(variables):
-                groups.setdefault(setters[variable.kind][0], []).append(column)
+                groups.setdefault(variable.setter, []).append(column)
             return [Setting(name, columns, variables, values) for name, columns in groups.items()]
 
         def fixed(is_structural: bool) -> list[Setting]:
             chosen = [
                 one for one in plan.fixed if (one[0].causality == "structuralParameter") == is_structural
             ]
-            values = [_fixed_value(one, value, setters[one.kind][1], where) for one, value in chosen]
+            values = [
+                value if isinstance(value, str) else np.array([value], one.dtype) for one, value in chosen
+            ]
             return sorted_by_function([one for one, _ in chosen], values)
 
         structural, others = self._fixed = fixed(True), fixed(False)
         self._parameters = sorted_by_function(
-            plan.calibrated, [np.zeros(1, setters[one.kind][1]) for one in plan.calibrated]
+            plan.calibrated, [np.zeros(1, one.dtype) for one in plan.calibrated]
         )
+        driven = zip(plan.input_variables, plan.inputs.T, strict=True)
         self.inputs = sorted_by_function(
-            plan.input_variables,
-            [
-                _input_values(one, values, plan.edges, where, setters[one.kind][1])
-                for one, values in zip(plan.input_variables, plan.inputs.T, strict=True)
-            ],
+            plan.input_variables, [values.astype(one.dtype) for one, values in driven]
         )
         self.input_table: Final = np.array(
             [
@@ -143,46 +136,3 @@ class Start:
 
 def _calls(settings: Sequence[Setting]) -> list[tuple[Any, ...]]:
     return [(one.function, *one.arguments) for one in settings]
-
-
-def _input_values(
-    variable: FmuVariable, values: FloatArray, edges: FloatArray, where: str, dtype: Any
-) -> Any:
-    """Return an input's values in its C type. Shape (m,)."""
-    if variable.kind not in REAL_KINDS:
-        low, high = (0, 1) if variable.kind == "Boolean" else (np.iinfo(dtype).min, np.iinfo(dtype).max)
-        wrong = ~((values == np.rint(values)) & (values >= low) & (values <= high))
-        if wrong.any():
-            step = int(np.argmax(wrong))
-            raise InputError(
-                f"{where}: input {variable.name} is a {variable.kind} and gets {values[step]:g} at "
-                f'{edges[step]:g} s; give whole numbers in its range, with interpolation = "held"'
-            )
-    return values.astype(dtype)
-
-
-def _fixed_value(variable: FmuVariable, value: Value, dtype: Any, where: str) -> Any:
-    """Return the value as its variable wants it: a text, or an array of shape (1,) of its C type."""
-    kind, wrong = variable.kind, f"{where}: fixed.{variable.name} = {value!r}"
-    if kind == "String":
-        if not isinstance(value, str):
-            raise InputError(f"{wrong} is no text, and the FMU's {variable.name} is; put it in quotes")
-        return value
-    if kind == "Boolean":
-        if not isinstance(value, bool):
-            raise InputError(f"{wrong}: the FMU's {variable.name} is true or false; write one of the two")
-    elif kind == "Enumeration" and isinstance(value, str):
-        if value not in variable.items:
-            choice = ", ".join(variable.items) or "its numbers"
-            raise InputError(f"{wrong} is none of its values; choose one of: {choice}")
-        value = variable.items[value]
-    elif isinstance(value, str | bool):
-        raise InputError(f"{wrong} is no number, and the FMU's {variable.name} is a {kind}; give a number")
-    elif kind not in REAL_KINDS:
-        limits = np.iinfo(dtype)
-        if value != int(value) or not limits.min <= value <= limits.max:
-            raise InputError(
-                f"{wrong} is no {kind}; give a whole number from {int(limits.min)} to {int(limits.max)}"
-            )
-        value = int(value)
-    return np.array([value], dtype=dtype)

@@ -6,6 +6,10 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from simulation.foreign_text import shortened
+
 Interface = Literal["co-simulation", "model-exchange"]
 FmiVersion = Literal["2.0", "3.0"]
 
@@ -13,15 +17,15 @@ Value = float | int | bool | str
 
 REAL_KINDS: Final = ("Real", "Float64", "Float32")
 # The function that sets variables of a kind and the C type of its values, None for text; by FMI version.
-SETTERS: Final[dict[str, dict[str, tuple[str, Any]]]] = {
-    "fmi2": {
+SETTERS: Final[dict[FmiVersion, dict[str, tuple[str, Any]]]] = {
+    "2.0": {
         "Real": ("SetReal", np.float64),
         "Integer": ("SetInteger", np.int32),
         "Enumeration": ("SetInteger", np.int32),
         "Boolean": ("SetBoolean", np.int32),
         "String": ("SetString", None),
     },
-    "fmi3": {
+    "3.0": {
         "Float64": ("SetFloat64", np.float64),
         "Float32": ("SetFloat32", np.float32),
         "Enumeration": ("SetInt64", np.int64),
@@ -33,6 +37,13 @@ SETTERS: Final[dict[str, dict[str, tuple[str, Any]]]] = {
             for bits in (8, 16, 32, 64)
         },
     },
+}
+
+# What a value of a kind is, and its types; of all other kinds a whole number.
+_VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
+    **dict.fromkeys(REAL_KINDS, ("a number", (float, int))),
+    "Boolean": ("true or false", (bool,)),
+    "String": ('a text in "quotes"', (str,)),
 }
 
 
@@ -56,6 +67,8 @@ class FmuVariable:
         shape: Dimensions of an array, () for a scalar.
         items: Numbers of an enumeration by their names.
         is_difference: Whether its values are differences of quantities: 1 degC is 1 K then.
+        setter: Function that sets it, without the version, "" for none.
+        dtype: C type of its values, None for text and for what nothing sets.
     """
 
     name: str
@@ -73,6 +86,8 @@ class FmuVariable:
     shape: tuple[int, ...] = ()
     items: Mapping[str, int] = field(default_factory=dict)
     is_difference: bool = False
+    setter: str = ""
+    dtype: Any = None
 
     @property
     def is_start_value(self) -> bool:
@@ -87,6 +102,66 @@ class FmuVariable:
     def is_out_of_reach(self) -> bool:
         """Whether nothing here can set or read it: an array, a clock, bytes."""
         return bool(self.shape) or self.kind in ("Binary", "Clock")
+
+    def held_at(self, value: Value, where: str) -> Value:
+        """Return a value as the variable takes it, the number of an item for its name.
+
+        Args:
+            value: The value. [FMU's unit]
+            where: What gives it, for the message.
+
+        Raises:
+            InputError: If it does not fit the variable.
+        """
+        said = f"{where} = {str(value).lower() if isinstance(value, bool) else repr(value)}: {self.name}"
+        if self.items:
+            number = self.items.get(value) if isinstance(value, str) else value
+            if type(number) is int and number in self.items.values():
+                return number
+            choice = shortened(", ".join(self.items), 1000)
+            raise InputError(f"{said} has no such item; choose one of: {choice}")
+        if self.kind in _VALUES:
+            words, types = _VALUES[self.kind]
+            fits = type(value) in types
+        else:
+            low, high = self._limits
+            words, fits = f"a whole number from {low} to {high}", type(value) is int and low <= value <= high
+        if not fits:
+            raise InputError(f"{said} is of type {self.kind}; give {words}")
+        return float(value) if self.kind in REAL_KINDS else value
+
+    def check_series(self, values: FloatArray, edges: FloatArray, source: str) -> None:
+        """Check what drives an input: one that is no real number knows nothing in between.
+
+        Args:
+            values: Its values over the steps. Shape (m,). [FMU's unit]
+            edges: Edges of the steps. Shape (m + 1,). [s]
+            source: Where they come from, for the message.
+
+        Raises:
+            InputError: If one does not fit the variable.
+        """
+        if self.kind in REAL_KINDS:
+            return
+        allowed, words = [0, 1], "0 or 1"
+        if self.items:
+            allowed = list(self.items.values())
+            words = "one of: " + ", ".join(f"{number} ({item})" for item, number in self.items.items())
+        known = np.isin(values, allowed)
+        if not self.items and self.kind != "Boolean":
+            low, high = self._limits
+            words = f"whole numbers from {low} to {high}"
+            known = (values == np.rint(values)) & (values >= low) & (values <= high)
+        for step in np.flatnonzero(~known)[:1]:
+            raise InputError(
+                f"{source} is {values[step]:g} at {edges[step]:.12g} s, and the FMU's {self.name} is of type "
+                f"{self.kind}; give {words}"
+            )
+
+    @property
+    def _limits(self) -> tuple[int, int]:
+        limits = np.iinfo(self.dtype)
+        return int(limits.min), int(limits.max)
 
 
 @dataclass(frozen=True)

@@ -23,44 +23,39 @@ class ExecutionPolicy:
 
     Attributes:
         timeout_s: Time after which a simulation is killed; infinite for never; None for `SLOWER` times as
-            long as the slowest one before, see `limit_s`. [s]
+            long as the slowest one before, see `limit_s`. It also ends an FMU that takes so long to load or
+            to be instantiated; what opens a model beside that, as compiling its loop, has a minute. [s]
         least_limit_s: The least that None allows. [s]
-        opening_s: Time after which an FMU that is loaded or instantiated is killed; None for never. With a
-            time-out, what opens a model beside that, as compiling its loop, has a minute. [s]
         retries: How often a row whose process died is tried again.
-        timeout_retries: How often a row that was killed at its time-out is tried again.
         max_failed_share: Share of failed rows above which a batch stops and says why, once `MIN_ROWS` rows
             have finished and it is no bad luck (`DEVIATIONS`); 1 for never. [1]
         max_workers: Most processes at once, for instance as many as there are licences; None for no limit.
         max_growth_mb: A process that has taken this much more memory than after its first row is replaced
             once its row is finished. [MB]
-        max_rows_per_process: A process that has simulated this many rows is replaced; None for never.
     """
 
     timeout_s: float | None = None
     least_limit_s: float = 60.0
-    opening_s: float | None = None
     retries: int = 1
-    timeout_retries: int = 0
     max_failed_share: float = 0.5
     max_workers: int | None = None
     max_growth_mb: float = 500.0
-    max_rows_per_process: int | None = None
 
     def __post_init__(self) -> None:
-        if self.timeout_s is not None and not self.timeout_s > 0:
-            raise ValueError(f"timeout_s is {self.timeout_s}; give seconds above 0, infinite for no time-out")
-        for name in ("retries", "timeout_retries"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; give 0 or more")
-        if not 0 < self.max_failed_share <= 1:
-            raise ValueError(f"max_failed_share is {self.max_failed_share}; give a share up to 1")
-        if self.max_workers is not None and self.max_workers < 1:
-            raise ValueError(f"max_workers is {self.max_workers}; at least one process has to work")
-        if not self.max_growth_mb > 0:
-            raise ValueError(f"max_growth_mb is {self.max_growth_mb}; give megabytes above 0")
-        if self.max_rows_per_process is not None and self.max_rows_per_process < 1:
-            raise ValueError(f"max_rows_per_process is {self.max_rows_per_process}; give at least 1")
+        for name, is_right, remedy in (
+            ("timeout_s", self.timeout_s is None or self.timeout_s > 0, "seconds above 0, or inf"),
+            ("retries", self.retries >= 0, "0 or more"),
+            ("max_failed_share", 0 < self.max_failed_share <= 1, "a share up to 1"),
+            ("max_workers", self.max_workers is None or self.max_workers >= 1, "1 or more"),
+            ("max_growth_mb", self.max_growth_mb > 0, "megabytes above 0"),
+        ):
+            if not is_right:
+                raise ValueError(f"{name} is {getattr(self, name)}; give {remedy}")
+
+    @property
+    def finite_timeout_s(self) -> float | None:
+        """The time-out, None where none is given or it is infinite. [s]."""
+        return None if self.timeout_s is None or math.isinf(self.timeout_s) else self.timeout_s
 
     def is_hopeless(self, n: int, n_failed: int) -> bool:
         """Tell whether so many of n rows failed that going on would waste simulations."""
@@ -87,3 +82,16 @@ class ExecutionPolicy:
         if self.timeout_s is None:
             why = f" (no [simulation] timeout_s is given, and the slowest before took {slowest_s:.3g} s)"
         return f"did not answer within {self.limit_s(slowest_s):.4g} s and was stopped{why}"
+
+    def limit_in_words(self, slowest_s: float | None) -> str:
+        """Say when a simulation is stopped that takes long.
+
+        Args:
+            slowest_s: As for `limit_s`, when it began. [s]
+        """
+        if self.timeout_s is not None:
+            return f"simulation.timeout_s is {self.timeout_s:g}"
+        if slowest_s is None:
+            return "without simulation.timeout_s nothing stops it: no other had finished when it began"
+        limit = f"{self.limit_s(slowest_s):.4g} s, {SLOWER:g} times the slowest before"
+        return f"without simulation.timeout_s it is stopped after {limit}, at least {self.least_limit_s:g} s"

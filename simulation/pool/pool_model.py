@@ -4,14 +4,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Generator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from math import inf
 from pathlib import Path
@@ -241,7 +234,8 @@ class _Batch:
         self._chunk_s = _CHUNK_S if model._executor is None else _REMOTE_CHUNK_S
         max_rows = max(1, MAX_CHUNK_BYTES // (8 * len(model.time) * len(model.output_names)))
         self.queue = RowQueue(len(theta), chunk_s=self._chunk_s, max_rows=max_rows)
-        self.running: dict[Future[ChunkAnswer | Facts], tuple[range, float]] = {}
+        # Since when, and how long the slowest row before has taken, see ExecutionPolicy.limit_s.
+        self.running: dict[Future[ChunkAnswer | Facts], tuple[range, float, float | None]] = {}
         self._failures = FailureCount(model._policy)
         self._losses: Counter[int] = Counter()
         self._max_running: int | None = None
@@ -252,7 +246,8 @@ class _Batch:
         while self.queue.n_waiting and len(self.running) < self._worth_running():
             rows = self.queue.take(model._row_s, model.n_workers)
             budget_s = _MAX_OVERRUN * max(self._chunk_s, len(rows) * (model._row_s or 0.0))
-            self.running[model._submit(self._theta[rows.start : rows.stop], budget_s)] = rows, monotonic()
+            future = model._submit(self._theta[rows.start : rows.stop], budget_s)
+            self.running[future] = rows, monotonic(), model._slowest_s
 
     def _worth_running(self) -> int:
         model, processes = self._model, self._model._processes
@@ -271,7 +266,7 @@ class _Batch:
 
     def finished(self, future: "Future[ChunkAnswer | Facts]") -> Generator[tuple[IntArray, Trajectories]]:
         """Yield what became of a chunk, and let others have what is left of it."""
-        model, (rows, _) = self._model, self.running.pop(future)
+        model, (rows, *_) = self._model, self.running.pop(future)
         try:
             answer = future.result()
         except (ProcessLostError, CancelledError, *getattr(model._executor, "lost", ())) as error:
@@ -318,22 +313,21 @@ class _Batch:
     def _longest_s(self) -> float:
         """For how long the oldest chunk has been running. [s]."""
         now = monotonic()
-        return now - min((since for _, since in self.running.values()), default=now)
+        return now - min((since for _, since, _ in self.running.values()), default=now)
 
     def warn_of_slow_row(self) -> None:
         """Tell, once, of a row that takes much longer than others, or of a model that does not open."""
         model, spent_s = self._model, self._longest_s
         if model._has_warned or spent_s < _SLOW_S:
             return
-        rows, _ = min(self.running.values(), key=lambda one: one[1])
+        rows, _, slowest_s = min(self.running.values(), key=lambda one: one[1])
         if spent_s < (_SLOW_FACTOR + len(rows)) * (model._row_s or 0.0):
             return
         model._has_warned = True
         which = f"row {rows.start}" if len(rows) == 1 else f"one of rows {rows.start} to {rows.stop - 1}"
-        timeout_s = model._policy.timeout_s
         model._on_warning(
             f"{which} has been running for {spent_s:.2g} s, opening the model included; does it wait for a "
-            f"licence? simulation.timeout_s is {'not set' if timeout_s is None else timeout_s}"
+            f"licence? {model._policy.limit_in_words(slowest_s)}"
         )
 
 

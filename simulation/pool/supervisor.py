@@ -154,7 +154,7 @@ class _Supervisor:
         def work_alone() -> None:
             near.close()
             self._parent.close()
-            work(far, self._make_model, folder, self._rows, self._policy.opening_s)
+            work(far, self._make_model, folder, self._rows, self._policy.finite_timeout_s)
 
         try:
             folder.mkdir()
@@ -166,8 +166,8 @@ class _Supervisor:
         return self._worker
 
     def _first_words(self, worker: _Worker) -> Opened | Exception:
-        policy, what = self._policy, subject(self._make_model)
-        limit_s = None if policy.timeout_s in (None, inf) else max(policy.timeout_s, OPENING_S)
+        what, timeout_s = subject(self._make_model), self._policy.finite_timeout_s
+        limit_s = None if timeout_s is None else max(timeout_s, OPENING_S)
         if has_hung := not self._has_spoken(worker, limit_s):
             os.kill(worker.pid, signal.SIGKILL)
         try:
@@ -175,7 +175,7 @@ class _Supervisor:
         except (EOFError, OSError):
             exit_code, how = self._end(worker, _CRASHING_S)
             if exit_code == -ENDED_BY:
-                has_hung, limit_s = True, policy.opening_s
+                has_hung, limit_s = True, timeout_s
             if has_hung:
                 # Whoever hung will hang again, and nobody waits for that twice.
                 raise InputError(
@@ -226,8 +226,7 @@ class _Supervisor:
         tries: Counter[End] = Counter()
         while row < n and (row == 0 or tries or monotonic() < deadline):
             worker = self._worker or self._open()
-            left = (policy.max_rows_per_process or n + worker.n_rows) - worker.n_rows
-            part = theta[row : row + min(left, self._rows.capacity)]
+            part = theta[row : row + self._rows.capacity]
             failures[row : row + len(part)] = [""] * len(part)
             end = self._run(worker, part, min(deadline, monotonic() + _LOOK_S), failures, row)
             done = int(self._rows.done[0])
@@ -247,7 +246,7 @@ class _Supervisor:
             elif end is End.HUNG:
                 self._end(worker, 0.0)
                 how = policy.why_stopped(self._slowest_s)
-                allowed = policy.timeout_retries + _MERCY * was_between
+                allowed = _MERCY * was_between
             else:
                 exit_code, how = self._end(worker, _CRASHING_S)
                 how, is_mercy = f"the FMU {how}", was_between or exit_code == -signal.SIGKILL
@@ -264,7 +263,6 @@ class _Supervisor:
             worker.first_mb = worker.mb
         return (
             worker.mb - worker.first_mb > self._policy.max_growth_mb
-            or worker.n_rows == self._policy.max_rows_per_process
             or (worker.folder / LOG).stat().st_size > _MAX_LOG_BYTES
         )
 

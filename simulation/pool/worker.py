@@ -91,7 +91,7 @@ def work(
         make_model: The model's factory.
         folder: A folder for all that the FMU writes, which goes with the worker.
         rows: Where outputs go.
-        opening_s: See ExecutionPolicy. [s]
+        opening_s: Time that the FMU's own code may take at a time while it is opened; None for ever. [s]
     """
     end_with_parent(signal.SIGKILL)
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND)

@@ -1,6 +1,5 @@
 """A model that is asked for no row twice: what it answered lies in a store."""
 
-from collections.abc import Iterator
 from contextlib import closing
 
 import numpy as np
@@ -82,19 +81,6 @@ class StoredModel(WrappedModel):
         answer = self._store.read(theta)
         self.failures += filter(None, answer.failures)
         return answer
-
-    def stream(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> Iterator[Trajectories]:
-        """Simulate the rows that are not stored, then read all of them block by block.
-
-        Args:
-            theta: Parameters. Shape (n, p). [per parameter]
-            on_progress: Called with the number of rows that are stored so far.
-
-        Yields:
-            Consecutive blocks of rows, in order.
-        """
-        self.complete(theta, on_progress=on_progress)
-        yield from self._store.stream(theta)
 
     def complete(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> None:
         """Simulate the rows that are not stored, in bounded memory, and store each chunk as it finishes.

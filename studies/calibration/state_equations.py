@@ -16,7 +16,6 @@ from typing import Self
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.states import StateRows, StateSignals
 from studies.calibration.coefficient import Coefficient, Points
 from studies.calibration.product_laws import Products
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
@@ -29,6 +28,7 @@ from studies.calibration.state_terms import (
     candidates_with_products,
     spread,
 )
+from studies.calibration.states import StateRows, StateSignals
 from studies.calibration.term_choice import chosen_terms, fitted
 
 # Sum of squares, as a share of all, that equations of a model that moves so leave.

@@ -16,8 +16,8 @@ from scipy.linalg import expm
 
 from simulation.arrays import FloatArray, IntArray
 from simulation.pool.pool_model import available_cores
-from simulation.states import StateSignals
 from studies.calibration.state_terms import Sum
+from studies.calibration.states import StateSignals
 
 # Different values of what terms are multiplied with, up to which a linear flow knows each one's exponential.
 MOST_MODES = 64

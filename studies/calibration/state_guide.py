@@ -14,7 +14,6 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.errors import InputError
-from simulation.states import StateRows, StateSignals, WatchedModel
 from studies.calibration.coefficient import Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationModel
@@ -23,6 +22,7 @@ from studies.calibration.product_laws import Products
 from studies.calibration.proposals import SAME_POINT
 from studies.calibration.residual_process import Expansion
 from studies.calibration.state_equations import LEARNT, LEAST_TO_LEARN, StateEquations, Structure
+from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
 # Random points that are looked at before and after the guide has been right once, and how many of the best of
 # them, beside the best rows and the last ends, are walked downhill.
@@ -95,7 +95,7 @@ class StateGuide:
         model = problem.model
         if not isinstance(model, WatchedModel):
             raise InputError(
-                f"state equations need a WatchedModel, not {type(model).__name__}; see simulation.states"
+                f"state equations need a WatchedModel, not {type(model).__name__}; see calibration.states"
             )
         return cls(model.signals, model.seen, problem)
 

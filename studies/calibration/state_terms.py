@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
-from simulation.states import StateSignals
+from studies.calibration.states import StateSignals
 
 # Terms are chosen by so many rows, at so many times.
 N_ROWS, N_TIMES = 8, 400

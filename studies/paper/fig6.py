@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from simulation.store.row_set import RowSet
 from studies.paper.fig6_shown import shown
 from studies.paper.fig6_sizes import SizeTrials, Tuning, read_trials, tuning_of
 from studies.paper.plan import FAITHFUL_PROFILE, FAITHFUL_TRAINING_S, SIMULATIONS_PER_S, Plan
@@ -14,6 +13,7 @@ from studies.paper.result import ItemResult, item_folder
 from studies.paper.size_files import Origin, origin_of, write_sizes
 from studies.paper.tuned import Tuned, tune_sizes
 from studies.profile import Profile, load_profile
+from studies.row_set import RowSet
 from studies.stages.pipeline import Study
 from studies.stages.simulate import set_files
 from studies.stages.tuned_trials import tuned_by_size

@@ -12,7 +12,6 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.states import why_unwatched
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.known_rows import best_and_far
@@ -21,6 +20,7 @@ from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
 from studies.calibration.state_guide import LEAST_CALLS
+from studies.calibration.states import why_unwatched
 from studies.console import OnBar
 from studies.doctor.region import commonest
 from studies.physical_model import (

@@ -4,7 +4,6 @@ from typing import Any
 
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
-from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.known_rows import missing_of_design
 from studies.calibration.problem import CalibrationProblem, Evaluation
@@ -13,6 +12,7 @@ from studies.partly_fixed import PartlyFixedModel
 from studies.report.wording import count
 from studies.stages.known_rows import ChooseRows, Known, fitting_theta, judge_known
 from studies.stages.pipeline import Study
+from studies.watched_model import StoredWatchedModel
 
 
 def known_of(

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from simulation.case import Case
-from simulation.states import StateSignals, why_unwatched
 from simulation.store.stored_model import StoredModel
-from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_guide import StateGuide
+from studies.calibration.states import StateSignals, why_unwatched
 from studies.partly_fixed import PartlyFixedModel
 from studies.report.wording import count, listed
+from studies.watched_model import StoredWatchedModel
 
 
 def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:

@@ -10,12 +10,12 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.store.watched_model import StoredWatchedModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.partly_fixed import PartlyFixedModel
 from studies.stages.calibrate import write_arrays
 from studies.stages.results import read_arrays
 from studies.uncertainty.rows import telling_rows
+from studies.watched_model import StoredWatchedModel
 
 Worth = Callable[[Evaluation], FloatArray]
 """How much rows are worth, the best the most. Shape (n,)."""

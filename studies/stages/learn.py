@@ -10,11 +10,11 @@ import numpy as np
 
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
-from simulation.store.row_set import RowSet
 from studies.leaderboard import leaderboard
 from studies.recipe import Recipe, recipe_of
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import count, difference_unit, quantity
+from studies.row_set import RowSet
 from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
 from studies.stages.simulate import datasets_of, set_files
 from studies.tuning.declaration import SETS, Declaration

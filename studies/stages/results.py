@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from simulation.case import Case
 from simulation.errors import InputError
-from simulation.store.row_set import RowSet
 from studies.paths import size_name
 from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
 from studies.report.records_model import CoverageSet, SensitivityRecord
 from studies.report.records_restriction import restriction_record
 from studies.report.validation import FitRecord, PointRecord, ValidationRecord
+from studies.row_set import RowSet
 from studies.stages.determined import open_in_words
 from studies.stages.guided import equations_in_words
 from studies.stages.knowledge import is_of_this_density, known_before

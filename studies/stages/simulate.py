@@ -11,7 +11,6 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
 from simulation.errors import InputError
-from simulation.store.row_set import RowSet, SetContent, content_of
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from studies.console import Column, OnProgress
@@ -19,6 +18,7 @@ from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
 from studies.recipe import recipe_of
 from studies.report.wording import count
+from studies.row_set import RowSet, SetContent, content_of
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage
 from studies.tracking.origin import environment
 

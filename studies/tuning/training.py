@@ -12,8 +12,8 @@ from pelsvae.metrics import errors
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
 from simulation.errors import InputError
-from simulation.store.row_set import RowSet
 from studies.paths import ProjectPaths
+from studies.row_set import RowSet
 from studies.tuning.declaration import SETS, Declaration, output_metric
 
 N_REPORTS = 16  # enough to stop a trial in time, and few enough to cost nothing

@@ -19,7 +19,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from multistart_for_tests import MultistartResult, best_known, multistart  # noqa: E402
 
-from simulation.case import load_case  # noqa: E402
+from simulation import load_case  # noqa: E402
 from studies.calibration.polish import LeastSquaresTRF  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 

@@ -19,7 +19,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from simulation.case import load_case  # noqa: E402
+from simulation import load_case  # noqa: E402
 from simulation.fmi.fmu import FmuSettings  # noqa: E402
 
 

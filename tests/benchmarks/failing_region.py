@@ -15,9 +15,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "calibration")]
 
 from failing_room_for_tests import SENSOR, failing_room  # noqa: E402
 
+from simulation import ForwardModel, Trajectories  # noqa: E402
 from simulation.arrays import FloatArray  # noqa: E402
-from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
-from simulation.trajectories import Trajectories  # noqa: E402
+from simulation.forward_model import WrappedModel  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 
 RIGHT = 1.02

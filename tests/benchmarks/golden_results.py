@@ -19,10 +19,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT)]
 
-from simulation.case import Case, load_case  # noqa: E402
-from simulation.design import uniform_design  # noqa: E402
-from simulation.errors import InputError  # noqa: E402
-from simulation.pool.pool_model import PoolModel  # noqa: E402
+from simulation import Case, InputError, PoolModel, load_case, uniform_design  # noqa: E402
 from studies.embedded import EMBEDDED, case_files  # noqa: E402
 
 FILE = ROOT / "data" / "benchmarks" / "golden_results.json"

@@ -18,15 +18,13 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from simulation import Case, ForwardModel, Measurement, Trajectories, load_case  # noqa: E402
 from simulation.arrays import FloatArray  # noqa: E402
-from simulation.case import Case, load_case  # noqa: E402
-from simulation.forward_model import ForwardModel, WrappedModel  # noqa: E402
-from simulation.measurement import Measurement  # noqa: E402
-from simulation.states import StateSignals, WatchedModel, watching_states  # noqa: E402
-from simulation.trajectories import Trajectories  # noqa: E402
+from simulation.forward_model import WrappedModel  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
 from studies.calibration.state_guide import StateGuide  # noqa: E402
+from studies.calibration.states import StateSignals, WatchedModel, watching_states  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
 from studies.uncertainty.rows import joined  # noqa: E402

@@ -26,12 +26,12 @@ from fewest_calls.problems import posed, problems  # noqa: E402
 from interval_coverage import Diary  # noqa: E402
 
 from simulation.arrays import FloatArray  # noqa: E402
-from simulation.states import StateRows, WatchedModel  # noqa: E402
 from studies.calibration.adaptive import Adaptive, AdaptiveResult  # noqa: E402
 from studies.calibration.doubt import doubtful_mse  # noqa: E402
 from studies.calibration.known_rows import best_and_far  # noqa: E402
 from studies.calibration.problem import CalibrationProblem, Evaluation  # noqa: E402
 from studies.calibration.state_guide import StateGuide  # noqa: E402
+from studies.calibration.states import StateRows, WatchedModel  # noqa: E402
 
 PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
 NEVER = float("inf")

@@ -21,11 +21,9 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from simulation.case import load_case  # noqa: E402
+from simulation import FmuModel, Parameter, ParameterSpace, PoolModel, load_case  # noqa: E402
 from simulation.case_reading import read_case_file  # noqa: E402
-from simulation.fmi.fmu import FmuModel, FmuSettings  # noqa: E402
-from simulation.parameters import Parameter, ParameterSpace  # noqa: E402
-from simulation.pool.pool_model import PoolModel  # noqa: E402
+from simulation.fmi.fmu import FmuSettings  # noqa: E402
 from simulation.scenario import Scenario  # noqa: E402
 
 FUNCTIONS = ("Reset", "SetupExperiment", "EnterInitializationMode", "ExitInitializationMode", "DoStep")

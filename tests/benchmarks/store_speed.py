@@ -22,8 +22,8 @@ import numpy as np
 ROOT = Path(os.environ.get("MEASURED_CHECKOUT", Path(__file__).parents[2]))
 sys.path.insert(0, str(ROOT))
 
+from simulation import Trajectories  # noqa: E402
 from simulation.store.store import SimulationStore  # noqa: E402
-from simulation.trajectories import Trajectories  # noqa: E402
 
 N_PARAMETERS, CHUNK, SCATTERED, SMALL, N_SMALL = 14, 8000, 64, 16, 200
 NAMES = tuple(f"p{j}" for j in range(N_PARAMETERS))

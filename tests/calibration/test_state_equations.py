@@ -12,7 +12,6 @@ from simulation.case import Case, load_case
 from simulation.errors import InputError
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.states import StateRows, StateSignals, WatchedModel, watching_states
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.coefficient import Coefficient, Points
@@ -22,6 +21,7 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.product_laws import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_guide import StateGuide
+from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, EVERY, N_STEPS = 600.0, 2, 120

@@ -9,7 +9,6 @@ import pytest
 from simulation.arrays import FloatArray
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.states import StateRows, StateSignals, WatchedModel
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.flow_steps import NUMBERS
@@ -18,6 +17,7 @@ from studies.calibration.state_equations import LEARNT, Structure
 from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_guide import StateGuide
 from studies.calibration.state_terms import FUNCTIONS, Sum, Term
+from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
 N_STEPS, N_FINE = 200, 20
 

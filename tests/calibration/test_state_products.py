@@ -11,7 +11,6 @@ from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.states import StateRows, StateSignals, WatchedModel, watching_states
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.coefficient import Points
@@ -22,6 +21,7 @@ from studies.calibration.state_equations import LEARNT, StateEquations, Structur
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_guide import StateGuide
 from studies.calibration.state_terms import Sum, Term, candidates_with_products
+from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, EVERY, N_STEPS = 300.0, 2, 160

@@ -87,7 +87,7 @@ def test_who_wants_them_is_told_why_there_are_none(
     made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = copy_of(made, tmp_path / "project", monkeypatch)
-    monkeypatch.setattr("simulation.states.MOST_STATES", 2)
+    monkeypatch.setattr("studies.calibration.states.MOST_STATES", 2)
     answer = studies(*WALL, "--state-equations")
     assert answer.code == 2
     (line,) = answer.err.splitlines()

@@ -10,9 +10,7 @@ from fmpy.validation import validate_fmu
 from fmu_for_tests import REPOSITORY
 from generated_data import generator_of
 
-from simulation.case import load_case
-from simulation.fmi.fmu import FmuModel
-from simulation.parameters import Parameter, ParameterSpace
+from simulation import FmuModel, Parameter, ParameterSpace, load_case
 from simulation.scenario import Scenario
 
 FMUS = {"vanderpol": "VanDerPol.fmu", "wall": "Wall.fmu", "thermostat": "Thermostat.fmu"}

@@ -7,7 +7,7 @@ import office_equations as reference
 import pytest
 from fmu_for_tests import OFFICE, REPOSITORY
 
-from simulation.case import load_case
+from simulation import load_case
 from simulation.case_reading import read_case_file
 
 FMUS = REPOSITORY / "fmus"

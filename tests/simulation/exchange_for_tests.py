@@ -10,8 +10,8 @@ import fmpy
 import numpy as np
 import pytest
 
-from simulation.fmi.fmu import FmuModel, FmuSettings
-from simulation.parameters import Parameter, ParameterSpace
+from simulation import FmuModel, Parameter, ParameterSpace
+from simulation.fmi.fmu import FmuSettings
 from simulation.scenario import Scenario
 
 # In the order of exchange.c.

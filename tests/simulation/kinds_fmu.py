@@ -2,15 +2,17 @@
 
 import shutil
 import subprocess
+import tempfile
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
 
+from simulation import Parameter, ParameterSpace
 from simulation.fmi.fmu import FmuSettings
-from simulation.parameters import Parameter, ParameterSpace
 from simulation.scenario import Scenario
 
 SOURCE = Path(__file__).with_name("kinds.c")
@@ -92,27 +94,33 @@ unit="1/s"/>
 def build_kinds_fmu(
     folder: Path, *, fmi: int, again: str = "HONEST", state: bool = False, once: bool = False
 ) -> Path:
-    """Compile it; skips the test where there is no C compiler.
+    """Pack it; skips the test where there is no C compiler.
 
     ``again`` is one of the names in kinds.c; ``state`` and ``once`` are what the FMU says of itself.
     """
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None or fmpy.platform != "linux64":
-        pytest.skip("needs a C compiler on Linux to build an FMU")
-    library = folder / "kinds.so"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    flags = ["-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-DFMI={fmi}", f"-DAGAIN={again}"]
-    # gcc cannot know that a text cut at 63 characters still ends within its 64.
-    command = [compiler, *flags, "-Wno-stringop-truncation", f"-I{headers}", "-o", library, SOURCE, "-lm"]
-    subprocess.run(command, check=True)
     description = DESCRIPTION_2 if fmi == 2 else DESCRIPTION_3
     platform = "linux64" if fmi == 2 else "x86_64-linux"
     path = folder / f"kinds{fmi}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         said = {"state": str(state).lower(), "once": str(once).lower()}
         archive.writestr("modelDescription.xml", description.format(**said))
-        archive.write(library, f"binaries/{platform}/kinds.so")
+        archive.writestr(f"binaries/{platform}/kinds.so", _library(fmi, again))
     return path
+
+
+@cache
+def _library(fmi: int, again: str) -> bytes:
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None or fmpy.platform != "linux64":
+        pytest.skip("needs a C compiler on Linux to build an FMU")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    flags = ["-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", f"-DFMI={fmi}", f"-DAGAIN={again}"]
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "kinds.so"
+        # gcc cannot know that a text cut at 63 characters still ends within its 64.
+        command = [compiler, *flags, "-Wno-stringop-truncation", f"-I{headers}", "-o", library, SOURCE, "-lm"]
+        subprocess.run(command, check=True)
+        return library.read_bytes()
 
 
 def kinds_settings(path: Path, *, names: tuple[str, ...] = ("k", "x0"), n_warmup: int = 0, **more: object):

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from simulation.errors import InputError
+from simulation import InputError, Trajectories
 from simulation.file_lock import FileLock
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.toy import ToyRC
-from simulation.trajectories import Trajectories
 
 BAD_ABOVE_R = 4.0
 

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.case import Case, load_case
-from simulation.errors import InputError
-from simulation.pool.pool_model import PoolModel
+from simulation import Case, InputError, PoolModel, load_case
 
 
 def test_a_case_holds_what_its_file_says(decay_case: Path):

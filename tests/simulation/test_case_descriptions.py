@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
+from simulation import InputError, load_case
 
 X0 = (
     b'<ScalarVariable name="x0" valueReference="1" causality="parameter" variability="tunable">\n'
@@ -131,7 +130,7 @@ def test_what_is_no_number_can_be_fixed(decay_case: Path, line: str, value: obje
         ("on = 1", r"fixed\.on = 1: on is of type Boolean; give true or false"),
         ("file = 1", r'fixed\.file = 1: file is of type String; give a text in "quotes"'),
         ("kind = 3", r"fixed\.kind = 3: kind has no such item; choose one of: plain, wrapped"),
-        ('kind = "rapped"', r'fixed\.kind = "rapped": kind has no such item; choose one of: plain, wrapped'),
+        ('kind = "rapped"', r"fixed\.kind = 'rapped': kind has no such item; choose one of: plain, wrapped"),
         (
             'n = { value = 5, unit = "1" }',
             r"fixed\.n: n is of type Integer, which has no unit; give the value",

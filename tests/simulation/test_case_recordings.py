@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
+from simulation import InputError, load_case
 from simulation.recording import read_recording
 
 DAY = 86400

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.design import spread_design, uniform_design
-from simulation.parameters import Parameter, ParameterSpace
+from simulation import Parameter, ParameterSpace, uniform_design
+from simulation.design import spread_design
 
 SPACE = ParameterSpace(
     (Parameter("R", 0.2, 5.0, scale="log"), Parameter("C", 0.2e4, 5e4, scale="log"), Parameter("T", 290, 300))

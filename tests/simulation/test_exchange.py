@@ -10,8 +10,7 @@ import pytest
 from exchange_for_tests import build, run, settings
 from scipy.integrate import solve_ivp
 
-from simulation.errors import InputError
-from simulation.fmi.fmu import FmuModel
+from simulation import FmuModel, InputError
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
@@ -237,9 +236,8 @@ def test_nominal_values_set_the_absolute_tolerance(fmu: Path):
 def test_what_model_exchange_cannot_do_is_one_line(fmu: Path, tmp_path: Path):
     chosen = settings(fmu, "LINEAR", edges=np.arange(5.0))
     scenario = dataclasses.replace(chosen.scenario, n_warmup=2)
-    shared = {"shared_warmup": True, "warmup_theta": np.ones(2)}
     with pytest.raises(InputError, match="needs a co-simulation FMU that can get and set its state"):
-        dataclasses.replace(chosen, scenario=scenario, **shared).open()
+        dataclasses.replace(chosen, scenario=scenario, warmup_theta=np.ones(2)).open()
     if fmu.stem.startswith("exchange3"):
         arrays = tmp_path / "arrays.fmu"
         with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(arrays, "w") as archive:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.case import load_case
+from simulation import load_case
 from simulation.fmi.fmu import FmuSettings
 
 REPOSITORY = Path(__file__).parents[2]

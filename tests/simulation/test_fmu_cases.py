@@ -6,8 +6,7 @@ import kinds_fmu
 import numpy as np
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
+from simulation import InputError, load_case
 
 CASE = """
 schema = 1

@@ -7,7 +7,7 @@ import kinds_fmu
 import numpy as np
 import pytest
 
-from simulation.errors import InputError
+from simulation import InputError
 from simulation.fmi.runner import NeedsFreshProcess
 
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 300.0], [2e-4, 310.0], [9e-4, 250.0]])
@@ -55,19 +55,12 @@ def test_all_rows_are_right_however_the_fmu_has_to_be_started_over(
 @pytest.mark.parametrize("again", ["STATIC", "ONE_INSTANCE"])
 def test_where_only_another_process_helps_no_row_is_handed_out(tmp_path: Path, fmi: int, again: str):
     settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again=again))
-    started, done = [], []
-    y = np.zeros((len(ROWS), 25, 1))
     with settings.open() as model:
+        first = model.simulate(ROWS[:1])
         for _ in range(2):
             with pytest.raises(NeedsFreshProcess):
-                model.simulate_into(
-                    ROWS[1:] if started else ROWS,
-                    y[1:] if started else y,
-                    before=started.append,
-                    after=lambda i, reason: done.append((i, reason)),
-                )
-    assert (started, done) == ([0, 1, 0], [(0, "")])
-    np.testing.assert_allclose(y[:1], _expected(settings, ROWS[:1]), rtol=1e-13)
+                model.simulate(ROWS[1:])
+    np.testing.assert_allclose(first.y, _expected(settings, ROWS[:1]), rtol=1e-13)
 
 
 def test_one_instance_with_states_needs_no_other_process(tmp_path: Path, fmi: int):
@@ -97,8 +90,7 @@ def test_an_hour_long_row_is_not_repeated(tmp_path: Path, fmi: int, monkeypatch:
 
 def test_rows_that_share_a_warm_up_start_from_its_end(tmp_path: Path, fmi: int):
     fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, state=True)
-    shared = {"shared_warmup": True, "warmup_theta": np.array([2e-4])}
-    settings = kinds_fmu.kinds_settings(fmu, names=("k",), n_warmup=9, **shared)
+    settings = kinds_fmu.kinds_settings(fmu, names=("k",), n_warmup=9, warmup_theta=np.array([2e-4]))
     rows = np.array([[1e-4], [4e-4], [1e-4]])
     with settings.open() as model:
         answer = model.simulate(rows)
@@ -114,20 +106,18 @@ def test_rows_that_share_a_warm_up_start_from_its_end(tmp_path: Path, fmi: int):
 
 
 @pytest.mark.parametrize(
-    ("names", "state", "n_warmup", "message"),
+    ("names", "state", "message"),
     [
-        (("k",), False, 9, "needs a co-simulation FMU that can get and set its state"),
-        (("k",), True, 0, "without a warm-up; set start_d"),
-        (("k", "x0"), True, 9, r"x0 can only be set before the warm-up \(it is continuous, not tunable\)"),
+        (("k",), False, "needs a co-simulation FMU that can get and set its state"),
+        (("k", "x0"), True, r"x0 can only be set before the warm-up \(it is continuous, not tunable\)"),
     ],
 )
 def test_a_warm_up_that_cannot_be_shared_is_refused(
-    tmp_path: Path, fmi: int, names: tuple[str, ...], state: bool, n_warmup: int, message: str
+    tmp_path: Path, fmi: int, names: tuple[str, ...], state: bool, message: str
 ):
     fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, state=state)
-    settings = kinds_fmu.kinds_settings(
-        fmu, names=names, n_warmup=n_warmup, shared_warmup=True, warmup_theta=np.full(len(names), 2e-4)
-    )
+    warmup_theta = np.full(len(names), 2e-4)
+    settings = kinds_fmu.kinds_settings(fmu, names=names, n_warmup=9, warmup_theta=warmup_theta)
     with pytest.raises(InputError, match=message):
         settings.open()
 

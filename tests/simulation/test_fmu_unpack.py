@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from simulation.errors import InputError, MachineError
+from simulation import InputError
+from simulation.errors import MachineError
 from simulation.fmi.unpack import SCRATCH_PREFIX, unpacked
 from simulation.scratch import UNSEEN_S, sweep
 

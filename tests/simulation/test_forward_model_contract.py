@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 from toys_for_tests import IshigamiToy, ProductToy
 
-from simulation.case import load_case
-from simulation.counting import CountingModel
-from simulation.forward_model import ForwardModel
-from simulation.pool.pool_model import PoolModel
+from simulation import CountingModel, ForwardModel, PoolModel, load_case
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC

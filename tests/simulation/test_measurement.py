@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulation.measurement import Measurement, Samples
+from simulation import Measurement
+from simulation.measurement import Samples
 
 TIME = np.arange(6) * 600.0
 SIGMA = np.array([0.5])

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.errors import InputError
-from simulation.parameters import Parameter, ParameterSpace
+from simulation import InputError, Parameter, ParameterSpace
 
 SPACE = ParameterSpace(
     (

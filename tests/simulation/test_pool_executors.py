@@ -15,11 +15,9 @@ import numpy as np
 import psutil
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
+from simulation import InputError, PoolModel, load_case
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
-from simulation.pool.pool_model import PoolModel
 from simulation.toy import ToyRC
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from toys_for_tests import IshigamiToy, ProductToy
 
-from simulation.counting import BudgetExceeded, CountingModel
+import simulation
+from simulation import CountingModel
+from simulation.counting import BudgetExceeded
 from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
@@ -161,6 +163,15 @@ def test_a_link_in_the_place_of_a_scratch_folder_is_left_alone(
     (tmp_path / "tmp" / "test-scratch-x").symlink_to(mine)
     ScratchFolder("test-scratch-").remove()
     assert not list(mine.iterdir())
+
+
+def test_what_is_public_is_a_dozen_names_that_are_there_and_explained():
+    assert len(simulation.__all__) <= 12
+    for name in simulation.__all__:
+        assert callable(getattr(simulation, name))
+        assert f"`{name}`" in str(simulation.__doc__)
+    with pytest.raises(AttributeError, match="module 'simulation' has no attribute 'nothing'"):
+        _ = simulation.nothing  # type: ignore[attr-defined]
 
 
 def test_another_system_is_told_at_once():

@@ -14,15 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simulation import CountingModel, InputError, Trajectories, uniform_design
 from simulation.arrays import FloatArray, IntArray
-from simulation.counting import CountingModel
-from simulation.design import uniform_design
-from simulation.errors import InputError, MachineError
-from simulation.store.row_set import RowSet, content_of
+from simulation.errors import MachineError
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
-from simulation.trajectories import Trajectories
 from studies.commands.simulate import MORE
 
 TOY = ToyRC(fails_above_r=4.0)
@@ -302,29 +299,7 @@ def test_each_chunk_is_stored_at_once_and_progress_begins_with_what_is_known(
         StoredModel(Finishing(most=70), store).complete(design(200))
     seen: list[tuple[int, int]] = []
     stored = StoredModel(model, store)
-    blocks = list(stored.stream(design(200), on_progress=lambda n: seen.append((n, len(store.theta)))))
-    assert Trajectories.concatenate(blocks).digest == ToyRC().simulate(design(200)).digest
+    stored.complete(design(200), on_progress=lambda n: seen.append((n, len(store.theta))))
+    assert store.read(design(200)).digest == ToyRC().simulate(design(200)).digest
     assert (seen[0], seen[-1], stored.n_simulated) == ((70, 70), (200, 200), 130)
     assert all(said == known for said, known in seen)
-
-
-def test_a_set_is_its_rows_and_moves_with_the_store(store: SimulationStore, tmp_path: Path) -> None:
-    simulated(store, 50)
-    (tmp_path / "sets").mkdir()
-    RowSet(design(50), store.file, tmp_path / "sets" / "train.npz").save()
-    moved = tmp_path.rename(tmp_path.with_name("moved"))
-    found = RowSet.load(moved / "sets" / "train.npz")
-    assert (found.n, found.read().digest) == (50, ANSWER.take(np.arange(50)).digest)
-    assert found.read(20).digest == ANSWER.take(np.arange(20)).digest
-    replace(found, theta=design(51)).save()
-    with pytest.raises(InputError, match=r"train\.npz: 1 of 51 rows are not in .*; type: studies simulate"):
-        RowSet.load(found.file).read()
-
-
-def test_the_content_of_a_set_does_not_depend_on_blocks() -> None:
-    answer = replace(ANSWER, theta=np.ones((400, 2)), y=np.zeros_like(ANSWER.y), failures=("why",) * 400)
-    blocks = [answer.take(np.arange(start, min(start + 7, 400))) for start in range(0, 400, 7)]
-    assert content_of(iter([answer])) == content_of(iter(blocks))
-    assert content_of(iter(blocks[:-1])).digest != content_of(iter(blocks)).digest
-    # Finished stages of earlier versions name their sets so.
-    assert content_of(iter(blocks)).digest[:16] == "1d4b782a038e1af0"

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 from slow_models import SlowToy
 
+from simulation import Trajectories, uniform_design
 from simulation.arrays import FloatArray, IntArray
-from simulation.design import uniform_design
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.toy import ToyRC
-from simulation.trajectories import Trajectories
 
 N_ROWS, N_KILLS, CHUNK, LIMIT_S = 3000, 50, 5, 240.0
 THETA = uniform_design(ToyRC().parameter_space, N_ROWS, 0)

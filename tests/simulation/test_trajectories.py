@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from simulation.trajectories import Trajectories
+from simulation import Trajectories
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 batches = st.integers(1, 4).flatmap(

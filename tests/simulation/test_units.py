@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.errors import InputError
+from simulation import InputError
 from simulation.units import Conversion, Unit, UnitDefinition, conversion, in_si
 
 KELVIN = Unit.of({"K": 1}, 1.0, 0.0)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from simulation.case import load_case
-from simulation.errors import InputError
+from simulation import InputError, load_case
 
 Change = Callable[[Path], None]
 
@@ -118,10 +117,6 @@ WRONG: dict[str, tuple[Change, str]] = {
     "column and sum": (
         toml('column = "heating"', 'column = "heating"\nsum = { heating = 1.0 }'),
         r"inputs\[u\]: give either column or sum",
-    ),
-    "fixed is text": (
-        toml('{ first_measured = "y" }', '"y"'),
-        r"fixed\.x0 = 'y': x0 is a number; give one",
     ),
     "first measured of nothing": (
         toml('first_measured = "y"', 'first_measured = "T"'),

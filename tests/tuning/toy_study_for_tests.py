@@ -15,11 +15,11 @@ from optuna.trial import FrozenTrial
 
 from pelsvae.config import VARIANTS
 from simulation.design import uniform_design
-from simulation.store.row_set import RowSet
 from simulation.store.store import SimulationStore
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
+from studies.row_set import RowSet
 from studies.tracking.quiet_mlflow import connect, entities
 from studies.tuning.attempts import places
 from studies.tuning.declaration import SETS, Declaration

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from simulation import CountingModel, Trajectories
 from simulation.arrays import FloatArray
-from simulation.counting import BudgetExceeded, CountingModel
+from simulation.counting import BudgetExceeded
 from simulation.forward_model import WrappedModel
-from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem
 
 # Far above the best error that is known a history keeps steps of this size, near it every improvement.

@@ -14,9 +14,8 @@ from scipy.linalg import expm
 
 from fewest_calls.noise import red_noise
 from fewest_calls.slab import generate as slab_truth
+from simulation import Case, FmuModel
 from simulation.arrays import FloatArray
-from simulation.case import Case
-from simulation.fmi.fmu import FmuModel
 from simulation.measurement import Samples
 
 KELVIN = 273.15

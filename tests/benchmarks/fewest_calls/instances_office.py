@@ -8,9 +8,8 @@ from scipy.linalg import expm
 
 from fewest_calls.instances import Instance
 from fewest_calls.noise import red_noise
+from simulation import Case, Measurement, load_case
 from simulation.arrays import FloatArray
-from simulation.case import Case, load_case
-from simulation.measurement import Measurement
 
 ROOT = Path(__file__).parents[3]
 WINDOWS_D = ((0.0, 10.0), (8.0, 16.0), (0.0, 21.0))

@@ -11,12 +11,12 @@ from multistart_for_tests import multistart
 
 from fewest_calls.instances import Instance, of_case
 from fewest_calls.instances_office import WINDOWS_D, office_instance
+from simulation import Case, load_case
 from simulation.arrays import FloatArray
-from simulation.case import Case, load_case
-from simulation.states import StateSignals, WatchedModel, watching_states
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 ROOT = Path(__file__).parents[3]
 HERE = Path(__file__).parent

@@ -6,8 +6,8 @@ from time import process_time
 
 import numpy as np
 
+from simulation import ParameterSpace
 from simulation.arrays import BoolArray, FloatArray
-from simulation.parameters import ParameterSpace
 from surrogate_rivals.problems import Data
 
 # Part of the training set's variance that the coordinates leave out if not told otherwise.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pelsvae.metrics import errors
+from simulation import uniform_design
 from simulation.arrays import FloatArray
-from simulation.design import uniform_design
 from surrogate_rivals.coordinates import Z_90, Clock, Fitted
 from surrogate_rivals.problems import Data, Sets
 

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from simulation import Case, ParameterSpace, load_case, uniform_design
 from simulation.arrays import FloatArray
-from simulation.case import Case, load_case
-from simulation.design import uniform_design
-from simulation.parameters import ParameterSpace
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from studies.stages.simulate import TEST_SEED, VALIDATION_SEED, train_seed

@@ -66,7 +66,7 @@ class StateSignals:
         edges = scenario.time_communication
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
         factors, n_outputs = case.settings.output_factors, len(case.settings.output_names)
-        n_unseen = scenario.n_warmup if case.settings.shared_warmup else 0
+        n_unseen = scenario.n_warmup if case.settings.warmup_theta is not None else 0
         return cls(
             fmu.states,
             fmu.derivatives,

@@ -14,12 +14,12 @@ from simulation.counting import CountingModel
 from simulation.design import uniform_design
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.parameters import ParameterSpace
-from simulation.states import StateSignals
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.store.watched_model import StoredWatchedModel
 from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
+from studies.calibration.states import StateSignals
+from studies.watched_model import StoredWatchedModel
 
 TOY = ToyRC(fails_above_r=4.0)
 SIGNALS = StateSignals(

@@ -5,9 +5,9 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray
 from simulation.forward_model import ForwardModel
 from simulation.pool.pool_model import PoolModel
-from simulation.states import StateRows, StateSignals, WatchedModel
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
+from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
 N_UNREAD = 2
 """Rows that fail with their states and not without before states are left alone: one may have bad luck."""
@@ -32,7 +32,7 @@ class StoredWatchedModel(StoredModel):
 
         Args:
             plain: Answers without states.
-            watched: Answers with them, see `simulation.states.watching_states`.
+            watched: Answers with them, see `studies.calibration.states.watching_states`.
             signals: What is known of them.
             n_first: Rows that are asked at once while none has succeeded yet.
         """

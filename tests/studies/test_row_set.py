@@ -1,0 +1,42 @@
+"""A set of stored rows: what it is, and that it moves with its store."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.design import uniform_design
+from simulation.errors import InputError
+from simulation.store.store import SimulationStore
+from simulation.toy import ToyRC
+from studies.row_set import RowSet, content_of
+
+TOY = ToyRC()
+ROWS = TOY.simulate(uniform_design(TOY.parameter_space, 400, seed=0))
+
+
+def test_a_set_is_its_rows_and_moves_with_the_store(tmp_path: Path) -> None:
+    file, names = tmp_path / "rows.db", (ROWS.parameter_names, ROWS.output_names)
+    with SimulationStore(
+        file, model_digest="toy", parameter_names=names[0], output_names=names[1], time=ROWS.time
+    ) as store:
+        store.append(ROWS.take(np.arange(50)))
+    (tmp_path / "sets").mkdir()
+    RowSet(ROWS.theta[:50], file, tmp_path / "sets" / "train.npz").save()
+    moved = tmp_path.rename(tmp_path.with_name("moved"))
+    found = RowSet.load(moved / "sets" / "train.npz")
+    assert (found.n, found.read().digest) == (50, ROWS.take(np.arange(50)).digest)
+    assert found.read(20).digest == ROWS.take(np.arange(20)).digest
+    replace(found, theta=ROWS.theta[:51]).save()
+    with pytest.raises(InputError, match=r"train\.npz: 1 of 51 rows are not in .*; type: studies simulate"):
+        RowSet.load(found.file).read()
+
+
+def test_the_content_of_a_set_does_not_depend_on_blocks() -> None:
+    answer = replace(ROWS, theta=np.ones((400, 2)), y=np.zeros_like(ROWS.y), failures=("why",) * 400)
+    blocks = [answer.take(np.arange(start, min(start + 7, 400))) for start in range(0, 400, 7)]
+    assert content_of(iter([answer])) == content_of(iter(blocks))
+    assert content_of(iter(blocks[:-1])).digest != content_of(iter(blocks)).digest
+    # Finished stages of earlier versions name their sets so.
+    assert content_of(iter(blocks)).digest[:16] == "1d4b782a038e1af0"
