@@ -8,6 +8,8 @@ from simulation.errors import InputError
 SLOWER = 100.0
 """Without a time-out a simulation may take so many times as long as the slowest one before."""
 
+FIRST_LIMIT_S = 86_400.0
+"""What a simulation may take that began before any had finished: a day. [s]"""
 
 MIN_ROWS, DEVIATIONS = 20, 2.0
 """Below so many rows a share of failed ones says nothing, and so many standard deviations are bad luck."""
@@ -23,7 +25,7 @@ class ExecutionPolicy:
 
     Attributes:
         timeout_s: Time after which a simulation is killed; infinite for never; None for `SLOWER` times as
-            long as the slowest one before, see `limit_s`. [s]
+            long as the slowest one before, and a day where none has finished, see `limit_s`. [s]
         least_limit_s: The least that None allows. [s]
         opening_s: Time after which an FMU that is loaded or instantiated is killed; None for never. With a
             time-out, what opens a model beside that, as compiling its loop, has a minute. [s]
@@ -75,7 +77,7 @@ class ExecutionPolicy:
         """
         if self.timeout_s is not None:
             return self.timeout_s
-        return math.inf if slowest_s is None else max(self.least_limit_s, SLOWER * slowest_s)
+        return FIRST_LIMIT_S if slowest_s is None else max(self.least_limit_s, SLOWER * slowest_s)
 
     def why_stopped(self, slowest_s: float | None) -> str:
         """Say why a simulation was killed at its limit.
@@ -85,5 +87,8 @@ class ExecutionPolicy:
         """
         why = ""
         if self.timeout_s is None:
-            why = f" (no [simulation] timeout_s is given, and the slowest before took {slowest_s:.3g} s)"
-        return f"did not answer within {self.limit_s(slowest_s):.4g} s and was stopped{why}"
+            slowest = (
+                f"the slowest before took {slowest_s:.3g} s" if slowest_s is not None else "none has finished"
+            )
+            why = f" (no [simulation] timeout_s is given, and {slowest})"
+        return f"did not answer within {self.limit_s(slowest_s):.5g} s and was stopped{why}"

@@ -18,7 +18,7 @@ import pytest
 
 from simulation.case import load_case
 from simulation.errors import InputError, MachineError
-from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
+from simulation.pool.execution import FIRST_LIMIT_S, ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
 from simulation.pool.pool_model import PoolModel, available_cores
 from simulation.toy import ToyRC
@@ -310,7 +310,10 @@ def test_without_a_time_out_the_slowest_row_so_far_tells_how_long_to_wait():
 
 def test_a_row_may_take_as_long_as_it_likes_where_the_time_out_is_infinite():
     assert ExecutionPolicy(timeout_s=math.inf).limit_s(1e-3) == math.inf
-    assert ExecutionPolicy().limit_s(None) == math.inf
+    assert ExecutionPolicy().limit_s(None) == FIRST_LIMIT_S
+    assert "86400 s" in (why := ExecutionPolicy().why_stopped(None))
+    assert "timeout_s is given, and none has finished" in why
+    assert ExecutionPolicy(timeout_s=math.inf).limit_s(None) == math.inf
     assert ExecutionPolicy().limit_s(3.0) == 300.0
     assert ExecutionPolicy().limit_s(1e-3) == 60.0
     policy = ExecutionPolicy(timeout_s=math.inf, least_limit_s=0.01)
