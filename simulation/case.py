@@ -20,6 +20,7 @@ from simulation.case_parts import (
     conversions,
     fixed_values,
     input_values,
+    inputs_at_edges,
     with_units,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
@@ -133,7 +134,7 @@ class Case:
         """
         scenario = self.scenario
         grid = {"output_every": scenario.output_every, "n_warmup": scenario.n_warmup}
-        return digest_of(_json(self._named | grid), scenario.time_communication, scenario.inputs)
+        return digest_of(_json(self._named | grid), scenario.time_communication, *scenario.driving)
 
     @cached_property
     def digest(self) -> str:
@@ -141,7 +142,7 @@ class Case:
         space, scenario = self.parameter_space, self.scenario
         steps_s = (self.communication_step_s, self.output_step_s)
         named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s})
-        return digest_of(named, space.lower, space.upper, scenario.time_communication, scenario.inputs)
+        return digest_of(named, space.lower, space.upper, scenario.time_communication, *scenario.driving)
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -228,6 +229,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
     scenario = Scenario(
         time_communication=edges,
         inputs=input_values(file, fmu, data, inputs, edges),
+        inputs_at_edges=inputs_at_edges(file, data, inputs, edges),
         input_names=tuple(table.name for table in file.inputs),
         output_every=output_every,
         n_warmup=n_warmup,

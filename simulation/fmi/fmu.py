@@ -104,6 +104,7 @@ class FmuSettings:
             ),
             input_variables=found(scenario.input_names, "input"),
             inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
+            inputs_at_edges=scenario.inputs_at_edges,
             output_references=np.array(references, dtype=np.uint32),
             edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
             output_every=scenario.output_every,
