@@ -13,7 +13,14 @@ import numpy as np
 from simulation.arrays import FloatArray, digest_of
 from simulation.case_data import CaseData, on_one_axis, read_recordings
 from simulation.case_file import CaseFile, InputTable, OutputTable
-from simulation.case_parts import check_inputs, conversions, fixed_values, input_values, with_units
+from simulation.case_parts import (
+    check_inputs,
+    conversions,
+    fixed_values,
+    input_values,
+    inputs_at_edges,
+    with_units,
+)
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
 from simulation.case_reading import read_case_file
 from simulation.errors import errors_at
@@ -126,7 +133,7 @@ class Case:
         """
         scenario = self.scenario
         grid = {"output_every": scenario.output_every, "n_warmup": scenario.n_warmup}
-        return digest_of(_json(self._named | grid), scenario.time_communication, scenario.inputs)
+        return digest_of(_json(self._named | grid), scenario.time_communication, *scenario.driving)
 
     @cached_property
     def digest(self) -> str:
@@ -134,7 +141,7 @@ class Case:
         space, scenario = self.parameter_space, self.scenario
         steps_s = (self.communication_step_s, self.output_step_s)
         named = _json(self._named | {"window_d": self.window_d, "steps_s": steps_s})
-        return digest_of(named, space.lower, space.upper, scenario.time_communication, scenario.inputs)
+        return digest_of(named, space.lower, space.upper, scenario.time_communication, *scenario.driving)
 
     @property
     def _named(self) -> dict[str, Any]:
@@ -221,6 +228,7 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
     scenario = Scenario(
         time_communication=edges,
         inputs=input_values(file, fmu, data, inputs, edges),
+        inputs_at_edges=inputs_at_edges(file, data, inputs, edges),
         input_names=tuple(table.name for table in file.inputs),
         output_every=output_every,
         n_warmup=n_warmup,

@@ -19,7 +19,7 @@ from simulation.errors import InputError, errors_at
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.variable import REAL_KINDS, FmuVariable, Value
 from simulation.foreign_text import shortened
-from simulation.scenario import values_over_steps
+from simulation.scenario import values_at_edges, values_over_steps
 from simulation.units import Conversion, conversion
 
 
@@ -118,6 +118,31 @@ def input_values(
                 )
             over_steps[:] = change.factor * over_steps + change.offset
             variable.check_series(over_steps, edges, " + ".join(table.weights))
+    return inputs
+
+
+def inputs_at_edges(
+    file: CaseFile, data: CaseData, changes: Sequence[Conversion], edges: FloatArray
+) -> FloatArray | None:
+    """Return the inputs that outputs see at the edges of steps, None where these see the step's.
+
+    Args:
+        file: The case file's content.
+        data: The recordings.
+        changes: How each input gets into the FMU's unit.
+        edges: Edges of the steps. Shape (m + 1,). [s]
+
+    Returns:
+        In model exchange, if an input is not held, shape (m + 1, n_inputs). [FMU's units]
+    """
+    if file.interface != "model-exchange" or all(one.interpolation == "held" for one in file.inputs):
+        return None
+    inputs = np.zeros((len(edges), len(file.inputs)))
+    for table, change, at_edges in zip(file.inputs, changes, inputs.T, strict=True):
+        for column, weight in table.weights.items():
+            time, values = data.input_series(table, column, edges)
+            at_edges += weight * values_at_edges(time, values, edges, interpolation=table.interpolation)
+        at_edges[:] = change.factor * at_edges + change.offset
     return inputs
 
 

@@ -21,6 +21,8 @@ class Scenario:
         input_names: Names of the inputs.
         output_every: Communication steps between two outputs; divides m.
         n_warmup: First outputs that are simulated and not reported.
+        inputs_at_edges: Input values that outputs at the edges see, None where these see their step's. Shape
+            (m + 1, n_inputs). [model's units]
     """
 
     time_communication: FloatArray
@@ -28,6 +30,7 @@ class Scenario:
     input_names: tuple[str, ...]
     output_every: int
     n_warmup: int = 0
+    inputs_at_edges: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n_steps = len(self.time_communication) - 1
@@ -35,15 +38,46 @@ class Scenario:
             raise ValueError(
                 f"inputs have shape {self.inputs.shape}; expected {(n_steps, len(self.input_names))}"
             )
+        if self.inputs_at_edges is not None and len(self.inputs_at_edges) != n_steps + 1:
+            raise ValueError(f"inputs are given at {len(self.inputs_at_edges)} of {n_steps + 1} edges")
         if n_steps < 1 or self.output_every < 1 or n_steps % self.output_every:
             raise ValueError(f"{n_steps} steps cannot be looked at every {self.output_every}")
         if not 0 <= self.n_warmup <= n_steps // self.output_every:
             raise ValueError(f"{self.n_warmup} of the outputs cannot be left out")
 
+    @property
+    def driving(self) -> tuple[FloatArray, ...]:
+        """All arrays of inputs."""
+        return (self.inputs,) if self.inputs_at_edges is None else (self.inputs, self.inputs_at_edges)
+
     @cached_property
     def time(self) -> FloatArray:
         """Times of the reported outputs; without a warm-up the first edge is one. Shape (t,). [s]."""
         return self.time_communication[self.n_warmup * self.output_every :: self.output_every].copy()
+
+
+def values_at_edges(
+    time: FloatArray, values: FloatArray, edges: FloatArray, *, interpolation: Interpolation
+) -> FloatArray:
+    """Give the value of a series at each edge of the communication steps; of a held one the step's before.
+
+    Args:
+        time: Sample times. Shape (m,). [s]
+        values: Samples. Shape (m,).
+        edges: Edges of the communication steps, inside what the series covers. Shape (s + 1,). [s]
+        interpolation: As for `values_over_steps`.
+
+    Returns:
+        One value per edge. Shape (s + 1,).
+    """
+    if interpolation == "held":
+        over_steps = values_over_steps(time, values, edges, interpolation=interpolation)
+        return np.concatenate([over_steps[:1], over_steps])
+    if interpolation == "linear":
+        return np.interp(edges, time, values)
+    from scipy.interpolate import PchipInterpolator
+
+    return np.asarray(PchipInterpolator(time, values)(np.clip(edges, time[0], time[-1])), dtype=np.float64)
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:

@@ -47,7 +47,7 @@ class ModelExchange:
         self._plan = plan
         self._start = start
         self._states = description.states
-        self._names = (*calls.FUNCTIONS, *(one.function for one in start.inputs))
+        self._names = (*calls.FUNCTIONS, *(one.function for one in (*start.inputs, *start.seen)))
         self._tolerance = SHARE_OF_TOLERANCE * (
             plan.tolerance if plan.tolerance is not None and plan.tolerance > 0.0 else DEFAULT_TOLERANCE
         )
@@ -72,6 +72,7 @@ class ModelExchange:
         end, time = loop.simulate_row(
             self._table,
             self._start.input_table,
+            self._start.seen_table,
             self._changes,
             plan.output_references,
             plan.edges,

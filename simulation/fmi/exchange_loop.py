@@ -99,9 +99,43 @@ def _go_through_event(
 
 
 @compiled
+def _read(
+    table: Any,
+    seen: Any,
+    step: int,
+    at_edge: Any,
+    output_list: Any,
+    n_outputs: Any,
+    y_address: Any,
+    behind: int,
+) -> bool:
+    """Read the outputs at an edge, with the inputs that they see there; say whether all calls were good.
+
+    Args:
+        table: Addresses and counts (see exchange_calls). Shape (SIZE,).
+        seen: What sets the inputs that outputs see (see loop). Shape (n_functions, 5), intp.
+        step: Step whose inputs are set, and are again afterwards.
+        at_edge: Row of the values at the edge.
+        output_list: Address of the outputs' references.
+        n_outputs: Outputs.
+        y_address: Address to read them to.
+        behind: Rows of the table of inputs, whose stages come first.
+    """
+    status, row = set_inputs(table[calls.COMPONENT], seen, at_edge)
+    if status <= WARNING:
+        if not calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs)):
+            return False
+        status, row = set_inputs(table[calls.COMPONENT], seen, step)
+    if status > WARNING:
+        table[calls.STATUS], table[calls.STAGE] = status, calls.FIRST_INPUT + behind + row
+    return bool(status <= WARNING)
+
+
+@compiled
 def simulate_row(
     table: Any,
     inputs: Any,
+    seen: Any,
     changes: IntArray,
     output_references: Any,
     edges: FloatArray,
@@ -112,12 +146,14 @@ def simulate_row(
 ) -> tuple[int, float]:
     """Run an instance that was just initialized through the communication steps.
 
-    An output at the end of a step still sees the step's inputs, as in co-simulation, and what an event at
-    that very time leaves behind.
+    An output at the end of a step sees the inputs at that time or, where none are given, still the step's, as
+    in co-simulation, and what an event at that very time leaves behind.
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SIZE,).
         inputs: What sets the inputs (see loop). Shape (n_functions, 5), intp.
+        seen: The same for inputs that outputs see: over the m steps, then at the m + 1 edges; may be empty.
+            Shape (n_functions, 5), intp.
         changes: Edges before which the inputs change, and the last edge. Shape (n_changes + 1,).
         output_references: Value references. Shape (k,), uint32.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
@@ -143,7 +179,8 @@ def simulate_row(
     end, later = _go_through_event(table, time, info, vectors, rtol, inputs, _FIRST)
     if end != GOOD:
         return end, time
-    if not calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs)):
+    behind = inputs.shape[0]
+    if not _read(table, seen, 0, n_steps, output_list, n_outputs, y_address, behind):
         return BAD_CALL, time
     while passed < n_steps:
         target = min(edges[changes[n_changes]], max(later, time))
@@ -172,12 +209,14 @@ def simulate_row(
             if passed % output_every == 0:
                 y_address += y_stride
                 if integrates:
-                    at_edge = (table[calls.SOLVER], edges[passed], 0, table[calls.X_BETWEEN])
-                    call_status(table[calls.INTERPOLATE], at_edge)
-                if not (
-                    calls.at_point(table, edges[passed], x_between.ctypes.data)
-                    and calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs))
-                ):
+                    call_status(
+                        table[calls.INTERPOLATE],
+                        (table[calls.SOLVER], edges[passed], 0, table[calls.X_BETWEEN]),
+                    )
+                if not calls.at_point(table, edges[passed], x_between.ctypes.data):
+                    return BAD_CALL, edges[passed]
+                at_edge = n_steps + passed
+                if not _read(table, seen, passed - 1, at_edge, output_list, n_outputs, y_address, behind):
                     return BAD_CALL, edges[passed]
         if not calls.at_point(table, time, x.ctypes.data):
             return BAD_CALL, time
@@ -200,7 +239,8 @@ def simulate_row(
         passed, n_internal, n_events = passed + 1, 0, 0
         if passed % output_every == 0:
             y_address += y_stride
-            if not calls.called(table, calls.GET, (output_list, n_outputs, y_address, n_outputs)):
+            at_edge = n_steps + passed
+            if not _read(table, seen, passed - 1, at_edge, output_list, n_outputs, y_address, behind):
                 return BAD_CALL, time
         if passed == changes[n_changes] and passed < n_steps:
             n_changes += 1

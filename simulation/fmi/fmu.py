@@ -102,6 +102,7 @@ class FmuSettings:
             fixed=tuple(held(name, value) for name, value in self.fixed.items()),
             input_variables=inputs,
             inputs=np.ascontiguousarray(scenario.inputs, dtype=np.float64),
+            inputs_at_edges=scenario.inputs_at_edges,
             output_references=np.array(references, dtype=np.uint32),
             edges=np.ascontiguousarray(scenario.time_communication, dtype=np.float64),
             output_every=scenario.output_every,

@@ -18,6 +18,8 @@ class RunPlan:
         fixed: The parameters held at a value, with their values. [FMU's units]
         input_variables: The inputs. Length n_inputs.
         inputs: Input of each step, constant over it. Shape (m, n_inputs). [FMU's units]
+        inputs_at_edges: Inputs that outputs see, None where these see their step's. Shape (m + 1, n_inputs).
+            [FMU's units]
         output_references: Value references. Shape (k,), uint32.
         edges: Edges of the communication steps. Shape (m + 1,). [s]
         output_every: Steps between two outputs.
@@ -29,6 +31,7 @@ class RunPlan:
     fixed: tuple[tuple[FmuVariable, Value], ...]
     input_variables: tuple[FmuVariable, ...]
     inputs: FloatArray
+    inputs_at_edges: FloatArray | None
     output_references: Any
     edges: FloatArray
     output_every: int

@@ -9,7 +9,7 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.plan import RunPlan
-from simulation.fmi.variable import FmuVariable
+from simulation.fmi.variable import REAL_KINDS, FmuVariable
 
 
 class Setting:
@@ -44,6 +44,9 @@ class Start:
     Attributes:
         inputs: The inputs, by the functions that set them.
         input_table: The same for the loops (see loop). Shape (n_functions, 5), intp.
+        seen: The continuous inputs, by functions: over the m steps, then at the m + 1 edges; none where
+            outputs see their step's inputs.
+        seen_table: The same for the loops. Shape (n_functions, 5), intp.
     """
 
     def __init__(self, instance: FmuInstance, plan: RunPlan) -> None:
@@ -79,13 +82,16 @@ class Start:
         self.inputs = sorted_by_function(
             plan.input_variables, [values.astype(one.dtype) for one, values in driven]
         )
-        self.input_table: Final = np.array(
-            [
-                (instance.addresses(one.function)[0], *one.arguments[:3], one.values.strides[0])
-                for one in self.inputs
-            ],
-            dtype=np.intp,
-        ).reshape(-1, 5)
+        self.input_table: Final = _table(instance, self.inputs)
+        at_edges = np.empty((plan.n_steps + 1, 0)) if plan.inputs_at_edges is None else plan.inputs_at_edges
+        continuous = [
+            (variable, np.concatenate([over_steps, at]).astype(variable.dtype))
+            for variable, over_steps, at in zip(plan.input_variables, plan.inputs.T, at_edges.T, strict=False)
+            # In continuous time no others may be set.
+            if variable.kind in REAL_KINDS and variable.variability == "continuous"
+        ]
+        self.seen = sorted_by_function([one for one, _ in continuous], [values for _, values in continuous])
+        self.seen_table: Final = _table(instance, self.seen)
         self._set_parameters = _calls(self._parameters)
         asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
         experiment = (asked, tolerance, self._time, True, float(plan.edges[-1]))
@@ -132,6 +138,17 @@ class Start:
     def _take(self, values: FloatArray) -> None:
         for one in self._parameters:
             one.values[0] = values[one.columns]
+
+
+def _table(instance: FmuInstance, settings: Sequence[Setting]) -> Any:
+    """Return settings for the loops (see loop). Shape (n_functions, 5), intp."""
+    return np.array(
+        [
+            (instance.addresses(one.function)[0], *one.arguments[:3], one.values.strides[0])
+            for one in settings
+        ],
+        dtype=np.intp,
+    ).reshape(-1, 5)
 
 
 def _calls(settings: Sequence[Setting]) -> list[tuple[Any, ...]]:

@@ -8,6 +8,8 @@ from simulation.errors import InputError
 SLOWER = 100.0
 """Without a time-out a simulation may take so many times as long as the slowest one before."""
 
+FIRST_LIMIT_S = 86_400.0
+"""What a simulation may take that began before any had finished: a day. [s]"""
 
 MIN_ROWS, DEVIATIONS = 20, 2.0
 """Below so many rows a share of failed ones says nothing, and so many standard deviations are bad luck."""
@@ -23,8 +25,9 @@ class ExecutionPolicy:
 
     Attributes:
         timeout_s: Time after which a simulation is killed; infinite for never; None for `SLOWER` times as
-            long as the slowest one before, see `limit_s`. It also ends an FMU that takes so long to load or
-            to be instantiated; what opens a model beside that, as compiling its loop, has a minute. [s]
+            long as the slowest one before, and a day where none has finished, see `limit_s`. It also ends
+            an FMU that takes so long to load or to be instantiated; what opens a model beside that, as
+            compiling its loop, has a minute. [s]
         least_limit_s: The least that None allows. [s]
         retries: How often a row whose process died is tried again.
         max_failed_share: Share of failed rows above which a batch stops and says why, once `MIN_ROWS` rows
@@ -70,7 +73,7 @@ class ExecutionPolicy:
         """
         if self.timeout_s is not None:
             return self.timeout_s
-        return math.inf if slowest_s is None else max(self.least_limit_s, SLOWER * slowest_s)
+        return FIRST_LIMIT_S if slowest_s is None else max(self.least_limit_s, SLOWER * slowest_s)
 
     def why_stopped(self, slowest_s: float | None) -> str:
         """Say why a simulation was killed at its limit.
@@ -80,8 +83,11 @@ class ExecutionPolicy:
         """
         why = ""
         if self.timeout_s is None:
-            why = f" (no [simulation] timeout_s is given, and the slowest before took {slowest_s:.3g} s)"
-        return f"did not answer within {self.limit_s(slowest_s):.4g} s and was stopped{why}"
+            slowest = (
+                "none has finished" if slowest_s is None else f"the slowest before took {slowest_s:.3g} s"
+            )
+            why = f" (no [simulation] timeout_s is given, and {slowest})"
+        return f"did not answer within {self.limit_s(slowest_s):.5g} s and was stopped{why}"
 
     def limit_in_words(self, slowest_s: float | None) -> str:
         """Say when a simulation is stopped that takes long.
@@ -91,7 +97,7 @@ class ExecutionPolicy:
         """
         if self.timeout_s is not None:
             return f"simulation.timeout_s is {self.timeout_s:g}"
-        if slowest_s is None:
-            return "without simulation.timeout_s nothing stops it: no other had finished when it began"
-        limit = f"{self.limit_s(slowest_s):.4g} s, {SLOWER:g} times the slowest before"
-        return f"without simulation.timeout_s it is stopped after {limit}, at least {self.least_limit_s:g} s"
+        limit = f"{self.limit_s(slowest_s):.5g} s"
+        if slowest_s is not None:
+            limit += f", {SLOWER:g} times the slowest before, at least {self.least_limit_s:g} s"
+        return f"without simulation.timeout_s it is stopped after {limit}"

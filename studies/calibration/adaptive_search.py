@@ -104,7 +104,7 @@ class AdaptiveSearch:
         self._first = 0
         self._leg: list[float] = []
         self._idle = self._dull = 0
-        self._confirmation = Confirmation(p, settings.n_elsewhere)
+        self._confirmation = Confirmation(settings.n_elsewhere)
         self._is_far = False
         self.n_rounds = 0
         self.expected_gain = np.inf

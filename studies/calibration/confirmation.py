@@ -22,8 +22,8 @@ WORTH = 0.98
 # An error whose residuals err by a variance v around a mean square m has about the variance
 # 2 v (v + 2 m) / k, where k residuals vary independently: few, as few directions in the box are left unknown.
 N_INDEPENDENT = 2.0
-# Functions drawn in a round, each minimized from anywhere in the box, and more from the best row.
-N_DRAWN, N_FROM_BEST = 16, 3
+# Functions drawn in a round, each minimized from anywhere in the box and from the best row.
+N_DRAWN = 16
 # A descent ends where a step gains less than this part.
 ROUGH = 2e-3
 # A place so near to a row is known.
@@ -50,18 +50,20 @@ def least_unlikely(
 
     Returns:
         The places, shape (n, p), and by which part of the best row's objective the functions' minima lie
-        below it that were reached from anywhere in the box, shape (d,). [1]
+        below it, shape (d,). [1]
     """
     (centre, objective), (u, good) = best, rows
     p = centre.size
-    starts = [*rng.random((N_DRAWN, p)), *[centre] * N_FROM_BEST]
     ends = []
-    for start in starts:
+    for anywhere in rng.random((N_DRAWN, p)):
         sample = PosteriorSample.draw(process, rng)
         expand = partial(expected_objective, sample, prior, caution=0.0)
-        ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=ROUGH))
+        for start in (anywhere, centre):
+            # Another valley, and what the rows leave open of this one.
+            ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=ROUGH))
     places = np.array([place for place, _ in ends])
-    gains = 1.0 - np.array([there.value for _, there in ends[:N_DRAWN]]) / objective
+    values = np.array([there.value for _, there in ends]).reshape(N_DRAWN, 2)
+    gains = 1.0 - values.min(axis=1) / objective
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
     scores = np.array([_unlikely(process, prior, place, WORTH * objective) for place in places])
     # Where the nearest row failed, the next one probably fails as well.

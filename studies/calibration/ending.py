@@ -1,8 +1,9 @@
 """When a search has converged, and the words for how it ended.
 
 That a surrogate expects little around the best row is not enough: it may be wrong. So the search makes rounds
-of tests (confirmation.py), which say what functions promise that may be the true one, and restarts away from
-the best row. What counts are tests since the last gain. A search stops that does not find what is promised.
+of tests (confirmation.py), which say what functions promise that may be the true one, with restarts away from
+the best row between them. What counts are tests and restarts since the last gain. Where the functions promise
+next to nothing the search has converged; else it stops and says what they promise.
 """
 
 from dataclasses import dataclass
@@ -11,15 +12,13 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 
-# Rounds of tests after the last gain, and how often as many with a restart are made while they promise more.
-N_TESTED, N_BLOCKS = 3, 3
+# Restarts in vain that are owed beside the least that the settings name, each between two rounds of tests.
+N_RESTARTS_MORE = 2
 # Relative gains below this are none: an answer within 0.02 of the best is right. [1]
 CONFIRMED = 1e-2
-# Gain that functions drawn from the surrogate may promise where a search has converged: their median, and
-# with few parameters three quarters of them, because there rows can exclude more.
-PROMISED, QUANTILE, QUANTILE_OF_FEW = 0.05, 0.5, 0.75
-# Restarts that are owed beside with so few parameters: rows are near each other there, so restarts are short.
-FEW_PARAMETERS, N_RESTARTS_MORE = 8, 2
+# Gain that functions drawn from the surrogate may promise where a search has converged: nine of ten promise
+# less than what makes an answer wrong.
+PROMISED, QUANTILE = 0.02, 0.9
 # Restarts in vain after which a search stops whose error is too large.
 N_RESTARTS_DOUBTED = 8
 # So many restarts in a row that begin where everything is excluded end the doubt: there is no deeper valley.
@@ -42,16 +41,13 @@ class Ending:
 class Confirmation:
     """What has been tested since the last gain."""
 
-    def __init__(self, n_parameters: int, least_restarts: int) -> None:
+    def __init__(self, least_restarts: int) -> None:
         """Begin with nothing tested.
 
         Args:
-            n_parameters: Parameters of the problem.
             least_restarts: Restarts that are owed at least; none are owed where that is 0.
         """
-        are_few = n_parameters <= FEW_PARAMETERS
-        self.restarts_owed = least_restarts and least_restarts + N_RESTARTS_MORE * are_few
-        self._quantile = QUANTILE_OF_FEW if are_few else QUANTILE
+        self.restarts_owed = least_restarts and least_restarts + N_RESTARTS_MORE
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -81,7 +77,7 @@ class Confirmation:
     @property
     def promised(self) -> float:
         """Gain over the best row at minima of functions that may be the true one, a quantile. [1]."""
-        return float(np.quantile(self._gains, self._quantile)) if self._gains else np.inf
+        return float(np.quantile(self._gains, QUANTILE)) if self._gains else np.inf
 
     @property
     def is_promising(self) -> bool:
@@ -89,25 +85,14 @@ class Confirmation:
         return self.promised > PROMISED
 
     @property
-    def tests_owed(self) -> int:
-        """Rounds of tests that are owed by now: as many again after each restart in vain."""
-        n_more = max(self.n_restarts + 1 - self.restarts_owed, 0) if self.restarts_owed else N_BLOCKS
-        return N_TESTED * min(1 + n_more * self.is_promising, N_BLOCKS)
-
-    @property
     def is_tested(self) -> bool:
-        """Whether no more rounds of tests are owed."""
-        return self.n_tested >= self.tests_owed
-
-    @property
-    def is_spent(self) -> bool:
-        """Whether enough was tried to find what is promised."""
-        return self.n_tested >= N_TESTED * N_BLOCKS
+        """Whether there was a round of tests since the last restart."""
+        return self.n_tested > self.n_restarts
 
     @property
     def has_looked(self) -> bool:
-        """Whether the restarts that are owed were made and more is not promised, or not found."""
-        return self.n_restarts >= self.restarts_owed and (self.is_spent or not self.is_promising)
+        """Whether the restarts that are owed were made."""
+        return self.n_restarts >= self.restarts_owed
 
     @property
     def is_excluded(self) -> bool:
@@ -125,8 +110,8 @@ class Confirmation:
         """The end of a search that has made all tests and restarts."""
         if self.is_promising:
             return Ending(
-                f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error, but what is "
-                f"known of the model promises a gain of {self.promised:.2g} of the error",
+                f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error, and no more is "
+                "expected around the best point",
                 converged=False,
             )
         return Ending(
@@ -137,9 +122,12 @@ class Confirmation:
 
     def still_owed(self, ftol: float) -> str:
         """Say of a search that expects less than `ftol` what would confirm that, for one that has to stop."""
-        if self.is_spent and self.is_promising:
-            return f"a gain of {self.promised:.2g} of the error may be left; another seed begins anew"
-        tests = f"{min(self.n_tested, self.tests_owed)} of {self.tests_owed} rounds of tests"
+        if self.is_tested and self.has_looked:
+            return (
+                f"a gain of up to {self.promised:.2g} of the error is not excluded in the box; "
+                "another seed begins anew"
+            )
+        tests = f"{min(self.n_tested, self.restarts_owed + 1)} of {self.restarts_owed + 1} rounds of tests"
         restarts = f"{min(self.n_restarts, self.restarts_owed)} of {self.restarts_owed} restarts"
         return (
             f"around the best point a gain of less than {ftol:g} of the error is expected, which {tests} and "

@@ -65,8 +65,8 @@ class Structure:
         """
         sums, worst = list[Sum](), 0.0
         # A part of the rows, at a part of the times, tells the terms.
-        some, times = spread(len(rows.x), N_ROWS), spread(len(signals.at_outputs), N_TIMES)
-        x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[times]
+        some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
+        x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
         for own, target in zip(owns, _targets(rows), strict=True):
             found, misfit = _sum(signals, own, x, inputs, target[np.ix_(some, times)])
@@ -89,7 +89,7 @@ class Structure:
         """
         found, worst = list[FloatArray](), 0.0
         for one, target in zip(self.sums, _targets(rows), strict=True):
-            values = one.values(rows.x[:, 1:], signals.at_outputs)
+            values = one.values(rows.x[:, 1:], signals.at_outputs[1:])
             fits = [fitted(value, goal) for value, goal in zip(values, target, strict=True)]
             doubt = np.array([fit.doubt for fit in fits])
             # In some rows one state follows another so closely that their terms cannot be told apart.
@@ -218,8 +218,7 @@ class StateEquations:
         with np.errstate(all="ignore"):
             states = self._states(points)
             n_states = len(self.signals.states)
-            first = self.signals.driven[:1]
-            inputs = np.concatenate([first, self.signals.at_outputs])
+            inputs = self.signals.at_outputs
             answers = [
                 np.einsum("ntf,nf->nt", one.values(states, inputs), self._at(j, points))
                 for j, one in enumerate(self.structure.sums)

@@ -37,6 +37,8 @@ class StateSignals:
         outputs: Names of the k outputs, a state or a derivative may be among them.
         conversions: From the FMU's units to theirs: factors and what is added after that. Shape (k, 2).
         accepted: Bands outside of which an output makes its row a failed one, None for none. Shape (k, 2).
+        seen: Inputs that the watched outputs see, None where these see their step's. Shape (t, q). [FMU's
+            units]
     """
 
     states: tuple[str, ...]
@@ -51,6 +53,7 @@ class StateSignals:
     outputs: tuple[str, ...]
     conversions: FloatArray
     accepted: FloatArray | None = None
+    seen: FloatArray | None = None
 
     @classmethod
     def of(cls, case: Case) -> Self:
@@ -63,7 +66,7 @@ class StateSignals:
             raise InputError(f"{reason}; leave --state-equations away")
         fmu, scenario = case.fmu, case.scenario
         named = (*fmu.states, *scenario.input_names)
-        edges = scenario.time_communication
+        edges, every = scenario.time_communication, scenario.output_every
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
         factors, n_outputs = case.settings.output_factors, len(case.settings.output_names)
         n_unseen = scenario.n_warmup if case.settings.warmup_theta is not None else 0
@@ -73,21 +76,24 @@ class StateSignals:
             scenario.input_names,
             tuple(fmu.variables[name].unit for name in named),
             tuple(fmu.depends_on.get(name) for name in fmu.derivatives),
-            scenario.inputs[n_unseen * scenario.output_every :],
+            scenario.inputs[n_unseen * every :],
             float(edges[1] - edges[0]),
-            scenario.output_every,
+            every,
             scenario.n_warmup - n_unseen,
             case.settings.output_names,
             np.column_stack(
                 [np.ones(n_outputs) if factors is None else factors, case.settings.output_offsets]
             ),
             case.settings.accepted,
+            None if scenario.inputs_at_edges is None else scenario.inputs_at_edges[n_unseen * every :: every],
         )
 
     @property
     def at_outputs(self) -> FloatArray:
-        """Inputs of the steps that end at the second to the last watched output. Shape (t - 1, q)."""
-        return self.driven[self.every - 1 :: self.every]
+        """Inputs that the watched outputs see: given ones, or their steps'. Shape (t, q)."""
+        if self.seen is not None:
+            return self.seen
+        return np.concatenate([self.driven[:1], self.driven[self.every - 1 :: self.every]])
 
 
 class StateRows(NamedTuple):

@@ -27,10 +27,14 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     scenario = case.settings.scenario
     changed = []
     for column in range(scenario.inputs.shape[1]):
-        inputs = scenario.inputs.copy()
         variable = case.fmu.variables[scenario.input_names[column]]
-        inputs[:, column] = changed_input(inputs[:, column], variable)
-        changed.append(replace(case.settings, scenario=replace(scenario, inputs=inputs)))
+        over_steps, at_edges = scenario.inputs.copy(), scenario.inputs_at_edges
+        over_steps[:, column] = changed_input(over_steps[:, column], variable)
+        if at_edges is not None:
+            at_edges = at_edges.copy()
+            at_edges[:, column] = changed_input(at_edges[:, column], variable)
+        other = replace(scenario, inputs=over_steps, inputs_at_edges=at_edges)
+        changed.append(replace(case.settings, scenario=other))
     return CircumstanceModel((case.settings, halved.settings, *changed), row)
 
 

@@ -253,7 +253,7 @@ def _fixed(case: NewCase) -> str:
 _SIMULATION = """\
 [simulation]   # patience; nothing here changes a result
 # timeout_s = 60              # a simulation that takes longer is killed and has failed; without this line:
-#                             # 100 times the slowest so far, at least 60 s; inf: never
+#                             # 100 times the slowest so far, at least 60 s, the first ones a day; inf: never
 # retries = 1                 # how often one is tried again whose process crashed
 # max_failed_share = 0.5      # stop when of 20 or more finished simulations a larger share has failed
 # max_workers = 2             # as many at once as there are licences"""

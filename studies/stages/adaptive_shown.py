@@ -48,7 +48,10 @@ def show_adaptive(study: Study, outcome: Outcome) -> None:
     console.result(_fit(study, found))
     doubtful = found["settings"]["doubtful_mse"]
     if doubtful is not None and found["mse"] > doubtful:
-        doubt = _doubt(found, found_of_the_step(study))
+        of_the_step = found_of_the_step(study)
+        if of_the_step is None and study.case.scenario.inputs_at_edges is not None:
+            of_the_step = ""  # outputs see their inputs in time
+        doubt = _doubt(found, of_the_step)
         console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {doubt}")
     for known in study.case.references:
         if known.is_target:
@@ -71,7 +74,8 @@ def _doubt(found: Summary, of_the_step: str | None) -> str:
 
     Args:
         found: A calibration's numbers.
-        of_the_step: What studies check found wrong with the communication step, see `found_of_the_step`.
+        of_the_step: What studies check found wrong with the communication step, "" where nothing can be, see
+            `found_of_the_step`.
     """
     lacks = "the model lacks something"
     if of_the_step:

@@ -141,6 +141,29 @@ def test_inputs_hold_over_their_step_and_jump_after_it(fmu: Path, output_every: 
     )
 
 
+@pytest.mark.parametrize("output_every", [1, 5])
+def test_outputs_see_the_inputs_at_their_time_where_these_are_given(fmu: Path, output_every: int):
+    """Not those of the step before: what feeds through would lag half a step. What moves sees the steps'."""
+    edges = np.arange(61) * 2.0
+    at_edges = np.random.default_rng(0).normal(size=61)
+    u = 0.5 * (at_edges[1:] + at_edges[:-1])
+    chosen = settings(fmu, "LINEAR", edges=edges, u=u, rtol=1e-8, output_every=output_every)
+    off, at_off = np.zeros((60, 1)), np.ones((61, 1))
+    scenario = dataclasses.replace(
+        chosen.scenario,
+        inputs=np.column_stack([off, u]),
+        input_names=("off", "u"),
+        # A Boolean cannot be set in continuous time, so nothing sees it.
+        inputs_at_edges=np.column_stack([at_off, at_edges]),
+    )
+    with FmuModel(dataclasses.replace(chosen, scenario=scenario)) as model:
+        first, again = model.simulate(np.array([[0.3, 0.05], [0.3, 0.05]])).y[..., 0]
+    before = np.concatenate([u[:1], u])
+    expected = (linear_by_steps(0.3, 0.05, u, 2.0) - before + at_edges)[::output_every]
+    np.testing.assert_allclose(first, expected, rtol=1e-8, atol=5e-7)
+    np.testing.assert_array_equal(first, again)
+
+
 def test_inputs_of_every_type_hold_over_their_step_and_a_local_variable_is_read(fmu: Path):
     rng = np.random.default_rng(1)
     u, off, level = rng.normal(size=60), rng.integers(0, 2, 60), rng.integers(-3, 4, 60)

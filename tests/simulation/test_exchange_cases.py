@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from simulation import load_case
+from simulation.case import Case
 from simulation.fmi.fmu import FmuSettings
+from studies.calibration.adaptive import Adaptive
+from studies.calibration.problem import CalibrationProblem
+from studies.calibration.state_guide import StateGuide
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -61,3 +66,45 @@ def test_a_longer_communication_step_changes_nothing_but_the_outputs():
     with dataclasses.replace(chosen, scenario=finer).open() as model:
         fine = model.simulate(theta)
     np.testing.assert_allclose(fine.y, coarse.y, rtol=0, atol=1e-5 * np.abs(coarse.y).max())
+
+
+def wall_in_model_exchange(folder: Path, step_s: float) -> Case:
+    """The wall, whose heat flow into the plaster follows the room at once."""
+    text = (REPOSITORY / "fmus" / "wall" / "case.toml").read_text(encoding="utf-8")
+    for before, after in (
+        ('"co-simulation"', '"model-exchange"'),
+        ('"Wall.fmu"', f'"{REPOSITORY / "fmus" / "wall" / "Wall.fmu"}"'),
+        ('"../../data/wall"', f'"{REPOSITORY / "data" / "wall"}"'),
+        ("[time]", "relative_tolerance = 1e-9\n[time]"),
+    ):
+        assert text.count(before) == 1
+        text = text.replace(before, after)
+    (folder / "case.toml").write_text(text, encoding="utf-8")
+    return load_case(folder, communication_step_s=step_s)
+
+
+def test_an_output_that_an_input_feeds_through_to_lags_no_half_step(tmp_path: Path):
+    coarse, fine = (wall_in_model_exchange(tmp_path, step_s) for step_s in (600.0, 10.0))
+    theta = coarse.parameter_space.expected[None]
+    lagging = dataclasses.replace(
+        coarse.settings, scenario=dataclasses.replace(coarse.scenario, inputs_at_edges=None)
+    )
+    answers = []
+    for chosen in (fine.settings, coarse.settings, lagging):
+        with chosen.open() as model:
+            answers.append(model.simulate(theta).y[0])
+    exact, good, late = answers
+    error, before = (np.abs(one - exact)[:, 1].max() for one in (good, late))
+    assert error < 0.1 * before
+    # What moves sees the steps' inputs either way.
+    np.testing.assert_array_equal(good[:, 0], late[:, 0])
+    assert coarse.model_digest != dataclasses.replace(coarse, scenario=lagging.scenario).model_digest
+
+
+def test_state_equations_know_which_inputs_the_outputs_saw(tmp_path: Path):
+    case = wall_in_model_exchange(tmp_path, 600.0)
+    with watching_states(case).open_model() as model:
+        problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
+        found = Adaptive(max_calls=20).minimize(problem, seed=0, guide=StateGuide.of(problem))
+    assert found.converged
+    assert found.n_calls <= 6
