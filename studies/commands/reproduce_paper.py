@@ -29,18 +29,21 @@ Fig. 7 and Table 4 train the best network of each size in Fig. 6 once more. --hy
 these from the trials of an earlier Fig. 6, so that nothing is tuned.
 
 --from FOLDER draws Fig. 6, Fig. 7 or Table 4 from the files of an earlier run. Nothing is simulated or
-trained, and the recording is not needed.
+trained, and the recording is not needed. A clone of the repository has such files in data/paper-results.
+There --only fig6 without other options draws from them, unless it was made there. --budget makes it anew.
 
 examples:
   studies reproduce-paper --dry-run                         the plan and its duration
   studies reproduce-paper --only fig5 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
+  studies reproduce-paper office-recorded --only fig6       in a clone: drawn from the committed trials
   studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
   studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
   studies reproduce-paper office-recorded --export data/paper-results/office-recorded.json
 """
 
 PROFILE = "thorough"
+BUDGET = "small"
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -57,7 +60,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--only", nargs="+", metavar="ITEM", help=f"only these items: {names}")
     command.add_argument("--row", metavar="NAME", help="with --only table3: only this row")
-    command.add_argument("--budget", default="small", metavar="NAME", help="small (default) or full")
+    command.add_argument("--budget", metavar="NAME", help="small (default) or full")
     command.add_argument(
         "--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"
     )
@@ -103,8 +106,9 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     there = frozenset() if chosen.hyperparameters is None else frozenset({"fig6"})
     items = with_needs(chosen_items(chosen.only), there)
     _refuse_senseless(chosen)
-    if chosen.source is not None:
-        return _drawn(chosen, console)
+    source = chosen.source or _committed(chosen, console)
+    if source is not None:
+        return _drawn(chosen, source, console)
     plan = _plan(chosen, console)
     from studies.paper.gather import build_page, export
     from studies.paper.run import estimates_s, run_item
@@ -189,18 +193,43 @@ def _refuse_senseless(chosen: argparse.Namespace) -> None:
         raise InputError(f"--row computes one row of table3 and nothing else; remove {listed(beside)}")
 
 
-def _drawn(chosen: argparse.Namespace, console: Console) -> int:
+def _committed(chosen: argparse.Namespace, console: Console) -> Path | None:
+    """Return the project's committed files of the one item that was asked for, None where it is to be made.
+
+    It is made where a word says how, where the files are of another case, or where it was made here before.
+    """
+    from studies.paper.catalog import DRAWN, chosen_items
+    from studies.paper.size_files import first_origin
+    from studies.paths import find_project
+
+    items = chosen_items(chosen.only)
+    how = ("budget", "profile", "trials", "seed", "seeds", "row", "export", "hyperparameters")
+    is_plain = not (chosen.again or chosen.dry_run) and all(getattr(chosen, word) is None for word in how)
+    if not is_plain or len(items) != 1 or items[0].name not in DRAWN:
+        return None
+    item, paths = items[0].name, find_project(chosen.storage)
+    folder = paths.data / "paper-results" / item
+    origin = first_origin(folder)
+    if origin is None or origin.case != chosen.case:
+        return None
+    if (paths.results(origin.label) / "paper" / f"{item}.json").exists():
+        return None
+    console.say(f"{item}: drawn from {paths.show(folder)}, as none was made here; --budget makes it anew")
+    return folder
+
+
+def _drawn(chosen: argparse.Namespace, source: Path, console: Console) -> int:
     """Draw an item from the files of an earlier run and return the exit code."""
     from studies.paper.catalog import chosen_items, drawn_module
     from studies.paper.run import write_drawn
     from studies.paths import find_project
 
     (item,) = chosen_items(chosen.only)
-    origin, result = drawn_module(item).drawn_from(chosen.source)
+    origin, result = drawn_module(item).drawn_from(source)
     if chosen.case != origin.case:
-        raise InputError(f"{chosen.source} holds results of {origin.case}, not of {chosen.case}")
+        raise InputError(f"{source} holds results of {origin.case}, not of {chosen.case}")
     paths = find_project(chosen.storage)
-    command = f"studies reproduce-paper {origin.case} --only {item.name} --from {paths.show(chosen.source)}"
+    command = f"studies reproduce-paper {origin.case} --only {item.name} --from {paths.show(source)}"
     files = write_drawn(paths, item, origin, result, command)
     console.result(f"{result.agreement}: {result.verdict}")
     for file in files:
@@ -242,7 +271,7 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
     asked = chosen.profile or PROFILE
     own_profile = asked != PROFILE
     budget = budget_for(
-        chosen.budget,
+        chosen.budget or BUDGET,
         load_profile(asked),
         own_profile=own_profile,
         trials=chosen.trials,
@@ -271,7 +300,7 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
 
     words = [chosen.case]
     words += ["--profile", asked] if own_profile else []
-    words += ["--budget", chosen.budget] if chosen.budget != "small" else []
+    words += ["--budget", chosen.budget] if chosen.budget not in (None, BUDGET) else []
     words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
     words += ["--seeds", str(chosen.seeds)] if chosen.seeds is not None else []
     words += ["--seed", str(seed)] if seed is not None else []

@@ -64,6 +64,7 @@ class Size(Protocol):
 
 
 AnySize = TypeVar("AnySize", bound=Size)
+Content = TypeVar("Content")
 
 
 def origin_of(plan: "Plan", study: "Study", item: str) -> Origin:
@@ -124,7 +125,17 @@ def read_sizes(
     return first, tuple(sorted((size for _, _, size in found), key=lambda size: size.n_train))
 
 
-def _read(file: Path, what: str, size_of: Callable[[dict[str, Any]], AnySize]) -> tuple[Origin, AnySize]:
+def first_origin(folder: Path) -> Origin | None:
+    """Return where the sizes of a folder come from, None where it holds none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    file = min(folder.glob("n[0-9]*.json"), default=None)
+    return None if file is None else _read(file, "sizes", dict)[0]
+
+
+def _read(file: Path, what: str, size_of: Callable[[dict[str, Any]], Content]) -> tuple[Origin, Content]:
     content = read_json(file)
     if content is None or content.get("schema") != SCHEMA:
         raise InputError(f"{file} holds no {what} as this version writes them")

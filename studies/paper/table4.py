@@ -14,7 +14,7 @@ from studies.paper.plan import Plan
 from studies.paper.result import ItemResult, item_folder
 from studies.paper.size_files import Origin, origin_of, write_sizes
 from studies.paper.table4_shown import shown
-from studies.paper.table4_sizes import Calibration, SizeCalibrations, read_calibrations
+from studies.paper.table4_sizes import SeedCalibration, SizeCalibrations, read_calibrations
 from studies.physical_model import open_physical_model
 from studies.stages.calibrate import calibrate_stage
 from studies.stages.pipeline import Study
@@ -60,7 +60,7 @@ def drawn_from(folder: Path) -> tuple[Origin, ItemResult]:
 
 
 def _size(
-    study: Study, chosen: Chosen, n_train: int, calibrations: tuple[Calibration, ...]
+    study: Study, chosen: Chosen, n_train: int, calibrations: tuple[SeedCalibration, ...]
 ) -> SizeCalibrations:
     return SizeCalibrations(
         n_train=n_train,
@@ -74,7 +74,7 @@ def _size(
     )
 
 
-def calibrated(study: Study, n_train: int, settings: Settings) -> Calibration:
+def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibration:
     """Train a surrogate, calibrate with it, and polish the screened point once more as the paper does.
 
     Args:
@@ -87,7 +87,7 @@ def calibrated(study: Study, n_train: int, settings: Settings) -> Calibration:
     errors, ledger = numbers["surrogate_errors"], numbers["ledger"]
     arrays = read_arrays(calibration_files(study, n_train).arrays)
     squared = paper_polish(study, arrays["theta_screened"])
-    return Calibration(
+    return SeedCalibration(
         seed=study.profile.seed,
         val_mae=errors["val/mae"],
         test_mae=errors["test/mae"],

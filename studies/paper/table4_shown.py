@@ -13,7 +13,7 @@ from studies.paper.models import tuned_for_fig6
 from studies.paper.published import TABLE_4, USUAL_MSE, published_calibration
 from studies.paper.result import ERROR, SQUARED_ERROR, ItemResult, columns_in
 from studies.paper.size_files import Origin
-from studies.paper.table4_sizes import Calibration, SizeCalibrations
+from studies.paper.table4_sizes import SeedCalibration, SizeCalibrations
 from studies.paper.table4_words import Values, caption, middle, seeds_title, theirs_of, title, verdict_of
 from studies.report.contents import Picture
 from studies.report.data import Reference
@@ -167,10 +167,10 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
 def values_of(origin: Origin, size: SizeCalibrations) -> Values:
     """Return every quantity of a size, one value per seed; what failed or was never reached is infinite."""
 
-    def all_of(value: Callable[[Calibration], float | None]) -> FloatArray:
+    def all_of(value: Callable[[SeedCalibration], float | None]) -> FloatArray:
         return np.array([known(value(one)) for one in size.calibrations], dtype=np.float64)
 
-    def total(one: Calibration) -> int:
+    def total(one: SeedCalibration) -> int:
         return size.n_train + one.n_checks + one.n_polish
 
     paper = published_calibration(size.n_train)
@@ -191,7 +191,7 @@ def values_of(origin: Origin, size: SizeCalibrations) -> Values:
     }
 
 
-def calls_to(n_train: int, calibration: Calibration, target: float) -> int | None:
+def calls_to(n_train: int, calibration: SeedCalibration, target: float) -> int | None:
     """Return the calls, by the paper's count, until the MSE was at most a target; None if it never was."""
     history = History(np.array(calibration.polish_calls), np.array(calibration.polish_mse))
     calls = history.calls_to(target)
@@ -203,7 +203,7 @@ def known(value: float | None) -> float:
     return float("inf") if value is None else float(value)
 
 
-def _path(n_train: int, one: Calibration) -> PolishPath:
+def _path(n_train: int, one: SeedCalibration) -> PolishPath:
     return PolishPath(
         n_train=n_train,
         mse_surrogate=known(one.mse_surrogate),

@@ -9,7 +9,7 @@ from studies.paper.size_files import Origin, read_sizes
 
 
 @dataclass(frozen=True)
-class Calibration:
+class SeedCalibration:
     """One calibration: a training design, a surrogate, a screening and two polishes from the same point.
 
     An MSE that is None could not be simulated. [first output's unit squared]
@@ -73,7 +73,7 @@ class SizeCalibrations:
     screening: dict[str, float]
     max_calls: int
     references: tuple[tuple[str, float, bool], ...]
-    calibrations: tuple[Calibration, ...]
+    calibrations: tuple[SeedCalibration, ...]
 
 
 def read_calibrations(folder: Path) -> tuple[Origin, tuple[SizeCalibrations, ...]]:
@@ -87,7 +87,7 @@ def read_calibrations(folder: Path) -> tuple[Origin, tuple[SizeCalibrations, ...
 
 def _size(content: dict[str, Any]) -> SizeCalibrations:
     calibrations = tuple(
-        Calibration(
+        SeedCalibration(
             **{
                 **one,
                 "polish_calls": tuple(one["polish_calls"]),

@@ -103,6 +103,19 @@ def test_it_is_drawn_without_simulations_and_trainings(tmp_path: Path, draw: Dra
     assert "The faithful form, with 1 trial per size, reaches 1.4 K at n = 32." in result["verdict"]
 
 
+def test_the_plain_command_draws_the_committed_trials_until_one_is_made_here(
+    tmp_path: Path, draw: Draw
+) -> None:
+    write_sizes(tmp_path / "data" / "paper-results" / "fig6", ORIGIN, [size(1024, 0.1, 0.08)])
+    code, document = draw()
+    assert (code, document["agreement"]) == (0, "agrees")
+    # Whoever names a budget, or has made the figure here, means that it is to be made: the recording lacks.
+    assert "recording" in draw("--budget", "small")[1]["error"]
+    made = tmp_path / "mlruns" / "results" / ORIGIN.label / "paper" / "fig6.json"
+    made.write_text("{}")
+    assert "recording" in draw()[1]["error"]
+
+
 def test_the_committed_trials_are_drawn_and_the_documentation_has_their_numbers(draw: Draw) -> None:
     code, _ = draw("--from", str(COMMITTED))
     assert code == 0

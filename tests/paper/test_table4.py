@@ -11,24 +11,24 @@ from paper_study_for_tests import ORIGIN, REPOSITORY
 from studies.paper import fig7
 from studies.paper.published import published_calibration
 from studies.paper.table4_shown import shown, values_of
-from studies.paper.table4_sizes import Calibration, SizeCalibrations, read_calibrations
+from studies.paper.table4_sizes import SeedCalibration, SizeCalibrations, read_calibrations
 from studies.report.findings import quartiles
 from studies.report.wording import count, significant
 
 COMMITTED = REPOSITORY / "data" / "paper-results"
 
 
-def calibration(seed: int, calls: int | None, *, final: float = 0.0110) -> Calibration:
+def calibration(seed: int, calls: int | None, *, final: float = 0.0110) -> SeedCalibration:
     """Return one that reached 0.0121 after so many calls behind its training set, or never."""
     course = (0.5, 0.0121, final) if calls is not None else (0.5, 0.02, 0.015)
-    return Calibration(
+    return SeedCalibration(
         seed=seed, val_mae=1.0, test_mae=1.0, test_p90=2.0, training_s=3.0, mse_surrogate=0.02,
         mse_screened=0.5, n_checks=1, polish_calls=(1, calls or 200, 300), polish_mse=course, n_polish=299,
         mse_polished=course[-1], stop_reason="ftol", squared_calls=250, squared_mse=0.0125, theta={"a": 1.0},
     )  # fmt: skip
 
 
-def size(n_train: int, *calibrations: Calibration) -> SizeCalibrations:
+def size(n_train: int, *calibrations: SeedCalibration) -> SizeCalibrations:
     return SizeCalibrations(
         n_train, "refined", {"n_latent": 8}, (8.0, 16.0), {"popsize": 8}, 400, (), calibrations
     )
