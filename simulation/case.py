@@ -18,7 +18,6 @@ from simulation.case_parts import (
     conversions,
     fixed_values,
     input_values,
-    inputs_at_edges,
     with_units,
 )
 from simulation.case_periods import Period, measured, plain_period, time_grid, validation_period
@@ -225,10 +224,11 @@ def _compared_over(path: Path, file: CaseFile, fmu: FmuDescription, data: CaseDa
     check_inputs(file, fmu)
     outputs = [change.inverse for change in conversions(fmu, "output", file.outputs)]
     edges, output_every, n_warmup = time_grid(file, data, period)
+    over_steps, at_edges = input_values(file, fmu, data, inputs, edges)
     scenario = Scenario(
         time_communication=edges,
-        inputs=input_values(file, fmu, data, inputs, edges),
-        inputs_at_edges=inputs_at_edges(file, data, inputs, edges),
+        inputs=over_steps,
+        inputs_at_edges=at_edges,
         input_names=tuple(table.name for table in file.inputs),
         output_every=output_every,
         n_warmup=n_warmup,

@@ -92,8 +92,8 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
 
 def input_values(
     file: CaseFile, fmu: FmuDescription, data: CaseData, changes: Sequence[Conversion], edges: FloatArray
-) -> FloatArray:
-    """Return every input over every step. Shape (m, n_inputs). [FMU's units].
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return every input over every step, and those that outputs see at the edges of steps. [FMU's units].
 
     Args:
         file: The case file's content.
@@ -101,49 +101,29 @@ def input_values(
         data: The recordings.
         changes: How each input gets into the FMU's unit.
         edges: Edges of the steps. Shape (m + 1,). [s]
+
+    Returns:
+        The inputs over the steps, shape (m, n_inputs). In model exchange, if an input is not held, those at
+        the edges, shape (m + 1, n_inputs); else None, and outputs see their step's.
     """
-    inputs = np.zeros((len(edges) - 1, len(file.inputs)))
-    for table, change, over_steps in zip(file.inputs, changes, inputs.T, strict=True):
+    inputs, at_edges = (np.zeros((n, len(file.inputs))) for n in (len(edges) - 1, len(edges)))
+    for k, (table, change) in enumerate(zip(file.inputs, changes, strict=True)):
         with errors_at(f"inputs[{table.name}]"):
-            variable = fmu.variables[table.name]
-            if variable.kind not in REAL_KINDS and table.interpolation != "held":
+            variable, how = fmu.variables[table.name], table.interpolation
+            if variable.kind not in REAL_KINDS and how != "held":
                 raise InputError(
-                    f'interpolation = "{table.interpolation}", but the FMU\'s {table.name} is of type '
-                    f'{variable.kind} and knows nothing in between; write interpolation = "held"'
+                    f'interpolation = "{how}", but the FMU\'s {table.name} is of type {variable.kind} and '
+                    'knows nothing in between; write interpolation = "held"'
                 )
             for column, weight in table.weights.items():
                 time, values = data.input_series(table, column, edges)
-                over_steps += weight * values_over_steps(
-                    time, values, edges, interpolation=table.interpolation
-                )
-            over_steps[:] = change.factor * over_steps + change.offset
-            variable.check_series(over_steps, edges, " + ".join(table.weights))
-    return inputs
-
-
-def inputs_at_edges(
-    file: CaseFile, data: CaseData, changes: Sequence[Conversion], edges: FloatArray
-) -> FloatArray | None:
-    """Return the inputs that outputs see at the edges of steps, None where these see the step's.
-
-    Args:
-        file: The case file's content.
-        data: The recordings.
-        changes: How each input gets into the FMU's unit.
-        edges: Edges of the steps. Shape (m + 1,). [s]
-
-    Returns:
-        In model exchange, if an input is not held, shape (m + 1, n_inputs). [FMU's units]
-    """
-    if file.interface != "model-exchange" or all(one.interpolation == "held" for one in file.inputs):
-        return None
-    inputs = np.zeros((len(edges), len(file.inputs)))
-    for table, change, at_edges in zip(file.inputs, changes, inputs.T, strict=True):
-        for column, weight in table.weights.items():
-            time, values = data.input_series(table, column, edges)
-            at_edges += weight * values_at_edges(time, values, edges, interpolation=table.interpolation)
-        at_edges[:] = change.factor * at_edges + change.offset
-    return inputs
+                inputs[:, k] += weight * values_over_steps(time, values, edges, interpolation=how)
+                at_edges[:, k] += weight * values_at_edges(time, values, edges, interpolation=how)
+            for one in (inputs, at_edges):
+                one[:, k] = change.factor * one[:, k] + change.offset
+            variable.check_series(inputs[:, k], edges, " + ".join(table.weights))
+    is_seen = file.interface == "model-exchange" and any(one.interpolation != "held" for one in file.inputs)
+    return inputs, at_edges if is_seen else None
 
 
 def fixed_values(file: CaseFile, fmu: FmuDescription, data: CaseData, start_s: float) -> dict[str, Value]:

@@ -38,8 +38,6 @@ class Scenario:
             raise ValueError(
                 f"inputs have shape {self.inputs.shape}; expected {(n_steps, len(self.input_names))}"
             )
-        if self.inputs_at_edges is not None and len(self.inputs_at_edges) != n_steps + 1:
-            raise ValueError(f"inputs are given at {len(self.inputs_at_edges)} of {n_steps + 1} edges")
         if n_steps < 1 or self.output_every < 1 or n_steps % self.output_every:
             raise ValueError(f"{n_steps} steps cannot be looked at every {self.output_every}")
         if not 0 <= self.n_warmup <= n_steps // self.output_every:

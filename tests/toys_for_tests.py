@@ -1,11 +1,11 @@
-"""Models with closed forms beside `simulation.toy.ToyRC`."""
+"""Models with closed forms beside `toy_rc.ToyRC`."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
+from toy_rc import ToyRC
 
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 
 

@@ -59,29 +59,21 @@ class Start:
         self._instance = instance
         self._time = float(plan.edges[0])
 
-        def sorted_by_function(variables: Sequence[FmuVariable], values: list[Any]) -> list[Setting]:
+        def grouped(variables: Sequence[FmuVariable], values: list[Any]) -> list[Setting]:
             groups: dict[str, list[int]] = {}
             for column, variable in enumerate(variables):
                 groups.setdefault(variable.setter, []).append(column)
             return [Setting(name, columns, variables, values) for name, columns in groups.items()]
 
         def fixed(is_structural: bool) -> list[Setting]:
-            chosen = [
-                one for one in plan.fixed if (one[0].causality == "structuralParameter") == is_structural
-            ]
-            values = [
-                value if isinstance(value, str) else np.array([value], one.dtype) for one, value in chosen
-            ]
-            return sorted_by_function([one for one, _ in chosen], values)
+            chosen = [v for v in plan.fixed if (v[0].causality == "structuralParameter") == is_structural]
+            values = [v if isinstance(v, str) else np.array([v], one.dtype) for one, v in chosen]
+            return grouped([one for one, _ in chosen], values)
 
         structural, others = self._fixed = fixed(True), fixed(False)
-        self._parameters = sorted_by_function(
-            plan.calibrated, [np.zeros(1, one.dtype) for one in plan.calibrated]
-        )
+        self._parameters = grouped(plan.calibrated, [np.zeros(1, one.dtype) for one in plan.calibrated])
         driven = zip(plan.input_variables, plan.inputs.T, strict=True)
-        self.inputs = sorted_by_function(
-            plan.input_variables, [values.astype(one.dtype) for one, values in driven]
-        )
+        self.inputs = grouped(plan.input_variables, [values.astype(one.dtype) for one, values in driven])
         self.input_table: Final = _table(instance, self.inputs)
         at_edges = np.empty((plan.n_steps + 1, 0)) if plan.inputs_at_edges is None else plan.inputs_at_edges
         continuous = [
@@ -90,7 +82,7 @@ class Start:
             # In continuous time no others may be set.
             if variable.kind in REAL_KINDS and variable.variability == "continuous"
         ]
-        self.seen = sorted_by_function([one for one, _ in continuous], [values for _, values in continuous])
+        self.seen = grouped([one for one, _ in continuous], [values for _, values in continuous])
         self.seen_table: Final = _table(instance, self.seen)
         self._set_parameters = _calls(self._parameters)
         asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
@@ -142,13 +134,8 @@ class Start:
 
 def _table(instance: FmuInstance, settings: Sequence[Setting]) -> Any:
     """Return settings for the loops (see loop). Shape (n_functions, 5), intp."""
-    return np.array(
-        [
-            (instance.addresses(one.function)[0], *one.arguments[:3], one.values.strides[0])
-            for one in settings
-        ],
-        dtype=np.intp,
-    ).reshape(-1, 5)
+    calls = [(instance.addresses(s.function)[0], *s.arguments[:3], s.values.strides[0]) for s in settings]
+    return np.array(calls, dtype=np.intp).reshape(-1, 5)
 
 
 def _calls(settings: Sequence[Setting]) -> list[tuple[Any, ...]]:

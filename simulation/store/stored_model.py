@@ -1,14 +1,17 @@
 """A model that is asked for no row twice: what it answered lies in a store."""
 
+from collections.abc import Callable, Generator
 from contextlib import closing
+from typing import Final
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.store.store import SimulationStore
-from simulation.streaming import OnRows, as_finished
 from simulation.trajectories import Trajectories
+
+BLOCK_ROWS: Final = 64
 
 
 class StoredModel(WrappedModel):
@@ -82,7 +85,7 @@ class StoredModel(WrappedModel):
         self.failures += filter(None, answer.failures)
         return answer
 
-    def complete(self, theta: FloatArray, *, on_progress: OnRows | None = None) -> None:
+    def complete(self, theta: FloatArray, *, on_progress: Callable[[int], None] | None = None) -> None:
         """Simulate the rows that are not stored, in bounded memory, and store each chunk as it finishes.
 
         Args:
@@ -98,10 +101,19 @@ class StoredModel(WrappedModel):
             on_progress(n_stored)
         if not len(new):
             return
-        with closing(as_finished(self._model, new)) as chunks:
-            for _, chunk in chunks:
+        with closing(self._as_finished(new)) as chunks:
+            for chunk in chunks:
                 self._store.append(chunk)
                 self.n_simulated += chunk.n
                 n_stored += chunk.n
                 if on_progress is not None:
                     on_progress(n_stored)
+
+    def _as_finished(self, theta: FloatArray) -> Generator[Trajectories]:
+        """Yield the answers to some rows chunk by chunk, in any order: those of a pool as they finish."""
+        if hasattr(self._model, "as_finished"):
+            for _, chunk in self._model.as_finished(theta):
+                yield chunk
+            return
+        for start in range(0, len(theta), BLOCK_ROWS):
+            yield self._model.simulate(theta[start : start + BLOCK_ROWS])

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from toy_rc import ToyRC
 from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
 from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, Waves, problem_on, product_problem, rc_problem
 from scipy.optimize import approx_fprime
+from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.forward_model import WrappedModel
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.box_newton import descend

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from problems_for_tests import TRUE_RC, rc_problem
 from scipy.optimize import approx_fprime
+from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from simulation.toy import ToyRC
 from studies.calibration.confirmation import N_DRAWN, least_unlikely
 from studies.calibration.ending import CONFIRMED, PROMISED, QUANTILE, Confirmation
 from studies.calibration.polish import LeastSquaresTRF

@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 from problems_for_tests import rc_problem
+from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from simulation.toy import ToyRC
 from studies.calibration.elsewhere import EXCLUDED, farther_along, least_excluded
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.residual_process import Expansion, Features, ResidualProcess

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from failing_room_for_tests import SENSOR, failing_room
 from scipy.optimize import approx_fprime
+from toy_rc import ToyRC
 
-from simulation.toy import ToyRC
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.failures import SAFE, Failures
 from studies.calibration.residual_process import Features

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_problem, rc_problem
+from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.toy import ToyRC
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History, Progress

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, problem_on, product_problem, rc_problem
 from scipy.optimize import least_squares
+from toy_rc import ToyRC
 
 from simulation.errors import InputError
-from simulation.toy import ToyRC
 from studies.calibration.polish import LeastSquaresTRF
 
 START = np.array([0.2, 0.9])

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from problems_for_tests import TRUE_RC, TwoOutputs, problem_on, rc_problem
+from toy_rc import ToyRC
 from toys_for_tests import ProductToy
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.forward_model import WrappedModel
 from simulation.measurement import Measurement
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from problems_for_tests import rc_problem
+from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from simulation.toy import ToyRC
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import MOST_SPREAD, Surroundings, liked, telling
 from studies.calibration.residual_process import Features

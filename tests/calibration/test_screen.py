@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from problems_for_tests import Diary, product_problem, rc_problem
+from toy_rc import ToyRC
 
 from simulation.errors import InputError
-from simulation.toy import ToyRC
 from studies.calibration.recorder import Progress
 from studies.calibration.screen import DifferentialEvolution
 

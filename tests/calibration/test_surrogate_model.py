@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from problems_for_tests import TRUE_RC, rc_problem
+from toy_rc import ToyRC
 
 from pelsvae.config import SurrogateConfig
 from pelsvae.training import fit
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
-from simulation.toy import ToyRC
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.screen import DifferentialEvolution

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from multistart_for_tests import multistart
 from problems_for_tests import TRUE_RC, Diary, FailsInBand, rc_problem
+from toy_rc import ToyRC
 
 from simulation.forward_model import ForwardModel
-from simulation.toy import ToyRC
 from studies.calibration.ledger import Ledger
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from bad_cases_for_tests import counted, make_bad_case
 from project_for_tests import REPOSITORY, Answer, Run
+from toy_rc import ToyRC
 
 from simulation.case import load_case
 from simulation.case_reading import read_case_file
 from simulation.design import uniform_design
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.doctor.answers import look_at_influence
 from studies.doctor.declared import look_at_data, look_at_declaration, temperature_doubt

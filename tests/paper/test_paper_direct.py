@@ -10,12 +10,12 @@ from threading import Thread
 import numpy as np
 import pytest
 from paper_study_for_tests import study_in
+from toy_rc import ToyRC
 
 from simulation.counting import CountingModel
 from simulation.errors import InputError
 from simulation.measurement import Measurement, Samples
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.toy import ToyRC
 from studies.paper.direct import direct_folder, joined_history, row_over_seeds, run_direct_row, run_starts
 from studies.paper.direct_journal import Journal
 from studies.paper.direct_optimizers import StartResult, StartStoppedError, minimize_from, thinned

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from toy_rc import ToyRC
 
 from simulation import InputError, Trajectories
 from simulation.file_lock import FileLock
 from simulation.fmi.runner import NeedsFreshProcess
-from simulation.toy import ToyRC
 
 BAD_ABOVE_R = 4.0
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_rc import ToyRC
 from toys_for_tests import IshigamiToy, ProductToy
 
 from simulation import CountingModel, ForwardModel, PoolModel, load_case
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.toy import ToyRC
 
 MODELS = [
     "toy-rc",

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from toy_rc import ToyRC
 
 from simulation import InputError, PoolModel, load_case
 from simulation.errors import MachineError
 from simulation.pool.execution import FIRST_LIMIT_S, ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
 from simulation.pool.pool_model import available_cores
-from simulation.toy import ToyRC
 
 # Workers import the models by name, from this folder.
 sys.path.insert(0, str(Path(__file__).parent))
@@ -144,13 +144,13 @@ def test_a_factory_that_no_other_process_can_find_is_refused(factory: str, tmp_p
     script.write_text(
         "from functools import partial\n"
         "from simulation.pool.pool_model import PoolModel\n"
-        "from simulation.toy import ToyRC\n"
+        "from toy_rc import ToyRC\n"
         "class Own(ToyRC): pass\n"
         f"PoolModel({factory}).time\n"
     )
     done = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"},
     )  # fmt: skip
     assert done.returncode == 1
     assert "is defined in the script itself" in done.stderr
@@ -385,7 +385,7 @@ def test_code_of_the_user_is_read_again(tmp_path: Path, monkeypatch: pytest.Monk
     model_file = tmp_path / "model_of_the_user.py"
     # Of another size: Python takes a file of the same second and size for the same file.
     for ambient in (10.0, 120.0):
-        text = f"from simulation.toy import ToyRC\ndef opened():\n    return ToyRC(ambient={ambient})\n"
+        text = f"from toy_rc import ToyRC\ndef opened():\n    return ToyRC(ambient={ambient})\n"
         model_file.write_text(text)
         sys.modules.pop("model_of_the_user", None)
         from model_of_the_user import opened  # type: ignore[import-not-found]
@@ -462,7 +462,7 @@ def test_ctrl_c_ends_all_hands_over_what_is_finished_and_can_be_followed():
 
 SCRIPT = """
 import sys
-sys.path[:0] = [{tests!r}, {root!r}]
+sys.path[:0] = [{here!r}, {root!r}, {root!r} + "/tests"]
 import numpy as np
 from simulation import PoolModel
 from slow_models import SlowToy
@@ -480,7 +480,7 @@ with PoolModel(SlowToy, 2) as model:
 def test_no_worker_and_no_file_outlives_its_parent(how: signal.Signals, tmp_path: Path):
     script, temporary = tmp_path / "work.py", tmp_path / "tmp"
     temporary.mkdir()
-    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent), root=str(ROOT)))
+    script.write_text(SCRIPT.format(here=str(Path(__file__).parent), root=str(ROOT)))
     with subprocess.Popen(
         [sys.executable, str(script)],
         stdout=subprocess.PIPE,
@@ -506,7 +506,7 @@ def test_no_worker_and_no_file_outlives_its_parent(how: signal.Signals, tmp_path
 
 FORKING = """
 import os, sys
-sys.path[:0] = [{tests!r}, {root!r}]
+sys.path[:0] = [{here!r}, {root!r}, {root!r} + "/tests"]
 import psutil
 from test_pool import PoolModel, ToyRC, _rows
 
@@ -526,7 +526,7 @@ print(server.pid)
 
 
 def test_a_fork_of_the_program_has_its_own_and_none_outlives_it():
-    script = FORKING.format(tests=str(Path(__file__).parent), root=str(ROOT))
+    script = FORKING.format(here=str(Path(__file__).parent), root=str(ROOT))
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
     )

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from toy_rc import ToyRC
 
 from simulation import InputError, PoolModel, load_case
 from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
 from simulation.pool.fork_server import end_fork_servers
-from simulation.toy import ToyRC
 
 sys.path.insert(0, str(Path(__file__).parent))
 from slow_models import BAD_ABOVE_R, CrashingToy, HangingToy, PickyToy, RaisingToy, SlowToy

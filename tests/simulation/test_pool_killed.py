@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from toy_rc import ToyRC
 
 from simulation import Trajectories
 from simulation.pool.supervisor import SCRATCH_PREFIX
 from simulation.scratch import sweep
-from simulation.toy import ToyRC
 
 HERE = Path(__file__).parent
 N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
@@ -87,7 +87,7 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path, mon
     chance = random.Random(20)
     script, temporary = tmp_path / "master.py", tmp_path / "tmp"
     temporary.mkdir()
-    places = [str(HERE), str(HERE.parents[1])]
+    places = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
     script.write_text(MASTER.format(places=places, folder=str(tmp_path), n_workers=N_WORKERS))
     rows = ToyRC().parameter_space.from_unit(np.random.default_rng(1).random((N_ROWS, 2)))
     np.save(tmp_path / "rows.npy", rows)

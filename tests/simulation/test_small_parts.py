@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_rc import ToyRC
 from toys_for_tests import IshigamiToy, ProductToy
 
 import simulation
@@ -17,7 +18,6 @@ from simulation.counting import BudgetExceeded
 from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
-from simulation.toy import ToyRC
 from simulation.whole_file import whole_file
 from studies.report.wording import noun_of
 

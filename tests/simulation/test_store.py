@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from toy_rc import ToyRC
 
 from simulation import CountingModel, InputError, Trajectories, uniform_design
 from simulation.arrays import FloatArray, IntArray
 from simulation.errors import MachineError
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.toy import ToyRC
 from studies.commands.simulate import MORE
 
 TOY = ToyRC(fails_above_r=4.0)

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from slow_models import SlowToy
+from toy_rc import ToyRC
 
 from simulation import Trajectories, uniform_design
 from simulation.arrays import FloatArray, IntArray
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.toy import ToyRC
 
 N_ROWS, N_KILLS, CHUNK, LIMIT_S = 3000, 50, 5, 240.0
 THETA = uniform_design(ToyRC().parameter_space, N_ROWS, 0)
@@ -46,7 +46,7 @@ def simulate_all(folder: Path) -> None:
 def test_no_reported_row_is_lost_or_simulated_again(tmp_path: Path) -> None:
     dice, n_killed, known_from = random.Random(3), 0, dict[str, int]()
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["simulation.store.stored_model", "simulation.toy", "simulation.design"])
+    context.set_forkserver_preload(["simulation.store.stored_model", "toy_rc", "simulation.design"])
     reported, begun = tmp_path / "reported", tmp_path / "begun"
     for file in (reported, begun):
         file.touch()

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_rc import ToyRC
 
 from simulation.design import uniform_design
 from simulation.errors import InputError
 from simulation.store.store import SimulationStore
-from simulation.toy import ToyRC
 from studies.row_set import RowSet, content_of
 
 TOY = ToyRC()

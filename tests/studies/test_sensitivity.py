@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from SALib.analyze import sobol as salib_analyze
 from SALib.sample import sobol as salib_sample
+from toy_rc import ToyRC
 from toys_for_tests import IshigamiToy
 
 from simulation.arrays import FloatArray
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.sensitivity import SobolIndices, sobol_indices
 

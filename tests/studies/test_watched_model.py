@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from simulation.case import load_case
@@ -16,7 +17,6 @@ from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.parameters import ParameterSpace
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.calibration.states import StateSignals
 from studies.watched_model import StoredWatchedModel

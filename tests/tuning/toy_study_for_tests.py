@@ -12,11 +12,11 @@ import numpy as np
 import optuna
 import psutil
 from optuna.trial import FrozenTrial
+from toy_rc import ToyRC
 
 from pelsvae.config import VARIANTS
 from simulation.design import uniform_design
 from simulation.store.store import SimulationStore
-from simulation.toy import ToyRC
 from simulation.trajectories import Trajectories
 from studies.paths import ProjectPaths
 from studies.row_set import RowSet

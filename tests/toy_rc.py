@@ -1,4 +1,4 @@
-"""A model with a closed form, small enough to know every answer: for tests and for teaching."""
+"""A model with a closed form, small enough to know every answer."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
