@@ -13,9 +13,9 @@ from studies.paper.direct_row import TITLES, DirectRow, PaperRow, paper_rows, pu
 from studies.paper.plan import DIRECT_CALLS_PER_S, Plan
 from studies.paper.published import USUAL_MSE
 from studies.paper.result import SQUARED_ERROR, Agreement, ItemResult, columns_in
-from studies.report.contents import Picture
 from studies.report.data import Reference
 from studies.report.figures_direct import DirectPoint, direct_figure
+from studies.report.page import Picture
 from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, listed, quantity, squared
 

@@ -15,7 +15,6 @@ from studies.paper.result import ERROR, SQUARED_ERROR, ItemResult, columns_in
 from studies.paper.size_files import Origin
 from studies.paper.table4_sizes import Calibration, SizeCalibrations
 from studies.paper.table4_words import Values, caption, middle, seeds_title, theirs_of, title, verdict_of
-from studies.report.contents import Picture
 from studies.report.data import Reference
 from studies.report.figures_polish_paths import (
     PolishPath,
@@ -24,6 +23,7 @@ from studies.report.figures_polish_paths import (
     seeds_figure,
 )
 from studies.report.findings import quartiles
+from studies.report.page import Picture
 from studies.report.tables import Table
 from studies.report.wording import count, squared
 from studies.stages.simulate import train_seed

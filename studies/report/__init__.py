@@ -10,8 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from studies.report.data import Provenance, Reference, ReportData
-from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
-from studies.report.records_model import CoverageSet, SensitivityRecord
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 
 __all__ = [
@@ -23,7 +22,6 @@ __all__ = [
     "Provenance",
     "Reference",
     "ReportData",
-    "SensitivityRecord",
     "TrialsRecord",
     "build",
 ]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox, require_shape
-from studies.report.records_model import CoverageSet, SensitivityRecord
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox, require_shape
 from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
+from studies.sensitivity import SobolIndices
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class ReportData:
     parameters: ParameterBox
     calibrations: tuple[CalibrationRecord, ...] = ()
     coverage: CoverageSet | None = None
-    sensitivity: SensitivityRecord | None = None
+    sensitivity: SobolIndices | None = None
     tuned: tuple[TunedSize, ...] = ()
     trials: TrialsRecord | None = None
     learning_curves: tuple[LearningCurves, ...] = ()

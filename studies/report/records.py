@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from simulation.measurement import Measurement, Samples
 from studies.calibration.ledger import Ledger
-from studies.report.records_restriction import RestrictionRecord
+from studies.report.restricted import RestrictionRecord
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -276,3 +276,18 @@ class CalibrationRecord:
         """Return the model calls (as the paper counts) until the best MSE was at most `target`, or None."""
         reached = np.flatnonzero(self.history_mse <= target)
         return int(self.history_calls[reached[0]]) if reached.size else None
+
+
+@dataclass(frozen=True)
+class CoverageSet:
+    """A simulated set of trajectories, to see whether it covers parameters and measurement.
+
+    Attributes:
+        name: What the set is, e.g. "training".
+        theta: Shape (n, p). [parameter units]
+        y: Failed rows are NaN throughout. Shape (n, t, k). [output units]
+    """
+
+    name: str
+    theta: Floats
+    y: Floats

@@ -6,6 +6,7 @@ from studies.report.data import Reference, ReportData
 from studies.report.findings import at_bound
 from studies.report.records import CalibrationRecord, ParameterBox
 from studies.report.tables import Column, Table
+from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
 from studies.report.wording import (
     count,
     declared,
@@ -93,10 +94,10 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
     known = [calibration.knowledge] if calibration.knowledge else []
     shares: list[tuple[Column, list[float | None]]] = []
     if (r := calibration.restriction) is not None:
-        told = (("share", "relevance", r.shares), ("gain_if_free", "gain if free", r.gain_alone))
+        shown = (("share", "relevance", r.shares), ("gain_if_free", "gain if free", r.gain_alone))
         shares = [
             (Column(key, title, "", percent), [of.get(name) for name in parameters.names])
-            for key, title, of in told
+            for key, title, of in shown
         ]
     columns = (
         Column("name", "parameter"),
@@ -123,3 +124,35 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
 
 def _four(value: float) -> str:
     return significant(value, 4)
+
+
+def intervals_table(box: ParameterBox, record: UncertaintyRecord) -> Table:
+    """Tabulate the intervals, one row per parameter that was judged."""
+    r, box = record, box.of(record.names)
+    share = percent(r.level)
+    columns = (
+        Column("name", "parameter"),
+        Column("unit", "unit"),
+        Column("calibrated", "calibrated"),
+        Column("low", f"{share} from"),
+        Column("high", "to"),
+        Column("linear_low", "linearised from"),
+        Column("linear_high", "to"),
+        Column("lower", "lower bound", "", declared),
+        Column("upper", "upper bound", "", declared),
+        Column("known", "by the data"),
+    )
+    rows = tuple(
+        zip(
+            r.names, map(shown_unit, box.units), r.calibrated.tolist(), *r.interval.tolist(),
+            *r.linear.tolist(), box.lower.tolist(), box.upper.tolist(), [HOW_KNOWN[k] for k in r.known],
+            strict=True,
+        )
+    )  # fmt: skip
+    return Table(
+        f"uncertainty-{r.calibration}",
+        f"{share} intervals of the parameters ({r.calibration})",
+        columns,
+        rows,
+        digits=r.digits,
+    )

@@ -30,8 +30,8 @@ from studies.stages.results import (
     measured_series,
     n_free_of,
     parameter_box,
-    sensitivity_record,
     stored_calibrations,
+    stored_indices,
     validation_record,
 )
 from studies.stages.tracking import log_report
@@ -118,7 +118,7 @@ def _report_data(study: Study) -> ReportData:
         parameters=parameter_box(case),
         calibrations=tuple(calibration_record(stored) for stored in stored_calibrations(study)),
         coverage=coverage_set(study),
-        sensitivity=sensitivity_record(study),
+        sensitivity=stored_indices(study),
         validations=tuple(
             record
             for stored in stored_calibrations(study)

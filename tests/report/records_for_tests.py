@@ -14,12 +14,12 @@ from studies.report import (
     Provenance,
     Reference,
     ReportData,
-    SensitivityRecord,
     TrialsRecord,
 )
-from studies.report.records_restriction import RestrictionRecord
 from studies.report.records_tuning import TunedSize
+from studies.report.restricted import RestrictionRecord
 from studies.report.uncertainty import UncertaintyRecord
+from studies.sensitivity import SobolIndices
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip
@@ -146,7 +146,7 @@ def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> Coverage
     return CoverageSet("training", theta, np.repeat(y, n_outputs, axis=2))
 
 
-def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SensitivityRecord:
+def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SobolIndices:
     rng = np.random.default_rng(3)
     days = time_axis()[:, None, None] / 86400.0
     weight = np.exp(-0.42 * np.arange(p)) * rng.uniform(0.7, 1.3, p)
@@ -158,9 +158,9 @@ def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> Sen
     first[:n_undefined] = np.nan
     total = first * 1.2 + 0.01
     ci = np.full_like(first, 0.012) + 0.05 * first
-    return SensitivityRecord(
+    return SobolIndices(
         time_axis(), NAMES[:p], ("TAir", "TWall", "TSlab")[:n_outputs], first, total, ci, ci,
-        n_calls=16_384, model="the office FMU",
+        np.ones(first.shape[:2]), n_base=1024, n_dropped=0, n_calls=16_384,
     )  # fmt: skip
 
 

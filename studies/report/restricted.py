@@ -1,12 +1,12 @@
-"""A calibration of the most relevant parameters in sentences, the same on the terminal and on the page."""
+"""A calibration of the most relevant parameters: what it fixed, what that cost, in sentences."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from studies.report.records import CalibrationRecord
-from studies.report.records_restriction import RestrictionRecord
 from studies.report.wording import (
     count,
     declared,
@@ -17,6 +17,66 @@ from studies.report.wording import (
     shown_unit,
     significant,
 )
+
+if TYPE_CHECKING:
+    from studies.report.records import CalibrationRecord
+
+
+@dataclass(frozen=True)
+class RestrictionRecord:
+    """Which parameters a calibration left out, and what is known of that choice.
+
+    Attributes:
+        n_free: Parameters that were calibrated.
+        fixed: Names of the others.
+        shares: Share of each parameter in what varies, by name; None where it is not known. [1]
+        source: What says so: "Sobol" or "Morris".
+        n_calls: Calls for that, made first of all.
+        n_calls_before: Calls that stored Sobol indices had cost before.
+        gain: Part of the error that freeing all others would take away; None where not checked. [1]
+        gain_alone: The same for each of them alone, by name; None where its simulation failed, empty where
+            not checked. [1]
+        n_check: Calls of that check.
+    """
+
+    n_free: int
+    fixed: tuple[str, ...]
+    shares: Mapping[str, float | None]
+    source: str
+    n_calls: int = 0
+    n_calls_before: int = 0
+    gain: float | None = None
+    gain_alone: Mapping[str, float | None] = field(default_factory=dict)
+    n_check: int = 0
+
+    @property
+    def closest_call(self) -> tuple[str, str] | None:
+        """The least relevant parameter that was calibrated and the most relevant one that was not."""
+        known = {name: share for name, share in self.shares.items() if share is not None}
+        fixed = [name for name in known if name in self.fixed]
+        free = [name for name in known if name not in self.fixed]
+        return (
+            (min(free, key=known.__getitem__), max(fixed, key=known.__getitem__)) if free and fixed else None
+        )
+
+
+def restriction_record(numbers: Mapping[str, Any]) -> RestrictionRecord | None:
+    """Read a calibration's restriction, None for one of all parameters."""
+    if "restriction" not in numbers:
+        return None
+    stored = numbers["restriction"]
+    check = stored["check"] or {"gain": None, "gain_alone": {}, "n_calls": 0}
+    return RestrictionRecord(
+        n_free=stored["n_free"],
+        fixed=tuple(stored["fixed"]),
+        shares=stored["shares"],
+        source=stored["source"],
+        n_calls=stored["n_calls"],
+        n_calls_before=stored["n_calls_before"],
+        gain=check["gain"],
+        gain_alone=check["gain_alone"],
+        n_check=check["n_calls"],
+    )
 
 
 def unrestricted(
@@ -44,12 +104,12 @@ def restriction_sentences(
 
 
 def _relevance_sentence(r: RestrictionRecord) -> str:
-    told_cost = (
+    cost = (
         f"counted: {count(r.n_calls, 'call')} for Morris' elementary effects"
         if r.source == "Morris"
         else f"not counted: the stored Sobol indices had cost {count(r.n_calls_before, 'call')}"
     )
-    sentence = f"Relevance by {r.source}, {told_cost}"
+    sentence = f"Relevance by {r.source}, {cost}"
     if r.closest_call is None:
         return f"{sentence}."
     free, fixed = ((name, 100.0 * (r.shares[name] or 0.0)) for name in r.closest_call)
