@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from simulation.foreign_file import RECORD, read_limited
 from simulation.time_unit import period_text
@@ -32,9 +32,14 @@ def build_report(data: ReportData, folder: Path, *, on_progress: OnProgress | No
     tables = [table for part in parts for table in part.tables]
     files = [*(picture.file for picture in pictures), *(f"{table.name}.csv" for table in tables)]
     lead, cards, index = captions.headline_sentence(data), _cards(data), folder / PAGE
-    summary = _summary(data, lead, cards) | {
+    summary = {
+        "schema": 1,
+        "label": data.label,
+        "result": lead,
+        "headline": [{"value": card.value, "meaning": card.meaning} for card in cards],
         "tables": {table.name: table.records() for table in tables},
         "figures": [{"file": p.file, "heading": p.heading, "caption": p.caption} for p in pictures],
+        "provenance": asdict(data.provenance),
         "files": sorted([*files, PAGE, SUMMARY]),
     }
     content = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -74,7 +79,8 @@ def _cards(data: ReportData) -> list[Card]:
     validation = data.validation_of(c)
     if validation is not None:
         meaning = f"MSE on {period_text(validation.period_d)}, which the calibration did not see"
-        cards.append(Card(quantity(validation.points[-1].mse, mse_unit), meaning))
+        mse = validation.final.mse
+        cards.append(Card("failed" if mse is None else quantity(mse, mse_unit), meaning))
     known = [r for r in data.references if not r.is_target and r.mse > 0]
     if known:
         best = min(known, key=lambda r: r.mse)
@@ -84,42 +90,10 @@ def _cards(data: ReportData) -> list[Card]:
         what = f"MSE {quantity(target.mse, mse_unit)} ({target.label})"
         cards.append(Card(count(calls) if calls is not None else "never", f"model calls until {what}"))
     residual = residual_of(data.measurement, c, 0)
-    if residual is not None:
-        meaning = f"root mean square difference from {data.measurement.output_names[0]} as measured"
-        cards.append(Card(quantity(residual.rms, unit), meaning))
-        if math.isfinite(residual.within):
-            sensor = f"±{float(data.measurement.uncertainty[0]):g} {unit}".strip()
-            cards.append(Card(percent(residual.within), f"of the values within the sensor's {sensor}"))
-    if math.isfinite(c.test_mae):
-        cards.append(
-            Card(
-                quantity(c.test_mae, unit, 2), f"the surrogate's mean error on the test set ({c.shown_name})"
-            )
-        )
+    if residual is not None and math.isfinite(residual.within):
+        sensor = f"±{float(data.measurement.uncertainty[0]):g} {unit}".strip()
+        cards.append(Card(percent(residual.within), f"of the values within the sensor's {sensor}"))
     return cards
-
-
-def _summary(data: ReportData, lead: str, cards: list[Card]) -> dict[str, Any]:
-    headline, provenance = data.headline, data.provenance
-    return {
-        "schema": 1,
-        "label": data.label,
-        "title": data.title,
-        "note": data.note,
-        "created": provenance.created,
-        "result": lead,
-        "headline_n_train": headline.n_train if headline else None,
-        "headline_method": headline.method if headline else None,
-        "headline": [{"value": card.value, "meaning": card.meaning} for card in cards],
-        "mse_unit": captions.mse_unit(data.measurement),
-        "references": [{"label": r.label, "mse": r.mse, "is_target": r.is_target} for r in data.references],
-        "provenance": {
-            "commands": list(provenance.commands),
-            "settings": dict(provenance.settings),
-            "digests": dict(provenance.digests),
-            "versions": dict(provenance.versions),
-        },
-    }
 
 
 def _files_of_earlier_report(folder: Path) -> set[str]:

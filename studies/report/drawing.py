@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from simulation.time_unit import TimeUnit, unit_for
 from simulation.whole_file import whole_file
@@ -123,23 +123,10 @@ def decimal_log(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def category_log(axes: Axes, sizes: Sequence[int]) -> list[int]:
-    """Make the horizontal axis logarithmic with a tick at each of some sizes and nowhere else.
-
-    Returns:
-        The sizes that have room for a label.
-    """
-    axes.set_xscale("log")
-    # The labels of, say, 1024, 1536 and 2048 would run into each other: powers of two go first.
-    kept: list[int] = []
-    for size in sorted(sizes, key=lambda n: (n & (n - 1) != 0, n)):
-        if all(max(size, other) > 1.45 * min(size, other) for other in kept):
-            kept.append(size)
-    labels = [str(size) if size in kept else "" for size in sizes]
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xticks(list(sizes), labels)
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    return kept
+def sizes_axis(axes: Axes) -> None:
+    """Make the horizontal axis logarithmic to the base 2, with plain numbers."""
+    axes.set_xscale("log", base=2)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def legend(axes: Axes) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +12,10 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 
 from studies.report.drawing import (
     INK,
-    category_log,
     decimal_log,
     drawing,
     legend,
+    sizes_axis,
 )
 from studies.report.records import Floats
 from studies.report.wording import axis_label, count
@@ -68,10 +67,7 @@ def setting_figure(
     colors = size_colors(list(trials))
     with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
         axes = figure.subplots()
-        values = np.concatenate([v for group in trials.values() for v in (group.values, group.pruned_values)])
-        low, high = math.floor(math.log2(values.min())), math.ceil(math.log2(values.max()))
-        category_log(axes, [2**power for power in range(low, high + 1)])
-        axes.set_xlim(float(values.min()) / 1.3, float(values.max()) * 1.3)
+        sizes_axis(axes)
         decimal_log(axes)
         for size, group in trials.items():
             best = group.best

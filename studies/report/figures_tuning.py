@@ -15,10 +15,10 @@ from studies.report.drawing import (
     MUTED,
     SERIES,
     SURROGATE,
-    category_log,
     decimal_log,
     drawing,
     legend,
+    sizes_axis,
 )
 from studies.report.findings import best_trials
 from studies.report.records import Floats
@@ -56,11 +56,11 @@ def mae_over_n_figure(
         panels = figure.subplots(1, 2, sharey=True)
         for axes, values in zip(panels, (trials.test_mae, trials.test_p90), strict=True):
             decimal_log(axes)
-            labeled = category_log(axes, sorted({int(n) for n in trials.n_train}))
+            sizes_axis(axes)
             axes.grid(visible=False, axis="x")
             axes.set_xlabel("training simulations")
             is_mae = values is trials.test_mae
-            _draw_trials(axes, trials, values, labeled, is_mae=is_mae)
+            _draw_trials(axes, trials, values, is_mae=is_mae)
             for line, (color, dashes) in zip(beside, LINES, strict=False):
                 errors = line.mae if is_mae else line.p90
                 axes.plot(
@@ -80,9 +80,7 @@ def mae_over_n_figure(
     return path
 
 
-def _draw_trials(
-    axes: Axes, trials: TrialsRecord, values: Floats, labeled: Sequence[int], *, is_mae: bool
-) -> None:
+def _draw_trials(axes: Axes, trials: TrialsRecord, values: Floats, *, is_mae: bool) -> None:
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
     failed = f"\n({count(n)} failed)" if (n := trials.state.count("failed")) else ""
@@ -104,7 +102,7 @@ def _draw_trials(
         color=BEST_SURROGATE, markeredgecolor="white", markeredgewidth=0.8, zorder=5,
         label="best by validation",
     )  # fmt: skip
-    for i in (i for i in best if trials.n_train[i] in labeled):
+    for i in best:
         axes.annotate(
             significant(float(values[i]), 2), (float(trials.n_train[i]), float(values[i])), (0, -9),
             textcoords="offset points", ha="center", va="top", fontsize=8.5, color=BEST_SURROGATE, zorder=6,

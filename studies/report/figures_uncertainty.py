@@ -35,8 +35,6 @@ from studies.report.wording import (
 N_BINS = 40
 MOST_PAIRS = 4
 N_DOTS = 1200
-WIDE = 0.4
-"""Share of a parameter's range from which on a posterior is drawn between the bounds."""
 LEAST_LOG_RATIO = 10.0
 """Upper by lower end from which on a logarithmic parameter has a logarithmic axis."""
 
@@ -213,8 +211,7 @@ def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int,
     axes.plot(*record.calibrated[[i, j]], marker="x", color=SCREENED, markersize=8, mew=2, zorder=4)
     for axis, k in ((axes.xaxis, i), (axes.yaxis, j)):
         is_x = axis is axes.xaxis
-        low, high = _seen(box, record, k)
-        if box.is_log[k] and high >= LEAST_LOG_RATIO * low:
+        if box.is_log[k] and dots[:, k].max() >= LEAST_LOG_RATIO * dots[:, k].min():
             (axes.set_xscale if is_x else axes.set_yscale)("log")
             axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 3.0)))
             axis.set_minor_formatter(NullFormatter())
@@ -222,19 +219,6 @@ def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int,
             axis.set_major_locator(MaxNLocator(4))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
         axis.set_label_text(axis_label(shortened(box.names[k]), shortened(shown_unit(box.units[k]))))
-        (axes.set_xlim if is_x else axes.set_ylim)(low, high)
-
-
-def _seen(box: ParameterBox, record: UncertaintyRecord, k: int) -> tuple[float, float]:
-    """Return the part of a parameter's range to draw: all of it, or what surrounds a narrow posterior."""
-    lower, upper = float(box.lower[k]), float(box.upper[k])
-    scale, back = (np.log, np.exp) if box.is_log[k] else (np.positive, np.positive)
-    values = scale(np.concatenate([record.particles[:, k], record.sample[:, k], record.calibrated[[k]]]))
-    width = float(np.ptp(values))
-    if width == 0.0 or width > WIDE * (scale(upper) - scale(lower)):
-        return lower, upper
-    low, high = back(values.min() - 0.2 * width), back(values.max() + 0.2 * width)
-    return max(float(low), lower), min(float(high), upper)
 
 
 def _short(value: float, other: float) -> str:

@@ -23,12 +23,6 @@ Booleans = NDArray[np.bool_]
 Method = Literal["paper", "adaptive"]
 
 
-def require_shape(what: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
-    """Raise ValueError when an array of a record has not the shape its neighbors imply."""
-    if array.shape != shape:
-        raise ValueError(f"{what} has shape {array.shape}, expected {shape}")
-
-
 @dataclass(frozen=True)
 class MeasuredSeries:
     """The measurement a case is calibrated against.
@@ -41,10 +35,6 @@ class MeasuredSeries:
 
     measurement: Measurement
     units: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.units) != len(self.output_names):
-            raise ValueError(f"{len(self.units)} units for {len(self.output_names)} outputs")
 
     @property
     def time(self) -> Floats:
@@ -104,13 +94,6 @@ class ParameterBox:
     lower: Floats
     upper: Floats
     is_log: Booleans
-
-    def __post_init__(self) -> None:
-        shape = (len(self.names),)
-        if len(self.units) != len(self.names):
-            raise ValueError(f"{len(self.units)} units for {len(self.names)} parameters")
-        for what in ("estimate", "lower", "upper", "is_log"):
-            require_shape(f"the parameters' {what}", getattr(self, what), shape)
 
     def of(self, names: tuple[str, ...]) -> ParameterBox:
         """Return the box of the parameters that are named."""
@@ -202,9 +185,6 @@ class CalibrationRecord:
     knowledge: tuple[str, ...] = ()
     state_equations: str = ""
     left_open: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_shape("the polish history's MSE", self.history_mse, self.history_calls.shape)
 
     @property
     def is_adaptive(self) -> bool:

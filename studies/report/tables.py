@@ -182,22 +182,20 @@ def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -
         Column("nmbe", "NMBE", "", percent),
         Column("guideline_14", "ASHRAE guideline 14"),
     )
-    units = dict(
-        zip(record.measurement.output_names, map(difference_unit, record.measurement.units), strict=True)
-    )
+    units = list(map(difference_unit, record.measurement.units))
     rows: list[tuple[Cell, ...]] = []
-    for point in record.points:
+    for name, point in record.points.items():
         errors: tuple[Cell, Cell] = (point.mse_window, point.mse)
-        for number, (fit, judged) in enumerate(zip(point.fits, record.judged(point), strict=True)):
+        for k, ((output, fit), judged) in enumerate(
+            zip(point.outputs.items(), record.judged(point), strict=True)
+        ):
             verdict = None if judged.is_met is None else "met" if judged.is_met else "not met"
             rows.append(
-                (
-                    point.name, *(errors if number == 0 else (None, None)), fit.output, units[fit.output],
-                    fit.n_samples, fit.rmse, fit.bias, fit.cv_rmse, fit.nmbe, verdict,
-                )
+                (name, *(errors if k == 0 else (None, None)), output, units[k], fit.n_samples, fit.rmse,
+                 fit.bias, fit.cv_rmse, fit.nmbe, verdict)
             )  # fmt: skip
-        if not point.fits:
-            rows.append((point.name, *errors, "failed", "", None, None, None, None, None, None))
+        if not point.outputs:
+            rows.append((name, *errors, "failed", "", None, None, None, None, None, None))
     title = f"Validation on {period_text(record.period_d)} (bias: simulated minus measured)"
     return Table(f"validation-{calibration.name}", title, columns, tuple(rows))
 

@@ -16,7 +16,7 @@ from simulation.store.row_set import RowSet
 from studies.paths import size_name
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.restricted import restriction_record
-from studies.report.validation import FitRecord, PointRecord, ValidationRecord
+from studies.report.validation import OutputFit, ValidatedPoint, ValidationRecord
 from studies.sensitivity import SobolIndices
 from studies.stages.determined import open_in_words
 from studies.stages.guided import equations_in_words
@@ -254,18 +254,15 @@ def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord
         measurement=measured,
         y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),
         y_polished=y_polished,
-        points=tuple(
-            PointRecord(
-                name=name,
-                mse_window=_unknown(point["mse_window"]),
-                mse=_number(point["mse"]),
-                fits=tuple(
-                    FitRecord(output, **{key: _unknown(value) for key, value in fit.items()})
-                    for output, fit in point["outputs"].items()
-                ),
+        points={
+            name: ValidatedPoint(
+                mse_window=point["mse_window"],
+                mse=point["mse"],
+                failure=point["failure"],
+                outputs={output: OutputFit(**fit) for output, fit in point["outputs"].items()},
             )
             for name, point in numbers["points"].items()
-        ),
+        },
     )
 
 
@@ -287,10 +284,6 @@ def coverage_set(study: Study) -> CoverageSet | None:
         return None
     rows = RowSet.load(file).read(N_COVERAGE)
     return CoverageSet("training", rows.theta, rows.y)
-
-
-def _unknown(value: float | None) -> Any:
-    return float("nan") if value is None else value
 
 
 def _number(value: float | None) -> float:

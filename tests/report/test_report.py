@@ -119,7 +119,6 @@ def test_every_file_is_named_in_the_summary(full: Path) -> None:
     summary = json.loads((full.parent / "report.json").read_text(encoding="utf-8"))
     assert sorted(summary["files"]) == sorted(file.name for file in full.parent.iterdir())
     assert {figure["file"] for figure in summary["figures"]} < set(summary["files"])
-    assert summary["headline_n_train"] == 64
     row = summary["tables"]["calibrations"][1]
     assert row["mse_polished"] == calibration(64).mse_polished
     assert row["calls_paper"] == 189
@@ -268,10 +267,9 @@ def test_tuning_and_sensitivity_tables_hold_the_numbers() -> None:
     assert sensitivity_table(small()) is None
 
 
-def test_headline_is_the_lowest_error_or_the_asked_one() -> None:
+def test_headline_is_the_lowest_error() -> None:
     low, high = replace(calibration(256), mse_polished=0.0104), replace(calibration(32), mse_polished=0.0121)
     assert report_data(calibrations=(high, low)).headline is low
-    assert report_data(calibrations=(high, low), headline_n_train=32).headline is high
     equal = replace(high, mse_polished=0.0104)
     assert report_data(calibrations=(low, equal)).headline is equal
 
@@ -417,19 +415,6 @@ def test_words_and_units() -> None:
     assert (squared(difference_unit("degC")), squared("W/m2"), squared("")) == ("K²", "(W/m2)²", "")
     assert declared(0.7 / 5) == "0.14"
     assert (listed([]), listed(["a"]), listed(["a", "b", "c"])) == ("", "a", "a, b and c")
-
-
-def test_records_refuse_what_does_not_fit() -> None:
-    with pytest.raises(ValueError, match="2 units for 1 outputs"):
-        replace(measured(), units=("degC", "W"))
-    with pytest.raises(ValueError, match="y_polished"):
-        report_data(calibrations=(replace(calibration(64), y_polished=np.zeros((3, 1))),))
-    with pytest.raises(ValueError, match="more than one calibration"):
-        report_data(calibrations=(calibration(64), calibration(64)))
-    with pytest.raises(ValueError, match="unknown trial state 'waiting'"):
-        replace(trials((64,), 1), state=("waiting",))
-    with pytest.raises(ValueError, match="headline_n_train is 7"):
-        report_data(headline_n_train=7)
 
 
 def test_an_adaptive_calibration_alone_has_a_report_without_a_surrogate(tmp_path: Path) -> None:
