@@ -43,27 +43,22 @@ WIDTH_IN = 8.0
 DPI = 150
 
 _STYLE: dict[str, Any] = {
-    "axes.axisbelow": True,
     "axes.edgecolor": MUTED,
     "axes.grid": True,
     "axes.labelcolor": INK,
     "axes.labelsize": 9.5,
-    "axes.linewidth": 0.8,
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlelocation": "left",
     "axes.titlesize": 9.5,
     "axes.titlecolor": INK,
-    "axes.unicode_minus": True,
-    "figure.facecolor": "white",
-    "font.family": ["DejaVu Sans"],
     "font.size": 9.5,
     "legend.fontsize": 8.5,
     "legend.frameon": False,
     "grid.color": "#e9ecee",
     "grid.linewidth": 0.7,
+    "axes.axisbelow": True,
     "lines.linewidth": 1.6,
-    "lines.solid_capstyle": "round",
     "text.color": INK,
     # Names come from files: a dollar sign in one of them is a dollar sign.
     "text.parse_math": False,

@@ -58,9 +58,7 @@ class UncertaintyRecord:
         interval: Intervals of the posterior, NaN where it is not trusted. Shape (2, p). [per parameter]
         known: A key of `HOW_KNOWN`, one per parameter.
         pairs: Which parameters compensate each other, the clearest first; none where it is not trusted.
-        singular_values: Falling. Shape (p,). [first output's unit per range]
         null_directions: Combinations that hardly change any output near the point, in words.
-        n_determined_directions: Combinations that the data determine.
         particles: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
         sample: The sample that was simulated. Shape (n, p). [per parameter]
         weights: What each counts; sum 1. Shape (n,). [1]
@@ -88,9 +86,7 @@ class UncertaintyRecord:
     interval: Floats
     known: tuple[str, ...]
     pairs: tuple[PairNote, ...]
-    singular_values: Floats
     null_directions: tuple[str, ...]
-    n_determined_directions: int
     particles: Floats
     sample: Floats
     weights: Floats
@@ -145,10 +141,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         pairs=tuple(
             PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"] if is_trusted
         ),
-        singular_values=arrays["singular_values"],
         # Results of earlier versions say only how many of the last ones they are.
         null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
-        n_determined_directions=local["n_determined_directions"],
         particles=arrays["particles_theta"],
         sample=arrays["sample_theta"],
         weights=arrays["weights"],

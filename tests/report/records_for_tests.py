@@ -119,8 +119,7 @@ def uncertainty(names: tuple[str, ...] = NAMES[:3], *, calibration: str = "adapt
     return UncertaintyRecord(
         calibration=calibration, level=0.9, noise=noise, names=names, linear=ends,
         calibrated=ends.mean(axis=0), interval=ends, known=("narrowed",) * p, pairs=(), null_directions=(),
-        singular_values=np.ones(p), sensor=0.5, has_prior=False,
-        n_determined_directions=p, particles=particles, sample=particles[:20], weights=np.full(20, 0.05),
+        sensor=0.5, has_prior=False, particles=particles, sample=particles[:20], weights=np.full(20, 0.05),
         correlation=np.eye(p), simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
         share_predictive=(0.9,), n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
         n_fixed=n_fixed, condition="All this holds only if what was fixed is right." if n_fixed else "",
