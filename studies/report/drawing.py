@@ -113,7 +113,7 @@ def decimal_log(axes: Axes) -> None:
         return f"{value:,g}" if f"{value:e}"[0] in shown else ""
 
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(base=10.0, subs="auto"))
+    axes.yaxis.set_major_locator(LogLocator(base=10.0, subs="all"))
     axes.yaxis.set_major_formatter(FuncFormatter(label))
     axes.yaxis.set_minor_formatter(NullFormatter())
 

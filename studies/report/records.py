@@ -155,7 +155,7 @@ class CalibrationRecord:
         n_known: Stored simulations that it began with, which are none of its calls.
         restriction: What was fixed; None where all parameters were calibrated.
         knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
-        state_equations: What became of state equations, in a sentence; empty where nobody looked for any.
+        state_equations: What became of state equations, in a sentence; empty where none were looked for.
         left_open: What the data do not determine, in sentences; empty where nothing is known of that.
     """
 

@@ -28,7 +28,7 @@ _CALIBRATIONS_TITLE = (
 
 
 def calibrations_table(data: ReportData) -> Table:
-    """Tabulate the calibrations, one row each (Table 4 of the paper, with honest counts)."""
+    """Tabulate the calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
     unit, p = difference_unit(data.measurement.units[0]), len(data.parameters.names)
     mse_unit, all_of_them = squared(unit), data.by_size
     with_surrogate: list[tuple[Column, Reader]] = [

@@ -70,7 +70,7 @@ def report_stage(study: Study) -> Outcome:
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        # Where MLflow could not be told, the command is typed again: what is drawn is not drawn once more.
+        # Where logging to MLflow failed, the command is typed again: what is drawn is not drawn once more.
         if read_manifest(study.paths, drawn, digest) is None:
             drawn.unlink(missing_ok=True)
             with study.console.progress("tables and figures", 1) as advance:
@@ -148,7 +148,7 @@ def _provenance(study: Study) -> Provenance:
             ("window", period_text(case.window_d)),
             ("communication step", f"{case.communication_step_s:g} s"),
             *(_surrogate_settings(profile) if has_surrogates else ()),
-            *((one.name, _told(one.numbers["settings"])) for one in stored if one.is_adaptive),
+            *((one.name, _adaptive_settings(one.numbers["settings"])) for one in stored if one.is_adaptive),
         ),
         digests=(
             ("case", case.digest),
@@ -181,7 +181,7 @@ def command_of(study: Study, found: Mapping[str, Any]) -> str:
     return f"studies run {study.command}{changed_words(own, recipe.get('profile', {}))}"
 
 
-def _told(settings: dict[str, Any]) -> str:
+def _adaptive_settings(settings: dict[str, Any]) -> str:
     n_parallel, ftol = settings["n_parallel"], settings["ftol"]
     return f"at most {count(settings['max_calls'], 'call')}, {n_parallel} at a time, ftol {ftol:g}"
 

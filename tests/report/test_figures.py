@@ -27,7 +27,7 @@ from records_for_tests import (
 from simulation.measurement import Samples
 from simulation.time_unit import period_text
 from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
-from studies.report.drawing import drawing, line_with_gaps, time_axis
+from studies.report.drawing import decimal_log, drawing, line_with_gaps, time_axis
 from studies.report.figures_calibration import (
     calibration_figure,
     calls_figure,
@@ -276,3 +276,18 @@ def test_a_late_period_has_the_unit_in_which_it_is_told() -> None:
     assert unit.symbol in period_text((4.0 / 24.0, 5.5 / 24.0))
     assert axes.get_xlabel() == "time [h]"
     assert axes.get_xlim() == (4.0, 5.5)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "named"),
+    [
+        (0.001, 9.0, {"0.01", "0.1", "1"}),
+        (0.006, 0.2, {"0.01", "0.02", "0.05", "0.1"}),
+        (0.0101, 0.0129, {"0.012"}),
+    ],
+)
+def test_a_logarithmic_axis_names_round_numbers(lower: float, upper: float, named: set[str]) -> None:
+    axes = Figure().add_subplot()
+    decimal_log(axes)
+    axes.set_ylim(lower, upper)
+    assert named <= {label.get_text() for label in axes.get_yticklabels()}
