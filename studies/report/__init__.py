@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from studies.report.data import Provenance, Reference, ReportData
+from studies.report.data import Provenance, ReportData
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 
@@ -20,7 +20,6 @@ __all__ = [
     "MeasuredSeries",
     "ParameterBox",
     "Provenance",
-    "Reference",
     "ReportData",
     "TrialsRecord",
     "build",

@@ -4,26 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from simulation.case import KnownError
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 from studies.sensitivity import SobolIndices
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A known MSE to draw beside the results.
-
-    Attributes:
-        label: What it is, e.g. "best known (24 starts on the FMU)".
-        mse: [output unit squared]
-        is_target: True adds the calls needed to reach it to the table.
-    """
-
-    label: str
-    mse: float
-    is_target: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,7 +66,7 @@ class ReportData:
     learning_curves: tuple[LearningCurves, ...] = ()
     validations: tuple[ValidationRecord, ...] = ()
     uncertainties: tuple[UncertaintyRecord, ...] = ()
-    references: tuple[Reference, ...] = ()
+    references: tuple[KnownError, ...] = ()
     provenance: Provenance = Provenance()
 
     @property

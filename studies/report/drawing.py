@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from simulation.case import KnownError
 from simulation.time_unit import TimeUnit, unit_for
 from simulation.whole_file import whole_file
-from studies.report.data import Reference
 from studies.report.records import Floats
 from studies.report.wording import significant
 
@@ -130,7 +130,7 @@ def legend(axes: Axes) -> None:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
 
 
-def mse_lines(axes: Axes, references: Sequence[Reference]) -> None:
+def mse_lines(axes: Axes, references: Sequence[KnownError]) -> None:
     """Draw known MSEs as dashed lines."""
     for reference, dashes in zip(references, cycle(((5, 3), (1, 2), (8, 2, 1, 2))), strict=False):
         axes.axhline(

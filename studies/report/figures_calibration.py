@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from studies.report.data import Reference
+from simulation.case import KnownError
 from studies.report.drawing import (
     FAINT,
     INK,
@@ -120,7 +120,7 @@ def _draw_residual(
 
 def calls_figure(
     calibration: CalibrationRecord,
-    references: Sequence[Reference],
+    references: Sequence[KnownError],
     path: Path,
     *,
     mse_unit: str,
@@ -187,7 +187,7 @@ def _draw_gap(axes: Axes, places: Sequence[float], c: CalibrationRecord, *, is_n
 
 def overview_figure(
     calibrations: Sequence[CalibrationRecord],
-    references: Sequence[Reference],
+    references: Sequence[KnownError],
     path: Path,
     *,
     mse_unit: str,

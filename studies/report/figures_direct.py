@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from studies.report.data import Reference
+from simulation.case import KnownError
 from studies.report.drawing import (
     FAINT,
     SERIES,
@@ -44,7 +44,7 @@ class DirectPoint:
 
 def direct_figure(
     points: Sequence[DirectPoint],
-    references: Sequence[Reference],
+    references: Sequence[KnownError],
     path: Path,
     *,
     title: str,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from studies.report.data import Reference
+from simulation.case import KnownError
 from studies.report.drawing import (
     FAINT,
     INK,
@@ -48,7 +48,7 @@ class PolishPath:
 
 def polish_paths_figure(
     paths: Sequence[PolishPath],
-    references: Sequence[Reference],
+    references: Sequence[KnownError],
     path: Path,
     *,
     title: str,

@@ -10,7 +10,7 @@ from typing import Any
 from simulation.errors import InputError
 from simulation.time_unit import period_text
 from studies.profile import Profile, changed_words
-from studies.report import Provenance, Reference, ReportData, build
+from studies.report import Provenance, ReportData, build
 from studies.report.uncertainty import uncertainty_record
 from studies.report.wording import count
 from studies.stages.adaptive import adaptive_command
@@ -130,7 +130,7 @@ def _report_data(study: Study) -> ReportData:
         tuned=tuned_sizes(study),
         trials=trials_record(tuned),
         learning_curves=learning_curves(study, tuned),
-        references=tuple(Reference(**vars(known)) for known in case.references),
+        references=case.references,
         provenance=_provenance(study),
     )
 

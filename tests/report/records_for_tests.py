@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from simulation.case import KnownError
 from simulation.measurement import Measurement
 from studies.report import (
     CalibrationRecord,
@@ -12,7 +13,6 @@ from studies.report import (
     MeasuredSeries,
     ParameterBox,
     Provenance,
-    Reference,
     ReportData,
     TrialsRecord,
 )
@@ -233,7 +233,10 @@ def report_data(**changes: object) -> ReportData:
         "trials": trials(),
         "tuned": tuned(trials()),
         "learning_curves": (learning_curves(64),),
-        "references": (Reference("best known", 0.0103), Reference("target", 0.0125, is_target=True)),
+        "references": (
+            KnownError("best known", 0.0103, is_target=False),
+            KnownError("target", 0.0125, is_target=True),
+        ),
         "provenance": Provenance(
             commands=("studies run office --profile quick", "studies calibrate office --n-train 64"),
             settings=(("profile", "quick"), ("seed", "0")),

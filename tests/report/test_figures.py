@@ -24,9 +24,10 @@ from records_for_tests import (
     trials,
 )
 
+from simulation.case import KnownError
 from simulation.measurement import Samples
 from simulation.time_unit import period_text
-from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
+from studies.report import CalibrationRecord, MeasuredSeries, captions
 from studies.report.drawing import decimal_log, drawing, line_with_gaps, time_axis
 from studies.report.figures_calibration import (
     calibration_figure,
@@ -39,7 +40,7 @@ from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
 from studies.report.findings import enclosed_fraction
 
-REFERENCES = (Reference("best known", 0.0103), Reference("target", 0.0121, is_target=True))
+REFERENCES = (KnownError("best known", 0.0103, is_target=False), KnownError("target", 0.0121, is_target=True))
 
 DRAW: dict[str, Callable[[Path], Path]] = {
     "calibration": lambda p: calibration_figure(measured(), calibration(), p),

@@ -25,7 +25,8 @@ from records_for_tests import (
     uncertainty,
 )
 
-from studies.report import CoverageSet, MeasuredSeries, Provenance, Reference, ReportData, build, captions
+from simulation.case import KnownError
+from studies.report import CoverageSet, MeasuredSeries, Provenance, ReportData, build, captions
 from studies.report.findings import at_bound, enclosed_fraction, residual_of
 from studies.report.restricted import restriction_sentences
 from studies.report.tables import sensitivity_table, tuning_table
@@ -158,7 +159,7 @@ def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
         title=EVIL, label=EVIL, note=EVIL, calibrations=(c, calibration(128)),
         measurement=MeasuredSeries(replace(measured().measurement, output_names=(EVIL,)), (EVIL,)),
         parameters=replace(parameter_box(), names=(EVIL, *parameter_box().names[1:]), units=(EVIL,) * 14),
-        references=(Reference(EVIL, 0.01), Reference(EVIL, 0.02, is_target=True)),
+        references=(KnownError(EVIL, 0.01, is_target=False), KnownError(EVIL, 0.02, is_target=True)),
         sensitivity=replace(sensitivity(2), names=(EVIL, "b"), output_names=(EVIL,)),
         coverage=replace(coverage(8), name=EVIL),
         provenance=Provenance((EVIL,), ((EVIL, EVIL),), ((EVIL, EVIL),), ((EVIL, EVIL),), EVIL),
@@ -208,7 +209,7 @@ def test_calibrations_table_holds_the_numbers() -> None:
 def test_what_is_unknown_is_a_dash_for_readers_and_empty_for_programs() -> None:
     c = replace(calibration(64), mse_screened=math.inf, test_mae=math.nan)
     table = calibrations_table(
-        report_data(calibrations=(c,), references=(Reference("far", 1e-9, is_target=True),))
+        report_data(calibrations=(c,), references=(KnownError("far", 1e-9, is_target=True),))
     )
     row = table.records()[0]
     assert row["mse_screened"] is None
