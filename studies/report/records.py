@@ -6,7 +6,8 @@ Shapes use t time steps, k outputs, p parameters, n parameter sets, h history en
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 
 from simulation.measurement import Measurement, Samples
 from studies.calibration.ledger import Ledger
-from studies.report.restricted import RestrictionRecord
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -122,6 +122,44 @@ class ParameterBox:
             width = np.log(self.upper[log] / self.lower[log])
             unit[..., log] = np.log(theta[..., log] / self.lower[log]) / width
         return unit
+
+
+@dataclass(frozen=True)
+class RestrictionRecord:
+    """Which parameters a calibration left out, and what is known of that choice.
+
+    Attributes:
+        n_free: Parameters that were calibrated.
+        fixed: Names of the others.
+        shares: Share of each parameter in what varies, by name; None where it is not known. [1]
+        source: What says so: "Sobol" or "Morris".
+        n_calls: Calls for that, made first of all.
+        n_calls_before: Calls that stored Sobol indices had cost before.
+        gain: Part of the error that freeing all others would take away; None where not checked. [1]
+        gain_alone: The same for each of them alone, by name; None where its simulation failed, empty where
+            not checked. [1]
+        n_check: Calls of that check.
+    """
+
+    n_free: int
+    fixed: tuple[str, ...]
+    shares: Mapping[str, float | None]
+    source: str
+    n_calls: int = 0
+    n_calls_before: int = 0
+    gain: float | None = None
+    gain_alone: Mapping[str, float | None] = field(default_factory=dict)
+    n_check: int = 0
+
+    @property
+    def closest_call(self) -> tuple[str, str] | None:
+        """The least relevant parameter that was calibrated and the most relevant one that was not."""
+        known = {name: share for name, share in self.shares.items() if share is not None}
+        fixed = [name for name in known if name in self.fixed]
+        free = [name for name in known if name not in self.fixed]
+        return (
+            (min(free, key=known.__getitem__), max(fixed, key=known.__getitem__)) if free and fixed else None
+        )
 
 
 @dataclass(frozen=True, eq=False)  # arrays cannot be compared: a record equals itself alone

@@ -16,8 +16,8 @@ from studies.report import (
     ReportData,
     TrialsRecord,
 )
+from studies.report.records import RestrictionRecord
 from studies.report.records_tuning import TunedSize
-from studies.report.restricted import RestrictionRecord
 from studies.report.uncertainty import UncertaintyRecord
 from studies.sensitivity import SobolIndices
 
