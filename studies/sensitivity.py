@@ -60,11 +60,11 @@ class SobolIndices:
 
     def mean_first_order(self) -> FloatArray:
         """Average the first-order indices over the steps where they are defined. Shape (k, p). [1]."""
-        return _mean_over_time(self.first_order)
+        return mean_over_time(self.first_order)
 
     def mean_total_order(self) -> FloatArray:
         """Average the total-order indices over the steps where they are defined. Shape (k, p). [1]."""
-        return _mean_over_time(self.total_order)
+        return mean_over_time(self.total_order)
 
     def order(self, output: int = 0) -> tuple[int, ...]:
         """Return the parameters' positions, most influential first by mean first order, as in Fig. 5."""
@@ -298,7 +298,15 @@ def _weights(rng: np.random.Generator, n: int, n_resamples: int) -> FloatArray:
     return counts
 
 
-def _mean_over_time(indices: FloatArray) -> FloatArray:
+def mean_over_time(indices: FloatArray) -> FloatArray:
+    """Average indices over the time steps where they are defined; NaN where they never are.
+
+    Args:
+        indices: Shape (t, ...). [1]
+
+    Returns:
+        Shape (...). [1]
+    """
     defined = np.isfinite(indices)
     n_defined = defined.sum(axis=0)
     total = np.where(defined, indices, 0.0).sum(axis=0)

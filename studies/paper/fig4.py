@@ -8,9 +8,9 @@ from simulation.errors import InputError
 from studies.paper.plan import SIMULATIONS_PER_S, Plan
 from studies.paper.result import ItemResult
 from studies.report import captions
-from studies.report.contents import Picture
-from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
+from studies.report.figures_data import coverage_figure
 from studies.report.findings import enclosed_fraction, good_rows, strongest_correlation
+from studies.report.page import Picture
 from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, percent, quantity, shown_unit
 from studies.stages.results import coverage_set, measured_series, parameter_box
@@ -44,7 +44,6 @@ def run(plan: Plan) -> ItemResult:
     spread = float(good[:, :, 0].std(axis=0).mean())
     strongest = strongest_correlation(coverage)
     known = np.isfinite(box.estimate).all()
-    marked = (MarkedPoint("estimate", box.estimate),) if known else ()
     low = np.nanmean(coverage.theta < box.estimate, axis=0)
     rows = tuple(
         (name, unit_, float(box.lower[i]), float(box.estimate[i]), float(box.upper[i]), float(low[i]))
@@ -93,12 +92,6 @@ def run(plan: Plan) -> ItemResult:
                 "Training trajectories and the measurement",
                 captions.coverage_caption(measured, coverage),
                 lambda path: coverage_figure(measured, coverage, path, footnote=study.label),
-            ),
-            Picture(
-                "pairs",
-                "Every pair of parameters",
-                captions.pairs_caption(box, coverage),
-                lambda path: coverage_pairs_figure(box, coverage, path, marked=marked, footnote=study.label),
             ),
         ),
         n_calls={"training set": len(coverage.y)},

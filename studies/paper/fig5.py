@@ -12,14 +12,11 @@ from studies.paper.published import N_IMPORTANT
 from studies.paper.result import Agreement, ItemResult, item_folder
 from studies.physical_model import open_physical_model
 from studies.report import captions
-from studies.report.contents import Picture
-from studies.report.figures_indices import indices_over_time_figure
 from studies.report.figures_sensitivity import sensitivity_figure
-from studies.report.findings import mean_over_time
+from studies.report.page import Picture
 from studies.report.tables import Column, Table
 from studies.report.wording import count, listed, percent
-from studies.sensitivity import SobolIndices, sobol_indices
-from studies.stages.results import indices_record
+from studies.sensitivity import SobolIndices, mean_over_time, sobol_indices
 
 WORKING_H = (8.0, 20.0)
 """Hours that count as day. [h]"""
@@ -58,7 +55,6 @@ def run(plan: Plan) -> ItemResult:
     work_s = time.perf_counter() - started
     file = item_folder(study, "fig5") / FILE
     indices.save(file)
-    record = indices_record(indices)
     order = [indices.names[i] for i in indices.order()]
     first, total = mean_over_time(indices.first_order[:, 0]), mean_over_time(indices.total_order[:, 0])
     daily = daily_course(indices.time, indices.first_order[:, 0], begin_h=study.case.window_d[0] * 24.0)
@@ -114,14 +110,8 @@ def run(plan: Plan) -> ItemResult:
                 "over-time",
                 "Each parameter's index over time",
                 f"Bands are 95 % confidence intervals from {count(budget.n_resamples)} bootstrap samples, "
-                f"at most ±{widest:.3f} wide. Most influential by mean first order: {listed(important)}.",
-                lambda path: indices_over_time_figure(record, path, footnote=study.label),
-            ),
-            Picture(
-                "stacked",
-                "Shares of the variance",
-                captions.sensitivity_caption(record),
-                lambda path: sensitivity_figure(record, path, footnote=study.label),
+                f"at most ±{widest:.3f} wide. {captions.sensitivity_caption(indices)}",
+                lambda path: sensitivity_figure(indices, path, footnote=study.label),
             ),
         ),
         n_calls={"Saltelli's sample": indices.n_calls},

@@ -13,9 +13,9 @@ from studies.paper.published import FIG_6_LATENT, FIG_6_MAE, FIG_6_RANGE
 from studies.paper.result import ERROR, ItemResult, columns_in
 from studies.paper.size_files import Origin
 from studies.report import captions
-from studies.report.contents import Picture
 from studies.report.figures_by_size import SettingTrials, setting_figure
 from studies.report.figures_tuning import mae_over_n_figure
+from studies.report.page import Picture
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.tables import Table
 from studies.report.wording import count, listed, significant
@@ -81,7 +81,7 @@ def shown(origin: Origin, sizes: Sequence[SizeTrials]) -> ItemResult:
             Picture(
                 "mae-over-n",
                 "Every trial's error over the training-set size",
-                captions.trials_caption(drawn, unit),
+                captions.trials_caption(drawn),
                 lambda path: mae_over_n_figure(
                     drawn, path, unit=unit, footnote=footnote, beside=lines, published=published
                 ),

@@ -16,8 +16,8 @@ from studies.paper.published import FIG_7_AT_32
 from studies.paper.result import Agreement, ItemResult, item_folder, numbers_of
 from studies.paper.size_files import Origin, origin_of, read_sizes, write_sizes
 from studies.physical_model import open_physical_model
-from studies.report.contents import Picture
 from studies.report.figures_by_size import SpreadErrors, spread_figure
+from studies.report.page import Picture
 from studies.report.tables import Column, Table
 from studies.report.wording import count, listed, quantity
 from studies.stages.calibrate import best_surrogate

@@ -15,13 +15,13 @@ from studies.paper.uniqueness import (
     run_uniqueness,
     uniqueness_rows,
 )
-from studies.report.contents import Picture
 from studies.report.figures_uniqueness import (
     Bundle,
     BundlePanel,
     identifiability_figure,
     parallel_coordinates_figure,
 )
+from studies.report.page import Picture
 from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, listed, percent, quantity, squared
 from studies.stages.results import read_arrays

@@ -16,7 +16,7 @@ from studies.tracking.origin import versions
 
 PAGE = "index.html"
 FOOTER = (
-    "Pictures (PNG), tables (CSV, Markdown) and numbers (JSON) lie in the folder of each item below "
+    "Pictures (PNG), tables (CSV) and numbers (JSON) lie in the folder of each item below "
     "mlruns/results; the page itself needs none of them."
 )
 EXPORT_SCHEMA = 1

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from simulation.errors import InputError
-from studies.report.contents import Picture
-from studies.report.page import PlacedPicture, Section, Verdict
+from studies.report.page import Picture, Section, Verdict
 from studies.report.tables import Cell, Column, Table
 from studies.report.wording import count, declared, percent, significant, squared
 from studies.stages.pipeline import Study, read_json, write_json, write_text
@@ -120,12 +119,12 @@ def write_result(folder: Path, result: ItemResult, head: Mapping[str, Any]) -> l
     """
     files = [folder / RESULT, *result.files]
     for picture in result.pictures:
-        picture.draw(folder / picture.file)
+        if picture.draw is not None:
+            picture.draw(folder / picture.file)
         files.append(folder / picture.file)
     for table in result.tables:
-        for ending, text in ((".csv", table.to_csv()), (".md", table.to_markdown())):
-            write_text(folder / f"{table.name}{ending}", text)
-            files.append(folder / f"{table.name}{ending}")
+        files.append(folder / f"{table.name}.csv")
+        write_text(files[-1], table.to_csv())
     write_json(
         folder / RESULT,
         {
@@ -167,7 +166,7 @@ def section_of(folder: Path, title: str, stored: Mapping[str, Any]) -> Section:
         stored["item"],
         title,
         pictures=tuple(
-            PlacedPicture(folder / picture["file"], picture["heading"], picture["caption"])
+            Picture(Path(picture["file"]).stem, picture["heading"], picture["caption"])
             for picture in stored["pictures"]
             if (folder / picture["file"]).is_file()
         ),
@@ -175,6 +174,7 @@ def section_of(folder: Path, title: str, stored: Mapping[str, Any]) -> Section:
         verdict=Verdict(_sentence(stored["agreement"]), stored["verdict"]),
         paragraphs=tuple(stored["remarks"]),
         facts=tuple((name, value) for name, value in facts if value),
+        folder=folder,
     )
 
 

@@ -13,9 +13,8 @@ from studies.paper.direct_row import TITLES, DirectRow, PaperRow, paper_rows, pu
 from studies.paper.plan import DIRECT_CALLS_PER_S, Plan
 from studies.paper.published import USUAL_MSE
 from studies.paper.result import SQUARED_ERROR, Agreement, ItemResult, columns_in
-from studies.report.contents import Picture
-from studies.report.data import Reference
 from studies.report.figures_direct import DirectPoint, direct_figure
+from studies.report.page import Picture
 from studies.report.tables import Column, Table
 from studies.report.wording import count, difference_unit, listed, quantity, squared
 
@@ -92,7 +91,7 @@ def run(plan: Plan) -> ItemResult:
     agreement, verdict = _verdict([numbers for _, numbers in found], unit)
     if left_out:
         verdict += f" {count(len(left_out), 'row')} of the paper are left to a larger budget."
-    references = [Reference(known.label, known.mse, known.is_target) for known in study.case.references]
+    references = study.case.references
     points = [_point(numbers) for _, numbers in found]
     tables = [
         Table(

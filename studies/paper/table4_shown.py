@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.case import KnownError
 from studies.calibration.recorder import History
 from studies.paper.models import tuned_for_fig6
 from studies.paper.published import TABLE_4, USUAL_MSE, published_calibration
@@ -15,8 +16,6 @@ from studies.paper.result import ERROR, SQUARED_ERROR, ItemResult, columns_in
 from studies.paper.size_files import Origin
 from studies.paper.table4_sizes import SeedCalibration, SizeCalibrations
 from studies.paper.table4_words import Values, caption, middle, seeds_title, theirs_of, title, verdict_of
-from studies.report.contents import Picture
-from studies.report.data import Reference
 from studies.report.figures_polish_paths import (
     PolishPath,
     SeedPanel,
@@ -24,6 +23,7 @@ from studies.report.figures_polish_paths import (
     seeds_figure,
 )
 from studies.report.findings import quartiles
+from studies.report.page import Picture
 from studies.report.tables import Table
 from studies.report.wording import count, squared
 from studies.stages.simulate import train_seed
@@ -62,7 +62,7 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> ItemResult:
     medians = {n: {key: middle(one) for key, one in by_key.items()} for n, by_key in values.items()}
     paths = [_path(size.n_train, size.calibrations[0]) for size in sizes]
     many = {n: by_key for n, by_key in values.items() if len(by_key["test_mae"]) > 1}
-    references = [Reference(*one) for one in settings.references]
+    references = [KnownError(*one) for one in settings.references]
     agreement, verdict = verdict_of(medians, values, unit)
     everything = [one for size in sizes for one in size.calibrations]
     seeds = sorted({one.seed for one in everything})

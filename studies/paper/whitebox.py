@@ -7,8 +7,8 @@ from simulation.errors import InputError
 from studies.paper.plan import Plan
 from studies.paper.result import ERROR, SQUARED_ERROR, ItemResult, columns_in
 from studies.paper.tuned import tune_sizes
-from studies.report.contents import Picture
-from studies.report.figures_overview import overview_figure
+from studies.report.figures_calibration import overview_figure
+from studies.report.page import Picture
 from studies.report.tables import Table
 from studies.report.wording import count, difference_unit, listed, quantity, squared
 from studies.stages.adaptive import adaptive_settings, adaptive_stage

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from studies.report.data import Provenance, Reference, ReportData
-from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
-from studies.report.records_model import CoverageSet, SensitivityRecord
+from studies.report.data import Provenance, ReportData
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.records_tuning import LearningCurves, TrialsRecord
 
 __all__ = [
@@ -21,9 +20,7 @@ __all__ = [
     "MeasuredSeries",
     "ParameterBox",
     "Provenance",
-    "Reference",
     "ReportData",
-    "SensitivityRecord",
     "TrialsRecord",
     "build",
 ]

@@ -1,137 +1,87 @@
-"""What one study's report holds: which pictures and tables there are, before any of them is drawn."""
+"""What one study's report holds, part by part, before any picture is drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from studies.report import captions
 from studies.report.data import ReportData
-from studies.report.figures_calibration import calibration_figure, polish_figure
-from studies.report.figures_convergence import convergence_figure
-from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
-from studies.report.figures_overview import overview_figure
+from studies.report.figures_calibration import calibration_figure, calls_figure, overview_figure
+from studies.report.figures_data import coverage_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure, pairs_figure, shown_pairs
+from studies.report.page import Picture, Section
 from studies.report.records import CalibrationRecord
 from studies.report.records_tuning import LearningCurves
-from studies.report.tables import Table, sensitivity_table, tuning_table, validation_table
-from studies.report.tables_of_calibrations import calibrations_table, parameters_table
-from studies.report.uncertainty import UncertaintyRecord
-from studies.report.uncertainty_told import (
+from studies.report.restricted import restriction_sentences, unrestricted
+from studies.report.tables import sensitivity_table, tuning_table, validation_table
+from studies.report.tables_of_calibrations import calibrations_table, intervals_table, parameters_table
+from studies.report.uncertainty import (
+    UncertaintyRecord,
     band_caption,
     interval_caption,
-    intervals_table,
     pairs_caption,
+    sentences,
 )
 from studies.report.validation import validation_caption
-from studies.report.wording import difference_unit
+from studies.report.wording import count, difference_unit, quantity
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A picture still to be drawn."""
+def sections_of(data: ReportData, folder: Path) -> list[Section]:
+    """Decide what a report shows; what the data does not hold is left out.
 
-    name: str
-    heading: str
-    caption: str
-    draw: Callable[[Path], Path]
+    Args:
+        data: The results.
+        folder: Where its pictures will lie.
 
-    @property
-    def file(self) -> str:
-        """Name of the PNG."""
-        return f"{self.name}.png"
-
-
-@dataclass(frozen=True)
-class Contents:
-    """Everything that one study's report holds, by the part of the page it belongs to."""
-
-    calibration: tuple[Picture, ...]
-    overview: tuple[Picture, ...]
-    others: tuple[tuple[CalibrationRecord, tuple[Picture, ...]], ...]
-    uncertainty: tuple[tuple[UncertaintyRecord, tuple[Picture, ...]], ...]
-    surrogate: tuple[Picture, ...]
-    model: tuple[Picture, ...]
-    tables: dict[str, Table]
-
-    @property
-    def pictures(self) -> tuple[Picture, ...]:
-        """All pictures in the order of the page."""
-        others = tuple(picture for _, pictures in self.others for picture in pictures)
-        uncertainty = tuple(picture for _, pictures in self.uncertainty for picture in pictures)
-        return self.calibration + uncertainty + self.overview + self.surrogate + self.model + others
-
-
-def contents_of(data: ReportData) -> Contents:
-    """Decide what a report shows; what the data does not hold is left out."""
-    headline = data.headline
-    foot = f"{data.label} · {data.note}" if data.note else data.label
-    unit = difference_unit(data.measurement.units[0])
-    mse_unit = captions.mse_unit(data.measurement)
-    others = tuple(c for c in data.by_size if c is not headline)
-    tables = {
-        t.name: t
-        for t in (
-            calibrations_table(data) if data.calibrations else None,
-            *(parameters_table(data.parameters, c) for c in data.by_size),
-            *(validation_table(c, v) for c in data.by_size for v in (data.validation_of(c),) if v),
-            *(intervals_table(data.parameters, record) for record in data.uncertainties),
-            tuning_table(data),
-            sensitivity_table(data),
-        )
-        if t is not None
-    }
+    Returns:
+        The parts of the page in their order.
+    """
+    headline, mse_unit, foot = data.headline, captions.mse_unit(data.measurement), _foot(data)
+    others = tuple(_calibration(data, c) for c in data.by_size if c is not headline)
     overview: tuple[Picture, ...] = ()
     if any(not c.is_adaptive for c in data.calibrations):
         overview = (
             Picture(
                 "overview",
                 "Errors and calls of all calibrations",
-                captions.overview_caption(data.by_size, mse_unit),
+                "The gap at the screened point lies between the MSE by the surrogate and by the model.",
                 lambda path: overview_figure(
                     data.by_size, data.references, path, mse_unit=mse_unit, footnote=foot
                 ),
             ),
         )
-    return Contents(
-        calibration=_pictures_of(data, headline, foot) if headline else (),
-        overview=overview,
-        others=tuple((c, _pictures_of(data, c, foot)) for c in others),
-        uncertainty=tuple(
-            (record, _uncertainty_pictures(data, record, foot)) for record in data.uncertainties
+    tuned, sobol = tuning_table(data), sensitivity_table(data)
+    whole = (calibrations_table(data),) if data.calibrations else ()
+    sections = [
+        Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else (), is_leading=True),
+        *(
+            replace(_calibration(data, c), anchor="calibration", heading="Calibration")
+            for c in (headline,)
+            if c
         ),
-        surrogate=_surrogate_pictures(data, unit, foot),
-        model=_model_pictures(data, foot),
-        tables=tables,
-    )
+        *(_uncertainty(data, record) for record in data.uncertainties),
+        Section("sizes", "All calibrations", overview, whole, others),
+        Section("surrogate", "All trials, and how the best ones were trained", _surrogate_pictures(data)),
+        Section("model", "The model and its parameters", _model_pictures(data), (sobol,) if sobol else ()),
+    ]
+    return [
+        replace(one, folder=folder, folded=tuple(replace(part, folder=folder) for part in one.folded))
+        for one in sections
+    ]
 
 
-def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Picture, ...]:
-    mse_unit = captions.mse_unit(data.measurement)
+def _foot(data: ReportData) -> str:
+    return f"{data.label} · {data.note}" if data.note else data.label
+
+
+def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
+    """Return a calibration as a part that can be folded."""
+    mse_unit, foot = captions.mse_unit(data.measurement), _foot(data)
     validation = data.validation_of(c)
-    over_calls, caption_over_calls = polish_figure, captions.polish_caption
-    if c.is_adaptive:
-        over_calls, caption_over_calls = convergence_figure, captions.convergence_caption
-    validated: tuple[Picture, ...] = ()
-    if validation is not None:
-        validated = (
-            Picture(
-                f"validation-{c.name}",
-                f"The part that was not calibrated ({c.shown_name})",
-                validation_caption(validation),
-                lambda path: calibration_figure(
-                    validation.measurement,
-                    validation.shown_as(c),
-                    path,
-                    title=validation.sentence,
-                    footnote=foot,
-                ),
-            ),
-        )
-    return (
+    pictures = [
         Picture(
             f"calibration-{c.name}",
             f"Measured{'' if c.is_adaptive else ', screened'} and {c.final} ({c.shown_name})",
@@ -141,15 +91,38 @@ def _pictures_of(data: ReportData, c: CalibrationRecord, foot: str) -> tuple[Pic
         Picture(
             f"{'convergence' if c.is_adaptive else 'polish'}-{c.name}",
             f"MSE over model calls ({c.shown_name})",
-            caption_over_calls(c, mse_unit),
-            lambda path: over_calls(c, data.references, path, mse_unit=mse_unit, footnote=foot),
+            captions.calls_caption(c, mse_unit),
+            lambda path: calls_figure(c, data.references, path, mse_unit=mse_unit, footnote=foot),
         ),
-        *validated,
+    ]
+    tables = [parameters_table(data.parameters, c)]
+    if validation is not None:
+        pictures.append(
+            Picture(
+                f"validation-{c.name}",
+                f"The part that was not calibrated ({c.shown_name})",
+                validation_caption(validation),
+                lambda path: calibration_figure(
+                    validation.measurement, validation.shown_as(c), path, footnote=foot
+                ),
+            )
+        )
+        tables.append(validation_table(c, validation))
+    said = tuple(f"{line}." for line in (*filter(None, [c.state_equations]), *c.left_open))
+    heading = (
+        f"{c.shown_name}: final MSE {quantity(c.mse_polished, mse_unit)} in {count(c.calls_paper, 'call')}"
+    )
+    return Section(
+        c.name,
+        heading,
+        tuple(pictures),
+        tuple(tables),
+        paragraphs=said + restriction_sentences(c, unrestricted(c, data.calibrations), mse_unit),
     )
 
 
-def _uncertainty_pictures(data: ReportData, record: UncertaintyRecord, foot: str) -> tuple[Picture, ...]:
-    name, box = record.calibration, data.parameters.of(record.names)
+def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
+    name, box, foot = record.calibration, data.parameters.of(record.names), _foot(data)
     pictures = [
         Picture(
             f"bands-{name}",
@@ -173,18 +146,24 @@ def _uncertainty_pictures(data: ReportData, record: UncertaintyRecord, foot: str
                 lambda path: pairs_figure(box, record, path, footnote=foot),
             )
         )
-    return tuple(pictures)
+    return Section(
+        f"uncertainty-{name}",
+        f"How sure the {name} calibration is",
+        tuple(pictures),
+        (intervals_table(data.parameters, record),),
+        paragraphs=sentences(record, data.measurement.units),
+    )
 
 
-def _surrogate_pictures(data: ReportData, unit: str, foot: str) -> tuple[Picture, ...]:
+def _surrogate_pictures(data: ReportData) -> tuple[Picture, ...]:
+    unit, foot, trials = difference_unit(data.measurement.units[0]), _foot(data), data.trials
     pictures = []
-    trials = data.trials
     if trials is not None and trials.state:
         pictures.append(
             Picture(
                 "mae-over-n",
                 "Error of every trial over the number of training simulations",
-                captions.trials_caption(trials, unit),
+                captions.trials_caption(trials),
                 lambda path: mae_over_n_figure(trials, path, unit=unit, footnote=foot),
             )
         )
@@ -200,31 +179,18 @@ def _surrogate_pictures(data: ReportData, unit: str, foot: str) -> tuple[Picture
     return (*pictures, *(learning(c) for c in sorted(data.learning_curves, key=lambda c: c.n_train)))
 
 
-def _model_pictures(data: ReportData, foot: str) -> tuple[Picture, ...]:
-    pictures = []
-    coverage, sensitivity, headline = data.coverage, data.sensitivity, data.headline
+def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
+    pictures, foot = [], _foot(data)
+    coverage, sensitivity = data.coverage, data.sensitivity
     if coverage is not None:
-        marked = (
-            [MarkedPoint(f"{headline.final} ({headline.shown_name})", headline.theta_polished)]
-            if headline
-            else []
-        )
-        pictures += [
+        pictures.append(
             Picture(
                 "coverage",
                 f"The {coverage.name} set and the measurement",
                 captions.coverage_caption(data.measurement, coverage),
                 lambda path: coverage_figure(data.measurement, coverage, path, footnote=foot),
-            ),
-            Picture(
-                "coverage-pairs",
-                f"The {coverage.name} set, every pair of parameters",
-                captions.pairs_caption(data.parameters, coverage),
-                lambda path: coverage_pairs_figure(
-                    data.parameters, coverage, path, marked=marked, footnote=foot
-                ),
-            ),
-        ]
+            )
+        )
     if sensitivity is not None:
         pictures.append(
             Picture(

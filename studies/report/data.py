@@ -4,26 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox, require_shape
-from studies.report.records_model import CoverageSet, SensitivityRecord
+from simulation.case import KnownError
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A known MSE to draw beside the results.
-
-    Attributes:
-        label: What it is, e.g. "best known (24 starts on the FMU)".
-        mse: [output unit squared]
-        is_target: True adds the calls needed to reach it to the table.
-    """
-
-    label: str
-    mse: float
-    is_target: bool = False
+from studies.sensitivity import SobolIndices
 
 
 @dataclass(frozen=True)
@@ -65,7 +51,6 @@ class ReportData:
         uncertainties: How sure the calibrations are, as far as that was asked.
         references: Known MSEs.
         provenance: How to do it again.
-        headline_n_train: The size the headline speaks of; None takes the lowest final MSE.
     """
 
     label: str
@@ -75,38 +60,19 @@ class ReportData:
     parameters: ParameterBox
     calibrations: tuple[CalibrationRecord, ...] = ()
     coverage: CoverageSet | None = None
-    sensitivity: SensitivityRecord | None = None
+    sensitivity: SobolIndices | None = None
     tuned: tuple[TunedSize, ...] = ()
     trials: TrialsRecord | None = None
     learning_curves: tuple[LearningCurves, ...] = ()
     validations: tuple[ValidationRecord, ...] = ()
     uncertainties: tuple[UncertaintyRecord, ...] = ()
-    references: tuple[Reference, ...] = ()
+    references: tuple[KnownError, ...] = ()
     provenance: Provenance = Provenance()
-    headline_n_train: int | None = None
-
-    def __post_init__(self) -> None:
-        names = [calibration.name for calibration in self.calibrations]
-        if len(set(names)) != len(names):
-            raise ValueError(f"more than one calibration of one name in {sorted(names)}")
-        sizes = [calibration.n_train for calibration in self.calibrations]
-        if self.headline_n_train is not None and self.headline_n_train not in sizes:
-            raise ValueError(f"headline_n_train is {self.headline_n_train}, the sizes are {sorted(sizes)}")
-        for calibration in self.calibrations:
-            for what in ("y_screened", "y_polished"):
-                require_shape(f"the calibration's {what}", getattr(calibration, what), self.measurement.shape)
-            for what in ("theta_screened", "theta_polished"):
-                expected = self.parameters.lower.shape
-                require_shape(f"the calibration's {what}", getattr(calibration, what), expected)
 
     @property
     def headline(self) -> CalibrationRecord | None:
-        """The calibration put first: the asked one, else the one of lowest MSE, of equals the cheapest."""
-        if not self.calibrations:
-            return None
-        if self.headline_n_train is not None:
-            return next(c for c in self.calibrations if c.n_train == self.headline_n_train)
-        return min(self.calibrations, key=lambda c: (c.mse_polished, c.calls_paper))
+        """The calibration put first: the one of lowest MSE, of equals the cheapest; None without any."""
+        return min(self.calibrations, key=lambda c: (c.mse_polished, c.calls_paper), default=None)
 
     def validation_of(self, calibration: CalibrationRecord) -> ValidationRecord | None:
         """Return how a calibration did on the validation period, None where there is none."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,10 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 
 from studies.report.drawing import (
     INK,
-    EndLabel,
-    category_log,
     decimal_log,
     drawing,
-    end_labels,
-    log_limits,
+    legend,
+    sizes_axis,
 )
 from studies.report.records import Floats
 from studies.report.wording import axis_label, count
@@ -70,13 +67,8 @@ def setting_figure(
     colors = size_colors(list(trials))
     with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
         axes = figure.subplots()
-        values = np.concatenate([v for group in trials.values() for v in (group.values, group.pruned_values)])
-        errors = np.concatenate([e for group in trials.values() for e in (group.test_mae, group.pruned_mae)])
-        low, high = math.floor(math.log2(values.min())), math.ceil(math.log2(values.max()))
-        category_log(axes, [2**power for power in range(low, high + 1)])
-        axes.set_xlim(float(values.min()) / 1.3, float(values.max()) * 1.3)
-        decimal_log(axes, *log_limits(errors))
-        labels = []
+        sizes_axis(axes)
+        decimal_log(axes)
         for size, group in trials.items():
             best = group.best
             axes.plot(
@@ -85,16 +77,15 @@ def setting_figure(
             )  # fmt: skip
             axes.plot(
                 group.values, group.test_mae, linestyle="none", marker="o", markersize=4.5,
-                color=colors[size], alpha=0.7, markeredgewidth=0,
+                color=colors[size], alpha=0.7, markeredgewidth=0, label=f"n = {count(size)}",
             )  # fmt: skip
             axes.plot(
                 group.values[best], group.test_mae[best], linestyle="none", marker="*", markersize=13,
                 color=colors[size], markeredgecolor="white", markeredgewidth=0.8, zorder=4,
             )  # fmt: skip
-            labels.append(EndLabel(float(group.test_mae[best]), f"n = {count(size)}", colors[size]))
         axes.set_xlabel(f"{what} (★ chosen by validation error, ○ pruned, at the last validation error)")
         axes.set_ylabel(axis_label("MAE", unit))
-        end_labels(axes, labels)
+        legend(axes)
     return path
 
 
@@ -137,26 +128,19 @@ def spread_figure(
     """
     with drawing(path, title=title, height_in=4.3, footnote=footnote) as figure:
         panels = figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0]
-        values = [v for kind in kinds for v in (*kind.mae.values(), *kind.p90.values())]
-        limits = log_limits(np.concatenate(values))
         for axes, kind in zip(panels, kinds, strict=True):
-            _draw_spread(axes, spreads, kind, limits)
+            _draw_spread(axes, spreads, kind)
         panels[0].set_ylabel(axis_label("error", unit))
-        last = kinds[-1]
-        colors = size_colors(list(last.mae))
-        end_labels(
-            panels[-1],
-            [EndLabel(float(mae[-1]), f"n = {count(size)}", colors[size]) for size, mae in last.mae.items()],
-        )
+        legend(panels[-1])
     return path
 
 
-def _draw_spread(axes: Axes, spreads: Floats, kind: SpreadErrors, limits: tuple[float, float]) -> None:
+def _draw_spread(axes: Axes, spreads: Floats, kind: SpreadErrors) -> None:
     colors = size_colors(list(kind.mae))
-    decimal_log(axes, *limits)
+    decimal_log(axes)
     axes.set_xlim(float(spreads[0]), float(spreads[-1]))
     for size, mae in kind.mae.items():
-        axes.plot(spreads, mae, color=colors[size], linewidth=1.6, zorder=3)
+        axes.plot(spreads, mae, color=colors[size], zorder=3, label=f"n = {count(size)}")
         axes.plot(spreads, kind.p90[size], color=colors[size], linewidth=1.0, linestyle=(0, (2, 2)), zorder=2)
     axes.set_title(kind.heading)
     axes.set_xlabel("spread δ of the test set [1]")

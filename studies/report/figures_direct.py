@@ -6,20 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from studies.report.data import Reference
+from simulation.case import KnownError
 from studies.report.drawing import (
     FAINT,
-    MUTED,
     SERIES,
-    EndLabel,
     decimal_log,
     drawing,
-    end_labels,
-    log_limits,
+    legend,
+    mse_lines,
 )
 from studies.report.wording import axis_label
 
@@ -47,7 +44,7 @@ class DirectPoint:
 
 def direct_figure(
     points: Sequence[DirectPoint],
-    references: Sequence[Reference],
+    references: Sequence[KnownError],
     path: Path,
     *,
     title: str,
@@ -76,20 +73,15 @@ def direct_figure(
         axes.xaxis.set_major_locator(LogLocator(base=10.0))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
-        known = [p.mse for p in points] + [p.paper_mse for p in points if p.paper_mse is not None]
-        decimal_log(axes, *log_limits(np.array([*known, *(r.mse for r in references)])))
-        for reference in references:
-            axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
+        decimal_log(axes)
+        mse_lines(axes, references)
         for point in points:
             _draw(axes, point, colors[point.method])
         axes.set_xlabel("model calls")
         axes.set_ylabel(axis_label("MSE", mse_unit))
-        end_labels(axes, [EndLabel(r.mse, r.label, MUTED) for r in references])
-        for number, (method, color) in enumerate(colors.items()):
-            axes.annotate(
-                method, (0.02, 0.985), (0, -12.5 * number), xycoords="axes fraction",
-                textcoords="offset points", va="top", fontsize=8.5, color=color,
-            )  # fmt: skip
+        for method, color in colors.items():
+            axes.plot([], linestyle="none", marker="o", color=color, label=method)
+        legend(axes)
     return path
 
 

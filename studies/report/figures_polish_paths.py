@@ -9,18 +9,17 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from studies.report.data import Reference
+from simulation.case import KnownError
 from studies.report.drawing import (
     FAINT,
     INK,
     MUTED,
     POLISHED,
     SCREENED,
-    EndLabel,
     decimal_log,
     drawing,
-    end_labels,
-    log_limits,
+    legend,
+    mse_lines,
 )
 from studies.report.figures_by_size import size_colors
 from studies.report.findings import quartiles
@@ -49,7 +48,7 @@ class PolishPath:
 
 def polish_paths_figure(
     paths: Sequence[PolishPath],
-    references: Sequence[Reference],
+    references: Sequence[KnownError],
     path: Path,
     *,
     title: str,
@@ -72,21 +71,19 @@ def polish_paths_figure(
     colors = size_colors([one.n_train for one in paths])
     with drawing(path, title=title, height_in=4.4, footnote=footnote) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.0, 1.5])
-        known = [np.append(one.mse, [one.mse_surrogate, one.mse_screened]) for one in paths]
-        limits = log_limits(np.concatenate([*known, np.array([r.mse for r in references])]))
         for axes in (left, right):
-            decimal_log(axes, *limits)
-            for reference in references:
-                axes.axhline(reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)), zorder=1)
+            decimal_log(axes)
+            mse_lines(axes, references)
         _draw_gaps(left, paths, colors)
-        labels = [EndLabel(r.mse, r.label, MUTED) for r in references]
         for one in paths:
-            right.step(one.calls, one.mse, where="post", color=colors[one.n_train], linewidth=1.4, zorder=3)
+            right.step(
+                one.calls, one.mse, where="post", color=colors[one.n_train], linewidth=1.4, zorder=3,
+                label=f"n = {count(one.n_train)}",
+            )  # fmt: skip
         right.set_xlim(0.0, max(float(one.calls.max(initial=1)) for one in paths) * 1.02)
         right.set_title("MSE during the polish")
         right.set_xlabel("model calls of the polish")
-        end_labels(right, labels)
-        _name_sizes(right, colors)
+        legend(right)
         left.set_ylabel(axis_label("MSE", mse_unit))
     return path
 
@@ -105,14 +102,6 @@ def _draw_gaps(axes: Axes, paths: Sequence[PolishPath], colors: Mapping[int, str
         )
     axes.set_title("○ surrogate   ◆ model")
     axes.set_xlabel("training simulations")
-
-
-def _name_sizes(axes: Axes, colors: Mapping[int, str]) -> None:
-    for number, (size, color) in enumerate(colors.items()):
-        axes.annotate(
-            f"n = {count(size)}", (0.985, 0.985), (0, -12.5 * number), xycoords="axes fraction",
-            textcoords="offset points", ha="right", va="top", fontsize=8.5, color=color,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -153,12 +142,8 @@ def seeds_figure(panels: Sequence[SeedPanel], path: Path, *, title: str, footnot
 
 
 def _draw_seeds(axes: Axes, panel: SeedPanel) -> None:
-    finite = [v[np.isfinite(v)] for v in panel.values.values()]
-    everything = np.concatenate([*finite, np.array(list(panel.paper.values()))])
     if panel.is_log:
-        decimal_log(axes, *log_limits(everything))
-    else:
-        axes.set_ylim(0.0, 1.12 * float(everything.max(initial=1.0)))
+        decimal_log(axes)
     for place, (size, values) in enumerate(panel.values.items()):
         good = values[np.isfinite(values)]
         sideways = place + 0.16 * np.linspace(-1.0, 1.0, len(good)) if len(good) > 1 else np.full(1, place)
@@ -166,7 +151,7 @@ def _draw_seeds(axes: Axes, panel: SeedPanel) -> None:
                   alpha=0.55, markeredgewidth=0)  # fmt: skip
         low, middle, high = quartiles(values)
         if np.isfinite(middle):
-            top = high if np.isfinite(high) else axes.get_ylim()[1]
+            top = high if np.isfinite(high) else good.max()
             axes.plot([place + 0.3] * 2, [low, top], color=INK, linewidth=1.2)
             axes.plot(place + 0.3, middle, marker="_", markersize=9, markeredgewidth=2.0, color=INK)
         if size in panel.paper:
@@ -175,6 +160,8 @@ def _draw_seeds(axes: Axes, panel: SeedPanel) -> None:
         if missing:
             axes.annotate(f"{missing} never", (place, 0.99), xycoords=("data", "axes fraction"), ha="center",
                           va="top", fontsize=8, color=MUTED)  # fmt: skip
+    if not panel.is_log:
+        axes.set_ylim(bottom=0.0)
     axes.set_xticks(range(len(panel.values)), [str(size) for size in panel.values])
     axes.set_xlim(-0.6, len(panel.values) - 0.4)
     axes.grid(visible=False, axis="x")

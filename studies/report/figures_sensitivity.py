@@ -1,4 +1,4 @@
-"""The picture of Sobol indices over time (Fig. 5 of the paper), with total-order indices beside."""
+"""The picture of Sobol indices over time with confidence bands, first order above total (Fig. 5)."""
 
 from __future__ import annotations
 
@@ -7,29 +7,16 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from studies.report.drawing import (
-    FAINT,
-    INK,
-    MUTED,
-    SERIES,
-    EndLabel,
-    drawing,
-    end_labels,
-    shortened,
-    time_axis,
-)
-from studies.report.findings import mean_over_time, ranking
-from studies.report.records import Integers
-from studies.report.records_model import SensitivityRecord
-from studies.report.wording import count, listed, percent
+from studies.report.drawing import FAINT, SERIES, drawing, legend, shortened, time_axis
+from studies.report.records import Floats
+from studies.report.wording import count
+from studies.sensitivity import SobolIndices
 
-N_LABELED = 6
-LEAST_NAMED = 0.005
-"""Share of the variance from which on a title names a parameter beside the first one. [1]"""
+N_COLORED = 6
 
 
-def sensitivity_figure(sensitivity: SensitivityRecord, path: Path, *, footnote: str = "") -> Path:
-    """Draw first-order indices stacked over time, and total-order indices with confidence intervals beside.
+def sensitivity_figure(sensitivity: SobolIndices, path: Path, *, footnote: str = "") -> Path:
+    """Draw first- and total-order indices of every output over time.
 
     Args:
         sensitivity: Sobol indices per time step.
@@ -39,93 +26,41 @@ def sensitivity_figure(sensitivity: SensitivityRecord, path: Path, *, footnote: 
     Returns:
         The path.
     """
-    n_outputs, p = len(sensitivity.output_names), len(sensitivity.names)
-    height = 0.7 + n_outputs * max(3.4, 0.24 * p + 0.6)
-    with drawing(path, title=_title(sensitivity), height_in=height, footnote=footnote) as figure:
-        panels = figure.subplots(n_outputs, 2, width_ratios=[1.75, 1.0], squeeze=False)
-        for output in range(n_outputs):
-            order = ranking(sensitivity, output)
-            suffix = f" ({shortened(sensitivity.output_names[output])})" if n_outputs > 1 else ""
-            _draw_stack(panels[output, 0], sensitivity, output, order)
-            panels[output, 0].set_title(f"First order, each parameter alone{suffix}")
-            _draw_bars(panels[output, 1], sensitivity, output, order)
-            panels[output, 1].set_title("Total order, mean over time")
+    s = sensitivity
+    height = 0.7 + 5.6 * len(s.output_names)
+    with drawing(path, title="Sobol indices over time", height_in=height, footnote=footnote) as figure:
+        panels = figure.subplots(2 * len(s.output_names), 1, sharex=True)
+        for k, output in enumerate(s.output_names):
+            first, total = panels[2 * k : 2 * k + 2]
+            first.set_title(f"First order: what a parameter explains of {shortened(output)} alone")
+            _draw(first, s, k, s.first_order[:, k], s.first_order_ci[:, k])
+            legend(first)
+            total.set_title(f"Total order: what it takes part in of {shortened(output)}")
+            _draw(total, s, k, s.total_order[:, k], s.total_order_ci[:, k])
+        for axes in panels[:-1]:
+            axes.set_xlabel("")
     return path
 
 
-def _title(sensitivity: SensitivityRecord) -> str:
-    order, mean = ranking(sensitivity, 0), mean_over_time(sensitivity.first_order[:, 0])
-    top = [i for i in order[:3] if np.isfinite(mean[i]) and mean[i] > 0]
-    # An estimate of nothing scatters around zero.
-    top = [i for i in top if i == top[0] or mean[i] >= LEAST_NAMED]
-    if not top:
-        return "No parameter moves the output: its Sobol indices are undefined"
-    of_output = f" of {sensitivity.output_names[0]}" if len(sensitivity.output_names) > 1 else ""
-    verb = "explain" if len(top) > 1 else "explains"
-    names = listed(sensitivity.names[i] for i in top)
-    return f"{names} {verb} {percent(float(mean[top].sum()))} of the variance{of_output}, averaged over time"
-
-
-def _color(rank: int) -> str:
-    return SERIES[rank] if rank < N_LABELED else FAINT
-
-
-def _draw_stack(axes: Axes, sensitivity: SensitivityRecord, output: int, order: Integers) -> None:
-    time = time_axis(axes, sensitivity.time).of_seconds(sensitivity.time)
-    indices = sensitivity.first_order[:, output][:, order]
-    defined = np.asarray(np.isfinite(indices).all(axis=1), dtype=np.bool_)
-    # An estimate may lie a little below zero; a share of the variance does not.
-    upper = np.cumsum(np.clip(indices, 0.0, None), axis=1)
-    lower = np.concatenate([np.zeros((len(time), 1)), upper[:, :-1]], axis=1)
-    last = int(np.flatnonzero(defined)[-1]) if defined.any() else 0
-    labels = []
-    for rank in range(len(order)):
-        axes.fill_between(
-            time,
-            lower[:, rank],
-            upper[:, rank],
-            where=defined.tolist(),
-            color=_color(rank),
-            linewidth=0.3,
-            edgecolor="white",
-            alpha=0.9,
-        )
-        if rank < N_LABELED and defined.any():
-            middle = float(lower[last, rank] + upper[last, rank]) / 2
-            labels.append(EndLabel(middle, sensitivity.names[order[rank]], _color(rank)))
-    n_others = len(order) - N_LABELED
-    if n_others > 0 and defined.any():
-        middle = float(lower[last, N_LABELED] + upper[last, -1]) / 2
-        labels.append(EndLabel(middle, f"{n_others} others" if n_others > 1 else "1 other", MUTED))
-    axes.set_ylim(0.0, max(1.0, float(np.nanmax(upper)) * 1.02) if defined.any() else 1.0)
+def _draw(axes: Axes, s: SobolIndices, output: int, values: Floats, half_width: Floats) -> None:
+    """Draw one kind of indices of an output. Shapes (t, p)."""
+    time = time_axis(axes, s.time).of_seconds(s.time)
+    order = s.order(output)
+    for rank, i in enumerate(order):
+        color = SERIES[rank] if rank < N_COLORED else FAINT
+        name = shortened(s.names[i]) if rank < N_COLORED else None
+        if rank == N_COLORED:
+            name = count(len(order) - N_COLORED, "other")
+        low, high = values[:, i] - half_width[:, i], values[:, i] + half_width[:, i]
+        # The most important lies on top.
+        layer = 3.0 - rank / len(order)
+        axes.fill_between(time, low, high, color=color, alpha=0.25, linewidth=0, zorder=layer - 1.0)
+        axes.plot(
+            time, values[:, i], color=color, linewidth=1.3 if rank < N_COLORED else 0.8, zorder=layer,
+            label=name,
+        )  # fmt: skip
+    n_undefined = int(np.sum(~np.isfinite(values).all(axis=1)))
+    undefined = f"; undefined at {count(n_undefined, 'time step')}" if n_undefined else ""
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes.set_ylabel("share of the variance [1]")
-    if not defined.all():
-        text = f"undefined at {count((~defined).sum(), 'time step')}"
-        axes.annotate(text, (0.01, 0.97), xycoords="axes fraction", va="top", fontsize=8, color=MUTED)
-    end_labels(axes, labels)
-
-
-def _draw_bars(axes: Axes, sensitivity: SensitivityRecord, output: int, order: Integers) -> None:
-    total = mean_over_time(sensitivity.total_order[:, output])[order]
-    half_width = mean_over_time(sensitivity.total_order_ci[:, output])[order]
-    first = mean_over_time(sensitivity.first_order[:, output])[order]
-    rows = np.arange(len(order), dtype=np.float64)
-    shown = np.isfinite(total)
-    colors = [_color(rank) for rank in range(len(order))]
-    axes.barh(rows, np.where(shown, total, 0.0), height=0.68, color=colors, alpha=0.9, linewidth=0)
-    axes.errorbar(
-        total[shown],
-        rows[shown],
-        xerr=np.nan_to_num(half_width[shown]),
-        fmt="none",
-        ecolor=INK,
-        elinewidth=1.0,
-        capsize=2.0,
-    )
-    axes.plot(first, rows, linestyle="none", marker="|", markersize=8, markeredgewidth=1.6, color="white")
-    axes.set_yticks(rows, [shortened(sensitivity.names[i]) for i in order], fontsize=8.5)
-    axes.set_ylim(len(order) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(visible=False, axis="y")
-    axes.set_xlim(left=0.0)
-    axes.set_xlabel("index [1]; white tick: first order")
+    axes.set_title(axes.get_title(loc="left") + undefined)

@@ -11,14 +11,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from studies.report.drawing import (
     INK,
     MEASURED,
-    MUTED,
     POLISHED,
     SCREENED,
     SIMULATED,
     TRAINING,
-    EndLabel,
     drawing,
-    end_labels,
+    legend,
     shortened,
     time_axis,
 )
@@ -30,7 +28,6 @@ from studies.report.wording import (
     difference_unit,
     digits_between,
     percent,
-    quantity,
     shown_unit,
     significant,
 )
@@ -38,8 +35,6 @@ from studies.report.wording import (
 N_BINS = 40
 MOST_PAIRS = 4
 N_DOTS = 1200
-WIDE = 0.4
-"""Share of a parameter's range from which on a posterior is drawn between the bounds."""
 LEAST_LOG_RATIO = 10.0
 """Upper by lower end from which on a logarithmic parameter has a logarithmic axis."""
 
@@ -59,13 +54,7 @@ def band_figure(
         The path.
     """
     n_outputs = len(measured.output_names)
-    unit = difference_unit(measured.units[0])
-    width = float(np.mean(record.simulated[1, :, 0] - record.simulated[0, :, 0]))
-    name, held = measured.output_names[0], percent(record.share_predictive[0])
-    title = (
-        f"What the data leave open moves {name} by {quantity(width, unit, 2)} on average; "
-        f"with noise the {percent(record.level)} band holds {held} of the measurement{_if_fixed(record)}"
-    )
+    title = f"{percent(record.level)} bands of the outputs{_if_fixed(record)}"
     with drawing(path, title=title, height_in=0.7 + 3.9 * n_outputs, footnote=footnote) as figure:
         panels = figure.subplots(
             2 * n_outputs, 1, sharex=True, height_ratios=[1.6, 1.2] * n_outputs, squeeze=False
@@ -90,29 +79,22 @@ def _draw_band(
     if is_around_middle:
         trajectory = np.repeat(middle[:, None], len(measured.output_names), axis=1)
         values = -measured.residual(trajectory, k)
-    axes.fill_between(
-        at, record.predictive[0, :, k] - base, record.predictive[1, :, k] - base, color=TRAINING, linewidth=0
-    )
-    axes.fill_between(
-        at, record.simulated[0, :, k] - base, record.simulated[1, :, k] - base, color=SIMULATED, linewidth=0
-    )
+    for band, color, what in (
+        (record.predictive, TRAINING, "with noise"),
+        (record.simulated, SIMULATED, "simulated"),
+    ):
+        low, high = band[:, :, k] - base
+        axes.fill_between(at, low, high, color=color, linewidth=0, label=what)
     axes.plot(
         unit_of_time.of_seconds(samples.time), values, linestyle="none", marker=".", markersize=3.5,
-        color=MEASURED if not is_around_middle else INK, alpha=0.8, zorder=3,
+        color=MEASURED if not is_around_middle else INK, alpha=0.8, zorder=3, label="measured",
     )  # fmt: skip
     name, unit = measured.output_names[k], measured.units[k]
     if is_around_middle:
         axes.set_ylabel(axis_label("around the middle", shortened(difference_unit(unit), 10)))
-        ends = record.predictive[1, :, k] - middle
-        labels = [
-            EndLabel(float(ends[-1]), "with noise", MUTED),
-            EndLabel(0.0, "simulated", POLISHED),
-        ]
     else:
         axes.set_ylabel(axis_label(shortened(name), shortened(shown_unit(unit))))
-        labels = [EndLabel(float(values[-1]), "measured", INK)]
-    axes.set_ylim(*axes.get_ylim())
-    end_labels(axes, labels)
+        legend(axes)
 
 
 def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, footnote: str = "") -> Path:
@@ -128,9 +110,7 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
         The path.
     """
     p = len(record.names)
-    n_determined = len(record.called("determined"))
-    title = f"Of {count(p, 'parameter')} the data determine {count(n_determined) if n_determined else 'none'}"
-    title = title + _if_fixed(record) if record.is_trusted else "Too few calls to say what the data determine"
+    title = f"Intervals of the parameters between their bounds{_if_fixed(record)}"
     u, point = box.to_unit(record.particles), box.to_unit(record.calibrated)
     low, high = box.to_unit(record.interval)
     linear_low, linear_high = box.to_unit(record.linear)
@@ -153,34 +133,25 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
         axes.set_ylim(p - 0.6, -1.0)
         axes.set_xlim(0.0, 1.0)
         axes.set_xticks([0.0, 0.5, 1.0], ["lower bound", "", "upper bound"])
-        _name_lines(axes, record)
+        if record.is_trusted:
+            axes.plot([], color=POLISHED, linewidth=4.0, label=f"{percent(record.level)} interval")
+        axes.plot([], color=SCREENED, linewidth=1.2, label="linearised")
+        axes.plot([], color=INK, linestyle="none", marker="o", markersize=4.5, label="calibrated")
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
         right = axes.secondary_yaxis("right")
         units = (shown_unit(unit) for unit in box.units)
-        told = record.interval if record.is_trusted else record.linear
+        shown = record.interval if record.is_trusted else record.linear
         right.set_yticks(
             range(p),
             [
                 f"{_short(a, b)} to {_short(b, a)} {unit}".strip()
-                for (a, b), unit in zip(told.T, units, strict=True)
+                for (a, b), unit in zip(shown.T, units, strict=True)
             ],
             fontsize=8,
         )
         right.tick_params(axis="y", length=0, pad=8)
         right.spines["right"].set_visible(False)
     return path
-
-
-def _name_lines(axes: Axes, record: UncertaintyRecord) -> None:
-    words = (
-        (f"▬ {percent(record.level)} interval", POLISHED, 0.0),
-        ("— linearised", SCREENED, 0.24),
-        ("● calibrated", INK, 0.42),
-    )
-    for text, color, place in words if record.is_trusted else words[1:]:
-        axes.annotate(
-            text, (place, 1.0), (0, 3), xycoords="axes fraction", textcoords="offset points", fontsize=8.5,
-            color=color,
-        )  # fmt: skip
 
 
 def _if_fixed(record: UncertaintyRecord) -> str:
@@ -201,11 +172,7 @@ def pairs_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, fo
         The path.
     """
     shown = shown_pairs(record)
-    first = shown[0]
-    title = f"{record.names[first[0]]} and {record.names[first[1]]}: equally good parameter sets"
-    if record.pairs:
-        title = record.pairs[0].sentence
-    title += _if_fixed(record)
+    title = f"Equally good parameter sets{_if_fixed(record)}"
     n_columns = min(2, len(shown))
     n_rows = -(-len(shown) // n_columns)
     with drawing(path, title=title, height_in=0.5 + 3.1 * n_rows, footnote=footnote) as figure:
@@ -244,8 +211,7 @@ def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int,
     axes.plot(*record.calibrated[[i, j]], marker="x", color=SCREENED, markersize=8, mew=2, zorder=4)
     for axis, k in ((axes.xaxis, i), (axes.yaxis, j)):
         is_x = axis is axes.xaxis
-        low, high = _seen(box, record, k)
-        if box.is_log[k] and high >= LEAST_LOG_RATIO * low:
+        if box.is_log[k] and dots[:, k].max() >= LEAST_LOG_RATIO * dots[:, k].min():
             (axes.set_xscale if is_x else axes.set_yscale)("log")
             axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 3.0)))
             axis.set_minor_formatter(NullFormatter())
@@ -253,19 +219,6 @@ def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int,
             axis.set_major_locator(MaxNLocator(4))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
         axis.set_label_text(axis_label(shortened(box.names[k]), shortened(shown_unit(box.units[k]))))
-        (axes.set_xlim if is_x else axes.set_ylim)(low, high)
-
-
-def _seen(box: ParameterBox, record: UncertaintyRecord, k: int) -> tuple[float, float]:
-    """Return the part of a parameter's range to draw: all of it, or what surrounds a narrow posterior."""
-    lower, upper = float(box.lower[k]), float(box.upper[k])
-    scale, back = (np.log, np.exp) if box.is_log[k] else (np.positive, np.positive)
-    values = scale(np.concatenate([record.particles[:, k], record.sample[:, k], record.calibrated[[k]]]))
-    width = float(np.ptp(values))
-    if width == 0.0 or width > WIDE * (scale(upper) - scale(lower)):
-        return lower, upper
-    low, high = back(values.min() - 0.2 * width), back(values.max() + 0.2 * width)
-    return max(float(low), lower), min(float(high), upper)
 
 
 def _short(value: float, other: float) -> str:

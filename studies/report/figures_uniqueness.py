@@ -16,7 +16,7 @@ from studies.report.drawing import (
     SERIES,
     decimal_log,
     drawing,
-    log_limits,
+    legend,
     shortened,
 )
 from studies.report.records import Floats
@@ -75,11 +75,11 @@ def _draw_bundles(axes: Axes, panel: BundlePanel) -> None:
         places = np.broadcast_to(np.arange(bundle.u.shape[1], dtype=np.float64), bundle.u.shape)
         alpha = float(np.clip(12.0 / max(len(bundle.u), 1), 0.12, 0.9))
         lines = np.stack([places, bundle.u], axis=-1)
-        axes.add_collection(LineCollection(list(lines), colors=color, linewidths=1.0, alpha=alpha, zorder=3))
-        axes.annotate(
-            f"{bundle.name} ({count(len(bundle.u))})", (1.0, 0.97), (5, -13.0 * number),
-            xycoords="axes fraction", textcoords="offset points", va="top", fontsize=8.5, color=color,
-        )  # fmt: skip
+        label = f"{bundle.name} ({count(len(bundle.u))})"
+        axes.add_collection(
+            LineCollection(list(lines), colors=color, linewidths=1.0, alpha=alpha, zorder=3, label=label)
+        )
+    legend(axes)
     axes.set_xlim(0.0, (panel.bundles[0].u.shape[1] - 1) if panel.bundles else 1.0)
     axes.set_ylim(-0.02, 1.02)
     axes.set_yticks([0.0, 0.5, 1.0], ["lower bound", "", "upper bound"])
@@ -130,7 +130,7 @@ def identifiability_figure(
         top.set_title("Standard deviation / range")
         bottom = figure.add_subplot(grid[1, 1])
         shares = singular_values / singular_values.max()
-        decimal_log(bottom, *log_limits(shares))
+        decimal_log(bottom)
         bottom.plot(np.arange(1, p + 1), shares, linestyle="none", marker="s", color=SCREENED)
         bottom.set_title("Singular values / largest")
         bottom.set_xticks(range(1, p + 1, 3))

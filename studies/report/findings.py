@@ -3,36 +3,20 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 
-from studies.report.records import CalibrationRecord, Floats, Integers, MeasuredSeries, ParameterBox
-from studies.report.records_model import CoverageSet, SensitivityRecord
+from studies.report.records import (
+    CalibrationRecord,
+    CoverageSet,
+    Floats,
+    Integers,
+    MeasuredSeries,
+    ParameterBox,
+)
 from studies.report.records_tuning import TrialsRecord
 from studies.report.wording import bound_at
-
-
-def mean_over_time(indices: Floats) -> Floats:
-    """Average indices over the time steps where they are defined; NaN where they never are.
-
-    Args:
-        indices: Shape (t, ...). [1]
-
-    Returns:
-        Shape (...). [1]
-    """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Mean of empty slice")
-        return np.asarray(np.nanmean(indices, axis=0), dtype=np.float64)
-
-
-def last_finite(values: Floats) -> float:
-    """Return the last value that is finite, NaN without one."""
-    finite = np.flatnonzero(np.isfinite(values))
-    return float(values[finite[-1]]) if finite.size else math.nan
 
 
 def quartiles(values: Floats) -> Floats:
@@ -48,12 +32,6 @@ def quartiles(values: Floats) -> Floats:
     ordered, places = np.sort(values), len(values) * np.array([0.25, 0.5, 0.75])
     lower, upper = np.ceil(places).astype(int) - 1, np.floor(places).astype(int)
     return np.asarray(0.5 * (ordered[lower] + ordered[upper]), dtype=np.float64)
-
-
-def ranking(sensitivity: SensitivityRecord, output: int) -> Integers:
-    """Return the parameters' positions, largest mean first-order index first. Shape (p,)."""
-    mean = mean_over_time(sensitivity.first_order[:, output])
-    return np.argsort(-np.nan_to_num(mean, nan=-np.inf), kind="stable").astype(np.int64)
 
 
 def good_rows(coverage: CoverageSet) -> Floats:
@@ -80,11 +58,6 @@ def strongest_correlation(coverage: CoverageSet) -> tuple[float, int, int] | Non
     rows, columns = np.tril_indices(p, k=-1)
     k = int(np.argmax(np.abs(correlation[rows, columns])))
     return float(correlation[rows[k], columns[k]]), int(columns[k]), int(rows[k])
-
-
-def largest_by_chance(n: int, n_pairs: int) -> float:
-    """Return about the median of the largest of many correlations among n independent draws."""
-    return NormalDist().inv_cdf((1.0 + 0.5 ** (1.0 / n_pairs)) / 2.0) / math.sqrt(n)
 
 
 def best_trials(trials: TrialsRecord) -> Integers:
@@ -133,12 +106,3 @@ def residual_of(measurement: MeasuredSeries, calibration: CalibrationRecord, out
         largest_at_s=float(measurement.samples[output].time[worst]),
         within=float(np.mean(np.abs(values) <= uncertainty)) if math.isfinite(uncertainty) else math.nan,
     )
-
-
-def calls_to_most(calibration: CalibrationRecord, share: float = 0.9) -> int | None:
-    """Return the polish calls that brought a share of the improvement, in the logarithm; None without one."""
-    start, end = calibration.mse_screened, calibration.mse_polished
-    if not (math.isfinite(start) and 0 < end < start):
-        return None
-    reached = calibration.calls_to(start * (end / start) ** share)
-    return None if reached is None else reached - calibration.calls_to_polish

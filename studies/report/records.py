@@ -6,7 +6,8 @@ Shapes use t time steps, k outputs, p parameters, n parameter sets, h history en
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 import numpy as np
@@ -14,19 +15,12 @@ from numpy.typing import NDArray
 
 from simulation.measurement import Measurement, Samples
 from studies.calibration.ledger import Ledger
-from studies.report.records_restriction import RestrictionRecord
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 Method = Literal["paper", "adaptive"]
-
-
-def require_shape(what: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
-    """Raise ValueError when an array of a record has not the shape its neighbors imply."""
-    if array.shape != shape:
-        raise ValueError(f"{what} has shape {array.shape}, expected {shape}")
 
 
 @dataclass(frozen=True)
@@ -41,10 +35,6 @@ class MeasuredSeries:
 
     measurement: Measurement
     units: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.units) != len(self.output_names):
-            raise ValueError(f"{len(self.units)} units for {len(self.output_names)} outputs")
 
     @property
     def time(self) -> Floats:
@@ -105,13 +95,6 @@ class ParameterBox:
     upper: Floats
     is_log: Booleans
 
-    def __post_init__(self) -> None:
-        shape = (len(self.names),)
-        if len(self.units) != len(self.names):
-            raise ValueError(f"{len(self.units)} units for {len(self.names)} parameters")
-        for what in ("estimate", "lower", "upper", "is_log"):
-            require_shape(f"the parameters' {what}", getattr(self, what), shape)
-
     def of(self, names: tuple[str, ...]) -> ParameterBox:
         """Return the box of the parameters that are named."""
         at = [self.names.index(name) for name in names]
@@ -139,6 +122,44 @@ class ParameterBox:
             width = np.log(self.upper[log] / self.lower[log])
             unit[..., log] = np.log(theta[..., log] / self.lower[log]) / width
         return unit
+
+
+@dataclass(frozen=True)
+class RestrictionRecord:
+    """Which parameters a calibration left out, and what is known of that choice.
+
+    Attributes:
+        n_free: Parameters that were calibrated.
+        fixed: Names of the others.
+        shares: Share of each parameter in what varies, by name; None where it is not known. [1]
+        source: What says so: "Sobol" or "Morris".
+        n_calls: Calls for that, made first of all.
+        n_calls_before: Calls that stored Sobol indices had cost before.
+        gain: Part of the error that freeing all others would take away; None where not checked. [1]
+        gain_alone: The same for each of them alone, by name; None where its simulation failed, empty where
+            not checked. [1]
+        n_check: Calls of that check.
+    """
+
+    n_free: int
+    fixed: tuple[str, ...]
+    shares: Mapping[str, float | None]
+    source: str
+    n_calls: int = 0
+    n_calls_before: int = 0
+    gain: float | None = None
+    gain_alone: Mapping[str, float | None] = field(default_factory=dict)
+    n_check: int = 0
+
+    @property
+    def closest_call(self) -> tuple[str, str] | None:
+        """The least relevant parameter that was calibrated and the most relevant one that was not."""
+        known = {name: share for name, share in self.shares.items() if share is not None}
+        fixed = [name for name in known if name in self.fixed]
+        free = [name for name in known if name not in self.fixed]
+        return (
+            (min(free, key=known.__getitem__), max(fixed, key=known.__getitem__)) if free and fixed else None
+        )
 
 
 @dataclass(frozen=True, eq=False)  # arrays cannot be compared: a record equals itself alone
@@ -172,7 +193,7 @@ class CalibrationRecord:
         n_known: Stored simulations that it began with, which are none of its calls.
         restriction: What was fixed; None where all parameters were calibrated.
         knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
-        state_equations: What became of state equations, in a sentence; empty where nobody looked for any.
+        state_equations: What became of state equations, in a sentence; empty where none were looked for.
         left_open: What the data do not determine, in sentences; empty where nothing is known of that.
     """
 
@@ -202,9 +223,6 @@ class CalibrationRecord:
     knowledge: tuple[str, ...] = ()
     state_equations: str = ""
     left_open: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_shape("the polish history's MSE", self.history_mse, self.history_calls.shape)
 
     @property
     def is_adaptive(self) -> bool:
@@ -276,3 +294,18 @@ class CalibrationRecord:
         """Return the model calls (as the paper counts) until the best MSE was at most `target`, or None."""
         reached = np.flatnonzero(self.history_mse <= target)
         return int(self.history_calls[reached[0]]) if reached.size else None
+
+
+@dataclass(frozen=True)
+class CoverageSet:
+    """A simulated set of trajectories, to see whether it covers parameters and measurement.
+
+    Attributes:
+        name: What the set is, e.g. "training".
+        theta: Shape (n, p). [parameter units]
+        y: Failed rows are NaN throughout. Shape (n, t, k). [output units]
+    """
+
+    name: str
+    theta: Floats
+    y: Floats

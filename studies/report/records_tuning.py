@@ -9,9 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from studies.report.records import Booleans, Floats, Integers, require_shape
-
-TRIAL_STATES = ("complete", "pruned", "failed", "running")
+from studies.report.records import Booleans, Floats, Integers
 
 
 @dataclass(frozen=True)
@@ -20,7 +18,7 @@ class TrialsRecord:
 
     Attributes:
         n_train: Training-set size of the trial's study. Shape (m,).
-        state: One of `TRIAL_STATES` per trial, m entries.
+        state: "complete", "pruned", "failed" or "running" per trial, m entries.
         validation_mae: For a pruned trial the last one reported. Shape (m,). [output unit, differences]
         test_mae: Shape (m,). [output unit, differences]
         test_p90: Shape (m,). [output unit, differences]
@@ -33,14 +31,6 @@ class TrialsRecord:
     test_mae: Floats
     test_p90: Floats
     is_best: Booleans
-
-    def __post_init__(self) -> None:
-        shape = (len(self.state),)
-        for what in ("n_train", "validation_mae", "test_mae", "test_p90", "is_best"):
-            require_shape(f"the trials' {what}", getattr(self, what), shape)
-        unknown = sorted(set(self.state) - set(TRIAL_STATES))
-        if unknown:
-            raise ValueError(f"unknown trial state {unknown[0]!r}, expected one of {', '.join(TRIAL_STATES)}")
 
 
 @dataclass(frozen=True)
@@ -145,8 +135,3 @@ class LearningCurves:
     terms: tuple[tuple[str, Floats], ...]
     best_epoch: int
     stop_reason: str = ""
-
-    def __post_init__(self) -> None:
-        require_shape("the validation MAE", self.validation_mae, self.epoch.shape)
-        for name, values in self.terms:
-            require_shape(f"the loss term {name}", values, self.epoch.shape)

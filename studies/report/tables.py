@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 import math
 from collections.abc import Callable
@@ -11,7 +10,6 @@ from dataclasses import dataclass
 
 from simulation.time_unit import period_text
 from studies.report.data import ReportData
-from studies.report.findings import mean_over_time, ranking
 from studies.report.records import CalibrationRecord
 from studies.report.validation import ValidationRecord
 from studies.report.wording import (
@@ -22,6 +20,7 @@ from studies.report.wording import (
     significant,
     squared,
 )
+from studies.sensitivity import mean_over_time
 
 Cell = float | int | str | None
 
@@ -34,11 +33,6 @@ class Column:
     title: str
     unit: str = ""
     write: Callable[[float], str] = significant
-
-    @property
-    def header(self) -> str:
-        """The title with its unit."""
-        return f"{self.title} [{self.unit}]" if self.unit else self.title
 
     def text(self, cell: Cell, digits: int = 3) -> str:
         """Write one cell for a reader.
@@ -88,34 +82,7 @@ class Table:
             writer.writerow(["" if (cell := _plain(value)) is None else cell for value in row])
         return text.getvalue()
 
-    def to_markdown(self) -> str:
-        """Write the table for a README."""
-        rule = ["---:" if self._is_numeric(i) else "---" for i in range(len(self.columns))]
-        lines = [[c.header for c in self.columns], rule]
-        lines += self._texts()
-        return "\n".join("| " + " | ".join(map(_markdown_cell, line)) + " |" for line in lines) + "\n"
-
-    def to_html(self) -> str:
-        """Write the table as an HTML fragment, everything escaped."""
-        head = "".join(
-            f'<th scope="col"{self._align(i)}>{html.escape(c.title)}'
-            + (f'<span class="unit">{html.escape(c.unit)}</span>' if c.unit else "")
-            + "</th>"
-            for i, c in enumerate(self.columns)
-        )
-        body = []
-        for number, texts in enumerate(self._texts()):
-            cells = "".join(f"<td{self._align(i)}>{html.escape(text)}</td>" for i, text in enumerate(texts))
-            body.append(
-                f'<tr class="emphasized">{cells}</tr>' if number == self.emphasized else f"<tr>{cells}</tr>"
-            )
-        caption = f"<caption>{html.escape(self.title)}</caption>"
-        return (
-            f'<div class="scroll"><table>{caption}<thead><tr>{head}</tr></thead>'
-            f"<tbody>{''.join(body)}</tbody></table></div>"
-        )
-
-    def _texts(self) -> list[list[str]]:
+    def texts(self) -> list[list[str]]:
         """Write all cells for a reader."""
         digits = self.digits or (3,) * len(self.rows)
         return [
@@ -123,20 +90,13 @@ class Table:
             for row, n in zip(self.rows, digits, strict=True)
         ]
 
-    def _is_numeric(self, column: int) -> bool:
+    def is_numeric(self, column: int) -> bool:
+        """Return whether a column holds numbers alone."""
         return not any(isinstance(row[column], str) for row in self.rows)
-
-    def _align(self, column: int) -> str:
-        return ' class="number"' if self._is_numeric(column) else ""
 
 
 def _plain(cell: Cell) -> Cell:
     return None if isinstance(cell, float) and not math.isfinite(cell) else cell
-
-
-def _markdown_cell(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
-    return escaped.replace("\r", " ")
 
 
 def tuning_table(data: ReportData) -> Table | None:
@@ -193,13 +153,12 @@ def sensitivity_table(data: ReportData) -> Table | None:
     )
     s = sensitivity
     means = [mean_over_time(v) for v in (s.first_order, s.first_order_ci, s.total_order, s.total_order_ci)]
-    rows: list[tuple[Cell, ...]] = []
-    for k, output in enumerate(sensitivity.output_names):
-        rows += [
-            (output, sensitivity.names[i], *(float(mean[k, i]) for mean in means))
-            for i in ranking(sensitivity, k)
-        ]
-    return Table("sensitivity", "Sobol indices, averaged over time", columns, tuple(rows))
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (output, s.names[i], *(float(mean[k, i]) for mean in means))
+        for k, output in enumerate(s.output_names)
+        for i in s.order(k)
+    )
+    return Table("sensitivity", "Sobol indices, averaged over time", columns, rows)
 
 
 def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -> Table:
@@ -223,22 +182,20 @@ def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -
         Column("nmbe", "NMBE", "", percent),
         Column("guideline_14", "ASHRAE guideline 14"),
     )
-    units = dict(
-        zip(record.measurement.output_names, map(difference_unit, record.measurement.units), strict=True)
-    )
+    units = list(map(difference_unit, record.measurement.units))
     rows: list[tuple[Cell, ...]] = []
-    for point in record.points:
+    for name, point in record.points.items():
         errors: tuple[Cell, Cell] = (point.mse_window, point.mse)
-        for number, (fit, judged) in enumerate(zip(point.fits, record.judged(point), strict=True)):
+        for k, ((output, fit), judged) in enumerate(
+            zip(point.outputs.items(), record.judged(point), strict=True)
+        ):
             verdict = None if judged.is_met is None else "met" if judged.is_met else "not met"
             rows.append(
-                (
-                    point.name, *(errors if number == 0 else (None, None)), fit.output, units[fit.output],
-                    fit.n_samples, fit.rmse, fit.bias, fit.cv_rmse, fit.nmbe, verdict,
-                )
+                (name, *(errors if k == 0 else (None, None)), output, units[k], fit.n_samples, fit.rmse,
+                 fit.bias, fit.cv_rmse, fit.nmbe, verdict)
             )  # fmt: skip
-        if not point.fits:
-            rows.append((point.name, *errors, "failed", "", None, None, None, None, None, None))
+        if not point.outputs:
+            rows.append((name, *errors, "failed", "", None, None, None, None, None, None))
     title = f"Validation on {period_text(record.period_d)} (bias: simulated minus measured)"
     return Table(f"validation-{calibration.name}", title, columns, tuple(rows))
 

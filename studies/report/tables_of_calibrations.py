@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from studies.report.data import Reference, ReportData
+from collections.abc import Callable
+from functools import partial
+
+from studies.report.data import ReportData
 from studies.report.findings import at_bound
 from studies.report.records import CalibrationRecord, ParameterBox
-from studies.report.tables import Column, Table
+from studies.report.tables import Cell, Column, Table
+from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
 from studies.report.wording import (
     count,
     declared,
@@ -16,71 +20,47 @@ from studies.report.wording import (
     squared,
 )
 
+Reader = Callable[[CalibrationRecord], Cell]
 _CALIBRATIONS_TITLE = (
-    "Calibrations. MSE surrogate and MSE screened are both at the screened point: "
-    "by the surrogate and by the model; the paper's count leaves out validation and test sets"
+    "Calibrations. MSE surrogate and MSE screened are both at the screened point: by the surrogate and by "
+    "the model. The paper's count leaves out validation and test sets; no count has simulations stored before"
 )
 
 
 def calibrations_table(data: ReportData) -> Table:
-    """Tabulate the calibrations, one row each (Table 4 of the paper, with honest counts)."""
-    unit = difference_unit(data.measurement.units[0])
-    mse_unit = squared(unit)
-    targets = [reference for reference in data.references if reference.is_target]
-    p = len(data.parameters.names)
-    if all(c.is_adaptive for c in data.by_size):
-        return _adaptive_table(data, targets)
-    columns = (
-        Column("n_train", "training set", "", count),
-        Column("test_mae", "test MAE", unit, _two),
-        Column("test_p90", "test P90", unit, _two),
-        Column("mse_surrogate", "MSE surrogate", mse_unit),
-        Column("mse_screened", "MSE screened", mse_unit),
-        Column("screening_gap", "gap", mse_unit),
-        Column("n_polish", "polish calls", "", count),
-        Column("mse_polished", "final MSE", mse_unit),
-        Column("calls_paper", "calls, paper's count", "", count),
-        Column("calls_honest", "calls, all", "", count),
-        *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
-        Column("wall_s", "time", "s", _two),
-        Column("method", "method"),
-        Column("n_free", "parameters calibrated", "", count),
-    )
-    rows = tuple(
-        (
-            c.n_train, c.test_mae, c.test_p90, c.mse_surrogate, c.mse_screened, c.screening_gap,
-            c.n_polish, c.mse_polished, c.calls_paper, c.calls_honest,
-            *(c.calls_to(target.mse) for target in targets), c.wall_s, c.method, c.n_free or p,
-        )
-        for c in data.by_size
-    )  # fmt: skip
-    headline = data.headline
-    emphasized = data.by_size.index(headline) if headline else None
-    return Table("calibrations", _CALIBRATIONS_TITLE, columns, rows, emphasized)
+    """Tabulate the calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
+    unit, p = difference_unit(data.measurement.units[0]), len(data.parameters.names)
+    mse_unit, all_of_them = squared(unit), data.by_size
+    with_surrogate: list[tuple[Column, Reader]] = [
+        (Column("n_train", "training set", "", count), lambda c: c.n_train),
+        (Column("test_mae", "test MAE", unit, _two), lambda c: c.test_mae),
+        (Column("test_p90", "test P90", unit, _two), lambda c: c.test_p90),
+        (Column("mse_surrogate", "MSE surrogate", mse_unit), lambda c: c.mse_surrogate),
+        (Column("mse_screened", "MSE screened", mse_unit), lambda c: c.mse_screened),
+        (Column("screening_gap", "gap", mse_unit), lambda c: c.screening_gap),
+        (Column("n_polish", "polish calls", "", count), lambda c: c.n_polish),
+    ]
+    columns: list[tuple[Column, Reader]] = [
+        *(with_surrogate if any(not c.is_adaptive for c in all_of_them) else []),
+        (Column("mse_polished", "final MSE", mse_unit), lambda c: c.mse_polished),
+        (Column("calls_paper", "calls, paper's count", "", count), lambda c: c.calls_paper),
+        (Column("calls_honest", "calls, all", "", count), lambda c: c.calls_honest),
+        *(
+            (Column(f"calls_to_{mse:g}", f"calls to {mse:g}", "", count), partial(_calls_to, mse=mse))
+            for mse in (reference.mse for reference in data.references if reference.is_target)
+        ),
+        (Column("n_known", "stored before", "", count), lambda c: c.n_known),
+        (Column("wall_s", "time", "s", _two), lambda c: c.wall_s),
+        (Column("method", "method"), lambda c: c.method),
+        (Column("n_free", "parameters calibrated", "", count), lambda c: c.n_free or p),
+    ]
+    rows = tuple(tuple(read(c) for _, read in columns) for c in all_of_them)
+    emphasized = all_of_them.index(data.headline) if data.headline and len(rows) > 1 else None
+    return Table("calibrations", _CALIBRATIONS_TITLE, tuple(one for one, _ in columns), rows, emphasized)
 
 
-def _adaptive_table(data: ReportData, targets: list[Reference]) -> Table:
-    """Tabulate calibrations that know no training set."""
-    p, is_known = len(data.parameters.names), any(c.n_known for c in data.by_size)
-    columns = (
-        Column("method", "method"),
-        Column("n_free", "parameters calibrated", "", count),
-        *([Column("n_known", "stored before", "", count)] if is_known else []),
-        Column("calls_honest", "model calls", "", count),
-        *(Column(f"calls_to_{target.mse:g}", f"calls to {target.mse:g}", "", count) for target in targets),
-        Column("mse_polished", "final MSE", squared(difference_unit(data.measurement.units[0]))),
-        Column("wall_s", "time", "s", _two),
-    )
-    rows = tuple(
-        (
-            c.method, c.n_free or p, *([c.n_known] if is_known else []), c.calls_honest,
-            *(c.calls_to(target.mse) for target in targets),
-            c.mse_polished, c.wall_s,
-        )
-        for c in data.by_size
-    )  # fmt: skip
-    title = "Calibrations; every simulation counts" + (" that was not stored before" if is_known else "")
-    return Table("calibrations", title, columns, rows)
+def _calls_to(c: CalibrationRecord, mse: float) -> int | None:
+    return c.calls_to(mse)
 
 
 def _two(value: float) -> str:
@@ -93,10 +73,10 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
     known = [calibration.knowledge] if calibration.knowledge else []
     shares: list[tuple[Column, list[float | None]]] = []
     if (r := calibration.restriction) is not None:
-        told = (("share", "relevance", r.shares), ("gain_if_free", "gain if free", r.gain_alone))
+        shown = (("share", "relevance", r.shares), ("gain_if_free", "gain if free", r.gain_alone))
         shares = [
             (Column(key, title, "", percent), [of.get(name) for name in parameters.names])
-            for key, title, of in told
+            for key, title, of in shown
         ]
     columns = (
         Column("name", "parameter"),
@@ -123,3 +103,35 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
 
 def _four(value: float) -> str:
     return significant(value, 4)
+
+
+def intervals_table(box: ParameterBox, record: UncertaintyRecord) -> Table:
+    """Tabulate the intervals, one row per parameter that was judged."""
+    r, box = record, box.of(record.names)
+    share = percent(r.level)
+    columns = (
+        Column("name", "parameter"),
+        Column("unit", "unit"),
+        Column("calibrated", "calibrated"),
+        Column("low", f"{share} from"),
+        Column("high", "to"),
+        Column("linear_low", "linearised from"),
+        Column("linear_high", "to"),
+        Column("lower", "lower bound", "", declared),
+        Column("upper", "upper bound", "", declared),
+        Column("known", "by the data"),
+    )
+    rows = tuple(
+        zip(
+            r.names, map(shown_unit, box.units), r.calibrated.tolist(), *r.interval.tolist(),
+            *r.linear.tolist(), box.lower.tolist(), box.upper.tolist(), [HOW_KNOWN[k] for k in r.known],
+            strict=True,
+        )
+    )  # fmt: skip
+    return Table(
+        f"uncertainty-{r.calibration}",
+        f"{share} intervals of the parameters ({r.calibration})",
+        columns,
+        rows,
+        digits=r.digits,
+    )

@@ -10,20 +10,21 @@ from typing import Any
 import numpy as np
 
 from studies.calibration.doubt import doubtful_mse
-from studies.report.records import Floats
+from studies.report.records import Floats, MeasuredSeries
 from studies.report.wording import (
     count,
     difference_unit,
     digits_between,
     listed,
+    percent,
     significant,
     squared,
 )
 
 UNCORRELATED = 0.9
-"""Samples that are worth this share of their number are said not to follow each other."""
+"""Samples that are worth this share of their number are said to be uncorrelated."""
 FITS_BETTER = 0.99
-"""Share of a calibration's error below which another parameter set is told to fit better."""
+"""Share of a calibration's error below which another parameter set is said to fit better."""
 
 HOW_KNOWN = {
     "determined": "determined",
@@ -57,9 +58,7 @@ class UncertaintyRecord:
         interval: Intervals of the posterior, NaN where it is not trusted. Shape (2, p). [per parameter]
         known: A key of `HOW_KNOWN`, one per parameter.
         pairs: Which parameters compensate each other, the clearest first; none where it is not trusted.
-        singular_values: Falling. Shape (p,). [first output's unit per range]
         null_directions: Combinations that hardly change any output near the point, in words.
-        n_determined_directions: Combinations that the data determine.
         particles: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
         sample: The sample that was simulated. Shape (n, p). [per parameter]
         weights: What each counts; sum 1. Shape (n,). [1]
@@ -87,9 +86,7 @@ class UncertaintyRecord:
     interval: Floats
     known: tuple[str, ...]
     pairs: tuple[PairNote, ...]
-    singular_values: Floats
     null_directions: tuple[str, ...]
-    n_determined_directions: int
     particles: Floats
     sample: Floats
     weights: Floats
@@ -109,7 +106,7 @@ class UncertaintyRecord:
 
     @property
     def digits(self) -> tuple[int, ...]:
-        """How many digits each parameter's values are told with: no two ends of an interval look equal."""
+        """How many digits each parameter's values are written with: no two ends of an interval look equal."""
         return tuple(
             max(digits_between(low, high, least=4) for low, high in (interval, linear) if np.isfinite(low))
             for interval, linear in zip(self.interval.T, self.linear.T, strict=True)
@@ -144,10 +141,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         pairs=tuple(
             PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"] if is_trusted
         ),
-        singular_values=arrays["singular_values"],
         # Results of earlier versions say only how many of the last ones they are.
         null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
-        n_determined_directions=local["n_determined_directions"],
         particles=arrays["particles_theta"],
         sample=arrays["sample_theta"],
         weights=arrays["weights"],
@@ -247,7 +242,7 @@ def sample_sentence(record: UncertaintyRecord) -> str:
     """Say what the sample is worth and what it cost."""
     r, ledger = record, record.ledger
     if ledger.get("by_equations"):
-        cost = f"{count(ledger['total'], 'model call')}; the model's state equations told the rest"
+        cost = f"{count(ledger['total'], 'model call')}; the model's state equations gave the rest"
     else:
         cost = (
             f"{count(ledger['total'], 'model call')}: {ledger['n_differences']} differences, "
@@ -260,8 +255,51 @@ def sample_sentence(record: UncertaintyRecord) -> str:
     )
     if not r.is_trusted:
         worth += (
-            " That is too few: the surrogate does not know the posterior yet, so no interval is told but the "
-            "linearised ones, and bands are not to be trusted; go on with more --max-calls, and see whether "
-            "a prior contradicts the data."
+            " That is too few: the surrogate does not know the posterior yet, so no interval is given but "
+            "the linearised ones, and bands are not to be trusted; go on with more --max-calls, and see "
+            "whether a prior contradicts the data."
         )
     return worth
+
+
+def band_caption(measured: MeasuredSeries, record: UncertaintyRecord) -> str:
+    """Say what lies in the bands."""
+    parts = [
+        f"{percent(share)} of the measured values of {name}"
+        for name, share in zip(measured.output_names, record.share_predictive, strict=True)
+    ]
+    warning = "" if record.is_trusted else "Too few calls, not to be trusted yet. "
+    return (
+        f"{warning}Dark: where {percent(record.level)} of the equally good parameter sets bring the "
+        f"simulation. Light: where {percent(record.level)} of the measured values should lie, noise "
+        f"included; {listed(parts)} do{_fixed(record)}."
+    )
+
+
+def interval_caption(record: UncertaintyRecord) -> str:
+    """Say how to read the intervals."""
+    if not record.is_trusted:
+        return (
+            f"Each from its lower to its upper bound: the linearised {percent(record.level)} interval and "
+            f"the calibrated value. Too few calls to say more{_fixed(record)}."
+        )
+    parts = [f"{len(record.called(kind))} {word}" for kind, word in HOW_KNOWN.items() if record.called(kind)]
+    return (
+        f"Each from its lower to its upper bound: density and {percent(record.level)} interval of the "
+        f"posterior, the linearised interval as a thin line, the calibrated value as a mark. Of "
+        f"{count(len(record.names), 'parameter')}, {listed(parts)}{_fixed(record)}."
+    )
+
+
+def pairs_caption(record: UncertaintyRecord) -> str:
+    """Say what the pairs show."""
+    said = "; ".join(pair.sentence for pair in record.pairs[:3])
+    said = said or "No two compensate each other"
+    return f"Equally good parameter sets, in the case's scales. {said}{_fixed(record)}."
+
+
+def _fixed(record: UncertaintyRecord) -> str:
+    if not record.n_fixed:
+        return ""
+    are = "is" if record.n_fixed == 1 else "are"
+    return f"; {count(record.n_fixed, 'fixed parameter')} {are} taken as right"

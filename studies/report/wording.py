@@ -54,7 +54,7 @@ def digits_between(low: float, high: float, least: int = 3) -> int:
 
 
 def declared(value: float) -> str:
-    """Write a number as somebody declared it, without rounding and without the noise of floating point."""
+    """Write a number as it was declared, without rounding and without the noise of floating point."""
     return MISSING if math.isnan(value) else f"{value:,.10g}"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from simulation.errors import InputError
 from simulation.time_unit import period_text
 from studies.profile import Profile, changed_words
-from studies.report import Provenance, Reference, ReportData, build
+from studies.report import Provenance, ReportData, build
 from studies.report.uncertainty import uncertainty_record
 from studies.report.wording import count
 from studies.stages.adaptive import adaptive_command
@@ -30,8 +30,8 @@ from studies.stages.results import (
     measured_series,
     n_free_of,
     parameter_box,
-    sensitivity_record,
     stored_calibrations,
+    stored_indices,
     validation_record,
 )
 from studies.stages.tracking import log_report
@@ -70,7 +70,7 @@ def report_stage(study: Study) -> Outcome:
 
     def work() -> tuple[Summary, list[Path]]:
         started_s = time.time()
-        # Where MLflow could not be told, the command is typed again: what is drawn is not drawn once more.
+        # Where logging to MLflow failed, the command is typed again: what is drawn is not drawn once more.
         if read_manifest(study.paths, drawn, digest) is None:
             drawn.unlink(missing_ok=True)
             with study.console.progress("tables and figures", 1) as advance:
@@ -118,7 +118,7 @@ def _report_data(study: Study) -> ReportData:
         parameters=parameter_box(case),
         calibrations=tuple(calibration_record(stored) for stored in stored_calibrations(study)),
         coverage=coverage_set(study),
-        sensitivity=sensitivity_record(study),
+        sensitivity=stored_indices(study),
         validations=tuple(
             record
             for stored in stored_calibrations(study)
@@ -130,7 +130,7 @@ def _report_data(study: Study) -> ReportData:
         tuned=tuned_sizes(study),
         trials=trials_record(tuned),
         learning_curves=learning_curves(study, tuned),
-        references=tuple(Reference(**vars(known)) for known in case.references),
+        references=case.references,
         provenance=_provenance(study),
     )
 
@@ -148,7 +148,7 @@ def _provenance(study: Study) -> Provenance:
             ("window", period_text(case.window_d)),
             ("communication step", f"{case.communication_step_s:g} s"),
             *(_surrogate_settings(profile) if has_surrogates else ()),
-            *((one.name, _told(one.numbers["settings"])) for one in stored if one.is_adaptive),
+            *((one.name, _adaptive_settings(one.numbers["settings"])) for one in stored if one.is_adaptive),
         ),
         digests=(
             ("case", case.digest),
@@ -181,7 +181,7 @@ def command_of(study: Study, found: Mapping[str, Any]) -> str:
     return f"studies run {study.command}{changed_words(own, recipe.get('profile', {}))}"
 
 
-def _told(settings: dict[str, Any]) -> str:
+def _adaptive_settings(settings: dict[str, Any]) -> str:
     n_parallel, ftol = settings["n_parallel"], settings["ftol"]
     return f"at most {count(settings['max_calls'], 'call')}, {n_parallel} at a time, ftol {ftol:g}"
 

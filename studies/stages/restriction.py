@@ -14,7 +14,7 @@ from simulation.parameters import ParameterSpace
 from studies.partly_fixed import PartlyFixedModel
 from studies.physical_model import open_physical_model
 from studies.recipe import file_digest
-from studies.report.restriction_told import condition_sentence
+from studies.report.restricted import condition_sentence
 from studies.report.wording import count
 from studies.stages.knowledge import prior_of
 from studies.stages.pipeline import Study, digest_of, read_json

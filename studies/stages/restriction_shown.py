@@ -6,7 +6,7 @@ from typing import Any
 from studies.console import Column
 from studies.paths import size_name
 from studies.report.records import CalibrationRecord
-from studies.report.restriction_told import restriction_sentences
+from studies.report.restricted import restriction_sentences
 from studies.report.wording import MISSING, difference_unit, percent, squared
 from studies.stages.pipeline import Study
 from studies.stages.results import ADAPTIVE, calibration_record, restricted, stored_calibration

@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,15 @@ from numpy.typing import NDArray
 from simulation.case import Case
 from simulation.errors import InputError
 from studies.paths import size_name
-from studies.report.records import CalibrationRecord, MeasuredSeries, ParameterBox
-from studies.report.records_model import CoverageSet, SensitivityRecord
-from studies.report.records_restriction import restriction_record
-from studies.report.validation import FitRecord, PointRecord, ValidationRecord
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
+from studies.report.restricted import restriction_record
+from studies.report.validation import OutputFit, ValidatedPoint, ValidationRecord
 from studies.row_set import RowSet
+from studies.sensitivity import SobolIndices
 from studies.stages.determined import open_in_words
 from studies.stages.guided import equations_in_words
 from studies.stages.knowledge import is_of_this_density, known_before
 from studies.stages.pipeline import Study, read_json
-
-if TYPE_CHECKING:
-    from studies.sensitivity import SobolIndices
 
 ADAPTIVE = "adaptive"
 """What stage and files of an adaptive calibration are called."""
@@ -257,44 +254,24 @@ def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord
         measurement=measured,
         y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),
         y_polished=y_polished,
-        points=tuple(
-            PointRecord(
-                name=name,
-                mse_window=_unknown(point["mse_window"]),
-                mse=_number(point["mse"]),
-                fits=tuple(
-                    FitRecord(output, **{key: _unknown(value) for key, value in fit.items()})
-                    for output, fit in point["outputs"].items()
-                ),
+        points={
+            name: ValidatedPoint(
+                mse_window=point["mse_window"],
+                mse=point["mse"],
+                failure=point["failure"],
+                outputs={output: OutputFit(**fit) for output, fit in point["outputs"].items()},
             )
             for name, point in numbers["points"].items()
-        ),
+        },
     )
 
 
-def sensitivity_record(study: Study) -> SensitivityRecord | None:
+def stored_indices(study: Study) -> SobolIndices | None:
     """Return the Sobol indices of this case, None where there are none."""
-    from studies.sensitivity import SobolIndices
-
     manifest, file = read_json(study.results / "sensitivity.json"), study.results / "sensitivity.npz"
     if manifest is None or manifest["inputs"]["case"] != study.case.digest or not file.is_file():
         return None
-    return indices_record(SobolIndices.load(file))
-
-
-def indices_record(indices: "SobolIndices") -> SensitivityRecord:
-    """Return Sobol indices of the FMU as figures and tables want them."""
-    return SensitivityRecord(
-        time=indices.time,
-        names=indices.names,
-        output_names=indices.output_names,
-        first_order=indices.first_order,
-        total_order=indices.total_order,
-        first_order_ci=indices.first_order_ci,
-        total_order_ci=indices.total_order_ci,
-        n_calls=indices.n_calls,
-        model="the FMU",
-    )
+    return SobolIndices.load(file)
 
 
 def coverage_set(study: Study) -> CoverageSet | None:
@@ -307,10 +284,6 @@ def coverage_set(study: Study) -> CoverageSet | None:
         return None
     rows = RowSet.load(file).read(N_COVERAGE)
     return CoverageSet("training", rows.theta, rows.y)
-
-
-def _unknown(value: float | None) -> Any:
-    return float("nan") if value is None else value
 
 
 def _number(value: float | None) -> float:

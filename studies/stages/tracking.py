@@ -1,7 +1,7 @@
 """What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -27,8 +27,6 @@ def log_calibration(
         started_s: start of the calibration. [s since 1970, UTC]
         wall_s: its duration. [s]
     """
-    from studies.report.figures_calibration import polish_figure
-
     numbers, profile, n_train = stored.numbers, study.profile, stored.numbers["n_train"]
     run = StageRun(
         label=study.label,
@@ -58,7 +56,7 @@ def log_calibration(
         started_s=started_s,
         wall_s=wall_s,
     )
-    _log_with_figures(study, stored, run, point="polished", calls_figure=("polish.png", polish_figure))
+    _log_with_figures(study, stored, run, point="polished")
 
 
 def log_adaptive(
@@ -73,8 +71,6 @@ def log_adaptive(
         started_s: start of the calibration. [s since 1970, UTC]
         wall_s: its duration. [s]
     """
-    from studies.report.figures_convergence import convergence_figure
-
     numbers = stored.numbers
     run = StageRun(
         label=study.label,
@@ -96,20 +92,12 @@ def log_adaptive(
         started_s=started_s,
         wall_s=wall_s,
     )
-    figure = ("convergence.png", convergence_figure)
-    _log_with_figures(study, stored, run, point="calibrated", calls_figure=figure)
+    _log_with_figures(study, stored, run, point="calibrated")
 
 
-def _log_with_figures(
-    study: Study,
-    stored: StoredCalibration,
-    run: StageRun,
-    *,
-    point: str,
-    calls_figure: tuple[str, Callable[..., Path]],
-) -> None:
+def _log_with_figures(study: Study, stored: StoredCalibration, run: StageRun, *, point: str) -> None:
     """Log a calibration's run with what every calibration has: calls, validation, curve, figures, files."""
-    from studies.report.figures_calibration import calibration_figure
+    from studies.report.figures_calibration import calibration_figure, calls_figure
 
     numbers = stored.numbers
     record, measured = calibration_record(stored), measured_series(study.case)
@@ -118,12 +106,12 @@ def _log_with_figures(
     if "validation" in numbers:
         metrics["mse/validation"] = numbers["validation"]["points"][point]["mse"]
     curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
-    name, draw_calls = calls_figure
+    name = "convergence.png" if stored.is_adaptive else "polish.png"
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "calibration.png", Path(scratch) / name]
         calibration_figure(measured, record, figures[0], footnote=study.label)
         unit = squared(difference_unit(measured.units[0]))
-        draw_calls(record, (), figures[1], mse_unit=unit, footnote=study.label)
+        calls_figure(record, (), figures[1], mse_unit=unit, footnote=study.label)
         log_stage(
             study.paths,
             replace(

@@ -17,46 +17,9 @@ from simulation.time_unit import period_text
 from studies.console import Column
 from studies.physical_model import open_physical_model
 from studies.report.guideline14 import relative
+from studies.report.validation import OutputFit, ValidatedPoint
 from studies.report.wording import difference_unit, quantity, significant, squared
 from studies.stages.pipeline import Outcome, Study
-
-
-@dataclass(frozen=True)
-class OutputFit:
-    """How one simulated output differs from its measurement.
-
-    Attributes:
-        n_samples: Samples compared.
-        rmse: Root mean square difference. [output's unit]
-        bias: Mean of simulated minus measured. [output's unit]
-        cv_rmse: rmse over the size of the mean measured value; None where that says nothing: for
-            temperatures, whose zero is a convention, and for means of zero. [1]
-        nmbe: bias over its size, positive where the model is too high; None likewise. [1]
-    """
-
-    n_samples: int
-    rmse: float
-    bias: float
-    cv_rmse: float | None
-    nmbe: float | None
-
-
-@dataclass(frozen=True)
-class ValidatedPoint:
-    """One parameter set on both periods.
-
-    Attributes:
-        mse_window: Error over the calibrated window; None where the simulation does not report it, or failed.
-            [first output's unit squared]
-        mse: Error over the validation period, None where the simulation failed. [first output's unit squared]
-        failure: Why it failed, "" when it did not.
-        outputs: The fit by the outputs' names; empty where the simulation failed.
-    """
-
-    mse_window: float | None
-    mse: float | None
-    failure: str
-    outputs: dict[str, OutputFit]
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.report.figures_uncertainty import interval_figure
+from studies.report.tables_of_calibrations import intervals_table
 from studies.report.uncertainty import sentences, uncertainty_record
-from studies.report.uncertainty_told import intervals_table
 from studies.stages.restriction import held_numbers, restriction_of
 from studies.stages.results import parameter_box, read_arrays
 from studies.tracking.quiet_mlflow import connect

@@ -77,7 +77,7 @@ def test_every_item_is_on_the_page_with_pictures_tables_and_verdict(project: Pat
     for name in MADE:
         result, section = result_of(project, name), section_of(page, name)
         assert result["verdict"]
-        assert html.escape(result["verdict"]) in section
+        assert result["verdict"] in html.unescape(section)
         assert result["command"].startswith("studies reproduce-paper office --profile toy.toml --seeds 2")
         assert result["command"].endswith(f" --only {name}")
         assert result["n_calls"]["total"] == sum(n for w, n in result["n_calls"].items() if w != "total") > 0

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from simulation.case import KnownError
 from simulation.measurement import Measurement
 from studies.report import (
     CalibrationRecord,
@@ -12,14 +13,13 @@ from studies.report import (
     MeasuredSeries,
     ParameterBox,
     Provenance,
-    Reference,
     ReportData,
-    SensitivityRecord,
     TrialsRecord,
 )
-from studies.report.records_restriction import RestrictionRecord
+from studies.report.records import RestrictionRecord
 from studies.report.records_tuning import TunedSize
 from studies.report.uncertainty import UncertaintyRecord
+from studies.sensitivity import SobolIndices
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip
@@ -119,8 +119,7 @@ def uncertainty(names: tuple[str, ...] = NAMES[:3], *, calibration: str = "adapt
     return UncertaintyRecord(
         calibration=calibration, level=0.9, noise=noise, names=names, linear=ends,
         calibrated=ends.mean(axis=0), interval=ends, known=("narrowed",) * p, pairs=(), null_directions=(),
-        singular_values=np.ones(p), sensor=0.5, has_prior=False,
-        n_determined_directions=p, particles=particles, sample=particles[:20], weights=np.full(20, 0.05),
+        sensor=0.5, has_prior=False, particles=particles, sample=particles[:20], weights=np.full(20, 0.05),
         correlation=np.eye(p), simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
         share_predictive=(0.9,), n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
         n_fixed=n_fixed, condition="All this holds only if what was fixed is right." if n_fixed else "",
@@ -146,7 +145,7 @@ def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> Coverage
     return CoverageSet("training", theta, np.repeat(y, n_outputs, axis=2))
 
 
-def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SensitivityRecord:
+def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SobolIndices:
     rng = np.random.default_rng(3)
     days = time_axis()[:, None, None] / 86400.0
     weight = np.exp(-0.42 * np.arange(p)) * rng.uniform(0.7, 1.3, p)
@@ -158,9 +157,9 @@ def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> Sen
     first[:n_undefined] = np.nan
     total = first * 1.2 + 0.01
     ci = np.full_like(first, 0.012) + 0.05 * first
-    return SensitivityRecord(
+    return SobolIndices(
         time_axis(), NAMES[:p], ("TAir", "TWall", "TSlab")[:n_outputs], first, total, ci, ci,
-        n_calls=16_384, model="the office FMU",
+        np.ones(first.shape[:2]), n_base=1024, n_dropped=0, n_calls=16_384,
     )  # fmt: skip
 
 
@@ -234,7 +233,10 @@ def report_data(**changes: object) -> ReportData:
         "trials": trials(),
         "tuned": tuned(trials()),
         "learning_curves": (learning_curves(64),),
-        "references": (Reference("best known", 0.0103), Reference("target", 0.0125, is_target=True)),
+        "references": (
+            KnownError("best known", 0.0103, is_target=False),
+            KnownError("target", 0.0125, is_target=True),
+        ),
         "provenance": Provenance(
             commands=("studies run office --profile quick", "studies calibrate office --n-train 64"),
             settings=(("profile", "quick"), ("seed", "0")),

@@ -1,23 +1,18 @@
 """Every picture is a PNG with something on it, the same bytes each time, whatever the data lacks."""
 
-import itertools
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from matplotlib import image
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from records_for_tests import (
-    adaptive,
     calibration,
     coverage,
     learning_curves,
@@ -29,25 +24,29 @@ from records_for_tests import (
     trials,
 )
 
+from simulation.case import KnownError
 from simulation.measurement import Samples
 from simulation.time_unit import period_text
-from studies.report import CalibrationRecord, MeasuredSeries, Reference, captions
-from studies.report.drawing import drawing, line_with_gaps, log_limits, spread_apart, time_axis
-from studies.report.figures_calibration import calibration_figure, polish_figure, residual_reach
-from studies.report.figures_data import MarkedPoint, coverage_figure, coverage_pairs_figure
-from studies.report.figures_overview import overview_figure
+from studies.report import CalibrationRecord, MeasuredSeries, captions
+from studies.report.drawing import decimal_log, drawing, line_with_gaps, time_axis
+from studies.report.figures_calibration import (
+    calibration_figure,
+    calls_figure,
+    overview_figure,
+    residual_reach,
+)
+from studies.report.figures_data import coverage_figure
 from studies.report.figures_sensitivity import sensitivity_figure
 from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
 from studies.report.findings import enclosed_fraction
 
-REFERENCES = (Reference("best known", 0.0103), Reference("target", 0.0121, is_target=True))
+REFERENCES = (KnownError("best known", 0.0103, is_target=False), KnownError("target", 0.0121, is_target=True))
 
 DRAW: dict[str, Callable[[Path], Path]] = {
     "calibration": lambda p: calibration_figure(measured(), calibration(), p),
-    "polish": lambda p: polish_figure(calibration(), REFERENCES, p, mse_unit="K²"),
+    "calls": lambda p: calls_figure(calibration(), REFERENCES, p, mse_unit="K²"),
     "overview": lambda p: overview_figure([calibration(n) for n in (32, 1536)], REFERENCES, p, mse_unit="K²"),
     "coverage": lambda p: coverage_figure(measured(), coverage(), p),
-    "pairs": lambda p: coverage_pairs_figure(parameter_box(), coverage(), p),
     "sensitivity": lambda p: sensitivity_figure(sensitivity(), p),
     "trials": lambda p: mae_over_n_figure(trials(), p, unit="K"),
     "learning": lambda p: learning_curves_figure(learning_curves(), p, unit="K"),
@@ -73,15 +72,15 @@ def test_picture_is_not_blank_and_has_the_same_bytes_each_time(name: str, tmp_pa
 
 
 def test_picture_is_as_wide_as_promised(tmp_path: Path) -> None:
-    assert image.imread(DRAW["polish"](tmp_path / "p.png")).shape[1] == 1200
+    assert image.imread(DRAW["calls"](tmp_path / "p.png")).shape[1] == 1200
 
 
 def test_settings_of_the_user_change_nothing(tmp_path: Path) -> None:
     import matplotlib as mpl
 
-    plain = DRAW["polish"](tmp_path / "plain.png").read_bytes()
+    plain = DRAW["calls"](tmp_path / "plain.png").read_bytes()
     with mpl.rc_context({"lines.linewidth": 9.0, "font.size": 30.0, "savefig.facecolor": "red"}):
-        assert DRAW["polish"](tmp_path / "changed.png").read_bytes() == plain
+        assert DRAW["calls"](tmp_path / "changed.png").read_bytes() == plain
         assert mpl.rcParams["lines.linewidth"] == 9.0
 
 
@@ -139,14 +138,14 @@ def test_calibrations_that_went_badly_are_drawn(
 ) -> None:
     c = make()
     assert ink(calibration_figure(measured(), c, tmp_path / "c.png")) > 0.02
-    assert ink(polish_figure(c, REFERENCES, tmp_path / "p.png", mse_unit="K²")) > 0.02
-    assert ink(polish_figure(c, (), tmp_path / "p.png", mse_unit="")) > 0.02
+    assert ink(calls_figure(c, REFERENCES, tmp_path / "p.png", mse_unit="K²")) > 0.02
+    assert ink(calls_figure(c, (), tmp_path / "p.png", mse_unit="")) > 0.02
     assert ink(overview_figure([c], (), tmp_path / "o.png", mse_unit="K²")) > 0.01
     assert ink(overview_figure([c, calibration(128)], REFERENCES, tmp_path / "o.png", mse_unit="K²")) > 0.01
 
 
 def test_a_large_training_set_does_not_squeeze_the_polish(tmp_path: Path) -> None:
-    large = polish_figure(calibration(4096, n_polish=65), (), tmp_path / "p.png", mse_unit="K²")
+    large = calls_figure(calibration(4096, n_polish=65), (), tmp_path / "p.png", mse_unit="K²")
     assert ink(large) > 0.05
 
 
@@ -162,33 +161,11 @@ def test_the_screened_point_stands_where_the_polish_begins(
 
     monkeypatch.setattr(FigureCanvasAgg, "print_png", watched)
     few = restricted(64)
-    polish_figure(few, (), tmp_path / "p.png", mse_unit="K²")
+    calls_figure(few, (), tmp_path / "p.png", mse_unit="K²")
     lines = figures[0].axes[0].get_lines()
     (diamond,) = [line for line in lines if line.get_marker() == "D"]
     (steps,) = [line for line in lines if line.get_drawstyle() == "steps-post"]
     assert np.asarray(diamond.get_xdata())[0] == np.asarray(steps.get_xdata())[0] == few.history_calls[0]
-
-
-@pytest.mark.parametrize(("others", "word"), [([], "polished"), ([adaptive()], "calibrated")])
-def test_the_overview_calls_polished_what_was_polished_alone(
-    others: list[CalibrationRecord], word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(
-        "studies.report.figures_overview.end_labels",
-        lambda _, labels: told.extend(one.text for one in labels),
-    )
-    overview_figure([calibration(64), *others], (), tmp_path / "o.png", mse_unit="K²")
-    assert told[-1] == word
-
-
-def test_an_overview_of_equal_errors_tells_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    titles = titles_of("figures_overview", monkeypatch)
-    equal = [replace(calibration(n), mse_polished=3.28e-6 + n * 1e-13) for n in (32, 64)]
-    overview_figure(equal, (), tmp_path / "o.png", mse_unit="bar²")
-    overview_figure([equal[0], replace(equal[1], mse_polished=5e-6)], (), tmp_path / "o.png", mse_unit="bar²")
-    assert "ends at an MSE of 3.28e-06 bar²;" in titles[0]
-    assert "ends at 3.28e-06 to 5.00e-06 bar²;" in titles[1]
 
 
 def test_a_residual_is_no_line_within_a_wide_band() -> None:
@@ -198,26 +175,6 @@ def test_a_residual_is_no_line_within_a_wide_band() -> None:
     assert residual_reach(0.005, 0.5) == 1.12 * 0.005
     assert residual_reach(0.0, 0.5) == 1.25 * 0.5
     assert residual_reach(0.0, np.nan) == 1.0
-
-
-def test_a_parameter_without_effect_explains_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    titles = titles_of("figures_sensitivity", monkeypatch)
-    whole = sensitivity(3)
-    first = np.full_like(whole.first_order, [0.9, 3e-13, -0.002])
-    sensitivity_figure(replace(whole, first_order=first), tmp_path / "s.png")
-    assert titles == [f"{whole.names[0]} explains 90 % of the variance, averaged over time"]
-
-
-def titles_of(module: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Collect the titles that a module gives its pictures."""
-    titles: list[str] = []
-
-    def draw(path: Path, *, title: str, **options: Any) -> AbstractContextManager[Figure]:
-        titles.append(title)
-        return drawing(path, title=title, **options)
-
-    monkeypatch.setattr(f"studies.report.{module}.drawing", draw)
-    return titles
 
 
 def test_several_outputs_get_panels_of_their_own(tmp_path: Path) -> None:
@@ -269,20 +226,12 @@ def with_gap(series: MeasuredSeries) -> MeasuredSeries:
     return replace(series, measurement=replace(series.measurement, samples=samples))
 
 
-def test_failed_rows_are_left_out_of_the_bundle_and_marked_in_the_pairs(tmp_path: Path) -> None:
+def test_failed_rows_are_left_out_of_the_bundle(tmp_path: Path) -> None:
     some = coverage(16)
     some.y[3] = np.nan
     assert ink(coverage_figure(measured(), some, tmp_path / "c.png")) > 0.02
-    assert ink(coverage_pairs_figure(parameter_box(), some, tmp_path / "p.png")) > 0.02
     some.y[:] = np.nan
     assert ink(coverage_figure(measured(), some, tmp_path / "c.png")) > 0.005
-    marked = [MarkedPoint("polished", calibration().theta_polished)]
-    assert ink(coverage_pairs_figure(parameter_box(), some, tmp_path / "p.png", marked=marked)) > 0.02
-
-
-def test_one_parameter_has_no_pairs_but_a_picture(tmp_path: Path) -> None:
-    one = replace(coverage(8), theta=coverage(8).theta[:, :1])
-    assert ink(coverage_pairs_figure(parameter_box(1), one, tmp_path / "p.png")) > 0.01
 
 
 @pytest.mark.parametrize(("p", "n_undefined"), [(14, 480), (14, 0), (2, 1), (1, 0), (7, 0)])
@@ -330,19 +279,16 @@ def test_a_late_period_has_the_unit_in_which_it_is_told() -> None:
     assert axes.get_xlim() == (4.0, 5.5)
 
 
-def test_limits_ignore_what_a_logarithm_cannot_show() -> None:
-    low, high = log_limits(np.array([np.nan, np.inf, -1.0, 0.0, 0.02, 2.0]))
-    assert 0 < low < 0.02
-    assert 2.0 < high < 4.0
-    assert log_limits(np.array([np.nan])) == (0.1, 10.0)
-
-
-@given(st.lists(st.tuples(st.floats(-0.5, 1.5), st.floats(0.01, 0.1)), min_size=1, max_size=9))
-def test_labels_keep_their_room_and_their_order(labels: list[tuple[float, float]]) -> None:
-    heights, gaps = [height for height, _ in labels], [gap for _, gap in labels]
-    spread = spread_apart(heights, gaps)
-    order = sorted(range(len(labels)), key=lambda i: spread[i])
-    for below, above in itertools.pairwise(order):
-        assert spread[above] - spread[below] >= (gaps[above] + gaps[below]) / 2 - 1e-9
-        assert heights[above] >= heights[below]
-    assert all(gap / 2 - 1e-9 <= place <= 1 - gap / 2 + 1e-9 for place, gap in zip(spread, gaps, strict=True))
+@pytest.mark.parametrize(
+    ("lower", "upper", "named"),
+    [
+        (0.001, 9.0, {"0.01", "0.1", "1"}),
+        (0.006, 0.2, {"0.01", "0.02", "0.05", "0.1"}),
+        (0.0101, 0.0129, {"0.012"}),
+    ],
+)
+def test_a_logarithmic_axis_names_round_numbers(lower: float, upper: float, named: set[str]) -> None:
+    axes = Figure().add_subplot()
+    decimal_log(axes)
+    axes.set_ylim(lower, upper)
+    assert named <= {label.get_text() for label in axes.get_yticklabels()}

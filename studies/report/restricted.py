@@ -1,12 +1,12 @@
-"""A calibration of the most relevant parameters in sentences, the same on the terminal and on the page."""
+"""A calibration of the most relevant parameters: what it fixed, what that cost, in sentences."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
-from studies.report.records import CalibrationRecord
-from studies.report.records_restriction import RestrictionRecord
+from studies.report.records import CalibrationRecord, RestrictionRecord
 from studies.report.wording import (
     count,
     declared,
@@ -17,6 +17,25 @@ from studies.report.wording import (
     shown_unit,
     significant,
 )
+
+
+def restriction_record(numbers: Mapping[str, Any]) -> RestrictionRecord | None:
+    """Read a calibration's restriction, None for one of all parameters."""
+    if "restriction" not in numbers:
+        return None
+    stored = numbers["restriction"]
+    check = stored["check"] or {"gain": None, "gain_alone": {}, "n_calls": 0}
+    return RestrictionRecord(
+        n_free=stored["n_free"],
+        fixed=tuple(stored["fixed"]),
+        shares=stored["shares"],
+        source=stored["source"],
+        n_calls=stored["n_calls"],
+        n_calls_before=stored["n_calls_before"],
+        gain=check["gain"],
+        gain_alone=check["gain_alone"],
+        n_check=check["n_calls"],
+    )
 
 
 def unrestricted(
@@ -44,12 +63,12 @@ def restriction_sentences(
 
 
 def _relevance_sentence(r: RestrictionRecord) -> str:
-    told_cost = (
+    cost = (
         f"counted: {count(r.n_calls, 'call')} for Morris' elementary effects"
         if r.source == "Morris"
         else f"not counted: the stored Sobol indices had cost {count(r.n_calls_before, 'call')}"
     )
-    sentence = f"Relevance by {r.source}, {told_cost}"
+    sentence = f"Relevance by {r.source}, {cost}"
     if r.closest_call is None:
         return f"{sentence}."
     free, fixed = ((name, 100.0 * (r.shares[name] or 0.0)) for name in r.closest_call)
