@@ -204,7 +204,7 @@ def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
 def test_the_profile_in_the_pages_is_one(tmp_path: Path) -> None:
     from studies.profile import load_profile
 
-    (search, choices) = code_blocks(read(ROOT / "docs" / "tuning.md"), "toml")
+    (search, choices) = code_blocks(read(DOCS / "how-to" / "search-space.md"), "toml")
     file = tmp_path / "my.toml"
     text = f'name = "my"\n[data]\nn_train = [32]\n[tuning]\nn_trials = 20\n{choices}{search}'
     file.write_text(text, encoding="utf-8")
