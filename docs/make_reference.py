@@ -103,7 +103,7 @@ def _prose(text: str) -> Iterator[str]:
         elif part.startswith(" "):
             yield f"\n```text\n{block}\n```\n"
         else:
-            yield "\n" + part.replace("<", r"\<") + "\n"
+            yield "\n" + part.replace("<", "&lt;") + "\n"
 
 
 def _tables(title: str, first: str, tables: dict[str, Any]) -> str:
@@ -112,11 +112,11 @@ def _tables(title: str, first: str, tables: dict[str, Any]) -> str:
         summary, described = _docstring(owner)
         text += f"\n## {heading}\n\n{summary}\n\n"
         is_written = hasattr(owner, "__pydantic_fields__")
-        text += _row("name", "type", "unit", "default" * is_written, "meaning")
+        text += _row("name", "meaning", "type", "unit", "default" * is_written)
         text += _row(*("---" for _ in range(4 + is_written)))
         for name, kind, default in _declared(owner):
             unit, meaning = _unit(name, described[name])
-            text += _row(f"`{name}`", kind, unit or " ", default or " " * is_written, meaning)
+            text += _row(f"`{name}`", meaning, kind, unit or " ", default or " " * is_written)
     return text
 
 
@@ -175,7 +175,7 @@ def _unit(name: str, meaning: str) -> tuple[str, str]:
 def _row(*cells: str) -> str:
     """Return a row of a table, without the cells that it does not have."""
     texts = (" ".join(cell.split()) for cell in cells if cell)
-    return "| " + " | ".join(re.sub(r"([|<])", r"\\\1", text) for text in texts) + " |\n"
+    return "| " + " | ".join(text.replace("|", r"\|").replace("<", "&lt;") for text in texts) + " |\n"
 
 
 if __name__ == "__main__":
