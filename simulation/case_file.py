@@ -89,8 +89,19 @@ class TimeTable(_WindowTable):
     """Key [time]: periods in days or, all of them, in seconds; steps in seconds.
 
     They count from the first row of the first output's file; for timestamps with a `zero`, from that moment,
-    which is the model's time 0 as well. The simulation starts at `start_d` (else with the window); with
-    `shared_warmup` the part before the window is simulated once. `validation_d` is not calibrated.
+    which is the model's time 0 as well. Write `window_d` or `window_s`, and the other periods like it.
+
+    Attributes:
+        window_d: begin and end of what is calibrated.
+        window_s: the same in seconds.
+        start_d: start of the simulation; without it, that of the window. The part between is a warm-up.
+        start_s: the same in seconds.
+        validation_d: begin and end of a part that is not calibrated, to try the result on.
+        validation_s: the same in seconds.
+        zero: the timestamp of time 0, for recordings with timestamps.
+        shared_warmup: whether the warm-up is simulated once, with the estimates.
+        communication_step_s: step of a co-simulation, over which its inputs are held.
+        output_step_s: step of the outputs, a multiple of the communication step.
     """
 
     start_d: Finite | None = None
@@ -125,9 +136,17 @@ class TimeTable(_WindowTable):
 
 
 class InputTable(Table):
-    """Key [[inputs]]: where an FMU input comes from; gaps up to `max_gap_s` are bridged.
+    """Key [[inputs]]: where an FMU input comes from; either `column` or `sum` is given.
 
-    `fmu_unit` is the unit that its equations count in, where the FMU declares none.
+    Attributes:
+        name: the input of the FMU.
+        file: CSV file in the folder `data`.
+        column: column of the file.
+        sum: weight of each column, where an input is a weighted sum of columns.
+        unit: unit of the column.
+        fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
+        interpolation: between two samples: held (switches, setpoints), linear or smooth (weather).
+        max_gap_s: longest gap that is bridged; without it, a gap is an error.
     """
 
     name: Name
@@ -154,9 +173,16 @@ class InputTable(Table):
 class OutputTable(Table):
     """Key [[outputs]]: an FMU output and its measurement, which may have times of its own and gaps.
 
-    `weight` is the share of the error that it has relative to the others (see Measurement), `accepted` the
-    band outside of which a simulation has failed, `error_lasts_s` how long an error of it lasts (see
-    calibration.prior); `fmu_unit` as for inputs.
+    Attributes:
+        name: the output of the FMU.
+        unit: unit of the column, and of all results.
+        fmu_unit: unit that the FMU's equations count in, where the FMU declares none.
+        file: CSV file in the folder `data`.
+        column: column of the file; an empty cell is a gap.
+        uncertainty: standard uncertainty of the sensor. [unit]
+        error_lasts_s: how long an error of the sensor lasts, where its errors are autocorrelated.
+        weight: share of the error relative to the other outputs. [1]
+        accepted: band outside of which a simulation has failed. [unit]
     """
 
     name: Name
@@ -182,6 +208,11 @@ class PriorTable(Table):
 
     Two thirds of the probability lie `within` around it for a linear scale, in the parameter's unit, or a
     factor of `within_factor` around it for a logarithmic one.
+
+    Attributes:
+        about: the expected value; without it, the estimate. [unit]
+        within: for a linear scale: standard deviation. [unit]
+        within_factor: for a logarithmic scale: standard deviation as a factor. [1]
     """
 
     about: Finite | None = None
@@ -190,7 +221,18 @@ class PriorTable(Table):
 
 
 class ParameterTable(Table):
-    """Key [[parameters]]: a parameter to calibrate, and what is known about it beforehand."""
+    """Key [[parameters]]: a parameter to calibrate, and what is known about it beforehand.
+
+    Attributes:
+        name: the parameter of the FMU, or an input that is an unknown constant.
+        estimate: a usual value, for shared warm-ups, priors and fixed parameters. [unit]
+        lower: lower bound. [unit]
+        upper: upper bound. [unit]
+        unit: unit of its values.
+        scale: whether it is searched in its value or in the logarithm of it.
+        description: what it means, for the reader.
+        prior: what is known beforehand.
+    """
 
     name: Name
     estimate: Finite | None = None
@@ -233,13 +275,22 @@ class ParameterTable(Table):
 
 
 class FirstMeasured(Table):
-    """Value of [fixed]: the measured value of an output at the start of the simulation."""
+    """Value of [fixed]: the measured value of an output at the start of the simulation.
+
+    Attributes:
+        first_measured: name of the output.
+    """
 
     first_measured: Name
 
 
 class ValueWithUnit(Table):
-    """Value of [fixed]: a number with its unit, converted to the FMU's."""
+    """Value of [fixed]: a number with its unit, converted to the FMU's.
+
+    Attributes:
+        value: the number. [unit]
+        unit: its unit.
+    """
 
     value: Finite
     unit: Name
@@ -251,7 +302,12 @@ FixedValue = bool | _Whole | Finite | str | FirstMeasured | ValueWithUnit
 class SimulationTable(Table):
     """Key [simulation]: how patiently simulations are run; changes no answer. See ExecutionPolicy.
 
-    `timeout_s = inf` waits for ever.
+    Attributes:
+        timeout_s: longest simulation; without it, 100 times the slowest one before, and at least a minute.
+            `inf` stops none.
+        retries: how often a failed simulation is repeated. [1]
+        max_failed_share: share of failed simulations beyond which a command stops. [1]
+        max_workers: most processes at once, for instance as many as there are licences. [1]
     """
 
     timeout_s: Annotated[float, Field(gt=0, allow_inf_nan=True)] | None = None
@@ -261,7 +317,15 @@ class SimulationTable(Table):
 
 
 class ReferenceTable(_WindowTable):
-    """Key [[references]]: a mean squared error that is known for a window, to judge results by."""
+    """Key [[references]]: a mean squared error that is known for a window, to judge results by.
+
+    Attributes:
+        window_d: begin and end of the window.
+        window_s: the same in seconds.
+        label: where the error comes from.
+        mse: the mean squared error. [unit²]
+        target: whether calls to this error are counted.
+    """
 
     label: Name
     mse: Positive
@@ -269,7 +333,29 @@ class ReferenceTable(_WindowTable):
 
 
 class CaseFile(Table):
-    """A whole case.toml."""
+    """A whole case.toml.
+
+    Attributes:
+        schema: version of this form.
+        name: name of the case, part of every label.
+        title: one line for reports.
+        note: printed wherever the numbers appear.
+        fmu: the FMU, from the folder of the case file.
+        interface: how the FMU is run.
+        relative_tolerance: of the FMU's solver; without it, the FMU's own. [1]
+        data: folder of the recordings, from the folder of the case file.
+        data_origin: where missing recordings come from; part of the error message.
+        time_column: column of the times; without it, `time_s` or `time`.
+        timezone: zone of timestamps without an offset, as "Europe/Berlin"; without it, their clock
+            is never set forward or back.
+        time: the window, steps and validation.
+        inputs: inputs that recordings drive.
+        outputs: outputs that are compared with measurements.
+        parameters: parameters that are calibrated.
+        fixed: values of other parameters, inputs and initial states, by name.
+        simulation: time-out and retries.
+        references: known errors.
+    """
 
     # Later schemas must say so, else an old program would read a new file wrongly.
     schema_version: Annotated[Literal[1], Field(alias="schema")]

@@ -147,6 +147,7 @@ class Profile:
         tuning: budget of Optuna's studies.
         screening: budget of differential evolution.
         polish: budget of the polish.
+        schema: version of this form.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]

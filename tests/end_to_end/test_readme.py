@@ -3,15 +3,19 @@
 import argparse
 import contextlib
 import io
+import math
 import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from simulation.case_file import CaseFile, InputTable, OutputTable, SimulationTable
+from simulation.recording import read_recording
 from studies.cli import COMMANDS, DESCRIPTION, EPILOG, build_parser, command_module
 
 ROOT = Path(__file__).parents[2]
@@ -204,7 +208,7 @@ def test_the_ranges_in_the_readme_are_those_of_the_quick_profile() -> None:
 def test_the_profile_in_the_pages_is_one(tmp_path: Path) -> None:
     from studies.profile import load_profile
 
-    (search, choices) = code_blocks(read(ROOT / "docs" / "tuning.md"), "toml")
+    (search, choices) = code_blocks(read(DOCS / "how-to" / "search-space.md"), "toml")
     file = tmp_path / "my.toml"
     text = f'name = "my"\n[data]\nn_train = [32]\n[tuning]\nn_trials = 20\n{choices}{search}'
     file.write_text(text, encoding="utf-8")
@@ -215,6 +219,27 @@ def test_the_profile_in_the_pages_is_one(tmp_path: Path) -> None:
 
     assert type(make_sampler(profile.tuning.sampler, 0)).__name__ == profile.tuning.sampler["name"]
     assert type(make_pruner(profile.tuning.pruner)).__name__ == profile.tuning.pruner["name"]
+
+
+@pytest.mark.parametrize("name", ["data", "failing-fmu"])
+def test_the_lines_of_case_files_in_the_pages_are_valid(name: str) -> None:
+    tables = {"inputs": InputTable, "outputs": OutputTable, "simulation": SimulationTable}
+    blocks = [tomllib.loads(block) for block in code_blocks(read(DOCS / "how-to" / f"{name}.md"), "toml")]
+    assert blocks
+    for key, value in (item for block in blocks for item in block.items()):
+        assert key in CaseFile.model_fields
+        for table in value if isinstance(value, list) else [value]:
+            assert key not in tables or tables[key].model_validate(table)
+
+
+def test_the_german_csv_file_in_the_pages_is_read(tmp_path: Path) -> None:
+    (content,) = code_blocks(read(DOCS / "how-to" / "data.md"), "text")
+    file = tmp_path / "measured.csv"
+    file.write_bytes(content.encode("cp1252"))
+    recording = read_recording(file, ["Raum", "Wärme"], time_column="Zeit", timezone="Europe/Berlin")
+    assert recording.columns["Raum"].tolist() == [20.5, 20.6]
+    assert recording.step_s == 1800.0
+    assert math.isnan(recording.columns["Wärme"][1])
 
 
 def test_the_example_in_python_calibrates_and_predicts(tmp_path: Path) -> None:

@@ -1,0 +1,65 @@
+"""MkDocs hook: files of the repository outside `docs/` that pages link to become part of the site.
+
+README, DECISIONS, the benchmarks and their pictures stay where they are. Each gets the address
+`repository/<its path>`, and each link to it leads there.
+"""
+
+import os.path
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+_LINK = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)\s#]+)(#[^)\s]*)?\)")
+_UNSEARCHED = ("CHANGELOG.md", "DECISIONS.md", "notes/")
+"""Histories: they name everything, so that a search would find them before the page that answers."""
+
+
+def on_files(files: Files, config: Any) -> None:
+    """Add the README, what pages link to, and what is linked from there."""
+    waiting = [Path(str(page.abs_src_path)) for page in files.documentation_pages()]
+    waiting.append(readme := ROOT / "README.md")
+    files.append(File.generated(config, _address(readme), abs_src_path=str(readme)))
+    seen = {readme}
+    while waiting:
+        page = waiting.pop()
+        for _, target, _ in _LINK.findall(page.read_text(encoding="utf-8")):
+            file = _file(page, target)
+            if file is None or file in seen or file.is_relative_to(DOCS):
+                continue
+            seen.add(file)
+            files.append(File.generated(config, _address(file), abs_src_path=str(file)))
+            waiting += [file] * (file.suffix == ".md")
+
+
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
+    """Let each link lead to the place that its file has in the site."""
+    source, here = Path(str(page.file.abs_src_path)), os.path.dirname(page.file.src_uri)  # noqa: PTH120
+    if page.file.src_uri.removeprefix("repository/").startswith(_UNSEARCHED):
+        page.meta["search"] = {"exclude": True}
+
+    def moved(link: re.Match[str]) -> str:
+        words, target, heading = link.groups(default="")
+        file = _file(source, target)
+        if file is not None:
+            return f"[{words}]({os.path.relpath(_address(file), here or '.')}{heading})"
+        return words if (source.parent / target).is_dir() else link[0]  # a folder without a page
+
+    return _LINK.sub(moved, markdown)
+
+
+def _file(page: Path, target: str) -> Path | None:
+    """Return the file of the repository that a link means; a folder is its README."""
+    file = (page.parent / target).resolve()
+    file = file / "README.md" if file.is_dir() else file
+    return file if file.is_file() and file.is_relative_to(ROOT) else None
+
+
+def _address(file: Path) -> str:
+    if file.is_relative_to(DOCS):
+        return file.relative_to(DOCS).as_posix()
+    return f"repository/{file.relative_to(ROOT).as_posix()}"
