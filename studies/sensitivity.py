@@ -184,12 +184,16 @@ def _saltelli_blocks(
 
     size = theta.shape[1] + 2
     rest = np.empty((0, len(model.time) * len(model.output_names)))
+    ask = model.simulate
     if isinstance(model, StoredModel):
         # No process waits for the next block.
         model.complete(theta, on_progress=advance)
+        ask = model.store.read
     for start in range(0, len(theta), CHUNK):
-        answer = model.simulate(theta[start : start + CHUNK])
-        if not isinstance(model, StoredModel):
+        answer = ask(theta[start : start + CHUNK])
+        if isinstance(model, StoredModel):
+            model.failures += filter(None, answer.failures)
+        else:
             advance(start + answer.n)
         rows = np.concatenate([rest, answer.y.reshape(answer.n, -1)])
         whole = len(rows) // size * size

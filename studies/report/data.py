@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from simulation.case import KnownError
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
 from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
-from studies.sensitivity import SobolIndices
+
+if TYPE_CHECKING:  # heavy, and only named here
+    from simulation.case import KnownError
+    from studies.sensitivity import SobolIndices
 
 
 @dataclass(frozen=True)

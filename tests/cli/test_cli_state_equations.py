@@ -144,7 +144,7 @@ def test_how_sure_it_is_takes_no_more_than_the_sample(
     assert calls["by_equations"]
     assert found["sample"]["n_effective"] > 8
     told = " ".join(answer.out.split())
-    assert "(16 model calls; the model's state equations told the rest)" in told
+    assert "(16 model calls; the model's state equations gave the rest)" in told
     again = studies(*judge, "--again")
     assert again.code == 0, again.err
     assert json.loads(file.read_text(encoding="utf-8")) == found

@@ -227,7 +227,7 @@ def daemons():
 @pytest.mark.parametrize("end", ["close", "killed worker", "killed supervisor"])
 def test_a_daemon_that_an_fmu_starts_ends_with_its_process(end, bad_fmu, trace):
     fmu, before = bad_fmu("DAEMON"), daemons()
-    with PoolModel(settings_of(fmu).open, 2) as model:
+    with PoolModel(settings_of(fmu).open, 1) as model:
         assert not model.simulate(make_theta(20, [])).failed.any()
         loaded = [one for one in psutil.Process().children(recursive=True) if has_loaded(one)]
         (worker,) = [one for one in loaded if one.parent() not in loaded]  # not a daemon of it
