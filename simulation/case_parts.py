@@ -106,6 +106,7 @@ def input_values(
         The inputs over the steps, shape (m, n_inputs). In model exchange, if an input is not held, those at
         the edges, shape (m + 1, n_inputs); else None, and outputs see their step's.
     """
+    is_seen = file.interface == "model-exchange" and any(one.interpolation != "held" for one in file.inputs)
     inputs, at_edges = (np.zeros((n, len(file.inputs))) for n in (len(edges) - 1, len(edges)))
     for k, (table, change) in enumerate(zip(file.inputs, changes, strict=True)):
         with errors_at(f"inputs[{table.name}]"):
@@ -118,11 +119,11 @@ def input_values(
             for column, weight in table.weights.items():
                 time, values = data.input_series(table, column, edges)
                 inputs[:, k] += weight * values_over_steps(time, values, edges, interpolation=how)
-                at_edges[:, k] += weight * values_at_edges(time, values, edges, interpolation=how)
+                if is_seen:
+                    at_edges[:, k] += weight * values_at_edges(time, values, edges, interpolation=how)
             for one in (inputs, at_edges):
                 one[:, k] = change.factor * one[:, k] + change.offset
             variable.check_series(inputs[:, k], edges, " + ".join(table.weights))
-    is_seen = file.interface == "model-exchange" and any(one.interpolation != "held" for one in file.inputs)
     return inputs, at_edges if is_seen else None
 
 

@@ -1,4 +1,4 @@
-"""Studies without a training: trials that Optuna was told of, and calibrations, where real ones lie."""
+"""Studies without a training: trials added to Optuna, and calibrations, where real ones lie."""
 
 import json
 from pathlib import Path
@@ -107,9 +107,9 @@ def write_calibration(
     (folder / f"calibrate-{name}.json").write_text(
         json.dumps(manifest | {"finished": finished}), encoding="utf-8"
     )
-    told = {"place": f"fmus/{case.parent.name}/case.toml", "text": case.read_text(encoding="utf-8")}
-    told |= dict.fromkeys(("digest", "measurement_digest", "sha256"), "1" * 64)
-    recipe = {"case": told, "files": [], "window_d": [0.0, 9.0]}
+    recorded = {"place": f"fmus/{case.parent.name}/case.toml", "text": case.read_text(encoding="utf-8")}
+    recorded |= dict.fromkeys(("digest", "measurement_digest", "sha256"), "1" * 64)
+    recipe = {"case": recorded, "files": [], "window_d": [0.0, 9.0]}
     (folder / f"calibration-{name}.json").write_text(
         json.dumps({**numbers, "recipe": recipe}), encoding="utf-8"
     )
