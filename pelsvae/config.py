@@ -33,6 +33,8 @@ class SurrogateConfig:
         n_hidden: Width of every hidden layer.
         n_layers: Linear layers in each of encoder, decoder and regressor (at least 2).
         activation: Between the linear layers.
+        residual: Hidden layers add to what came before them, read theta each, and theta's features have
+            learnt scales (`network`).
         theta_features: What the networks see of theta: standardized values, or also their logarithms.
         beta: Weight of the reconstruction term, Eq. 4; the reverse of its use in a beta-VAE.
         n_latent_samples: L of Eq. 4, decoded samples averaged in the training loss.
@@ -59,6 +61,7 @@ class SurrogateConfig:
     n_hidden: int = 128
     n_layers: int = 4
     activation: Activation = "relu"
+    residual: bool = False
     theta_features: ThetaFeatures = "linear"
     beta: float = 100.0
     n_latent_samples: int = 1
@@ -159,18 +162,20 @@ VARIANTS: dict[str, SurrogateConfig] = {
     "paper": SurrogateConfig(),
     "refined": SurrogateConfig(
         n_latent=32,
-        n_hidden=256,
-        n_layers=3,
+        n_hidden=192,
+        n_layers=6,
         activation="silu",
+        residual=True,
         theta_features="linear+log",
         beta=10.0,
         n_prediction_samples=8,
-        learning_rate=7e-3,
+        batch_size=64,
+        learning_rate=4e-3,
         weight_decay=0.3,
         optimizer="adamw",
         schedule="one-cycle",
-        max_epochs=600,
-        patience=600,
+        max_epochs=300,
+        patience=300,
     ),
     "pca-gp": SurrogateConfig(
         regressor="gaussian-process",

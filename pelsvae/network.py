@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -10,17 +11,14 @@ from torch import Tensor, nn
 from pelsvae.config import SurrogateConfig
 
 _LOG_VARIANCE_BOUND = 12.0  # reached by no good training; a leap of the optimizer cannot overflow exp()
-
-
-class _Linear(nn.Linear):
-    """A layer whose weights are unset until they are drawn: torch would, from the global generator."""
-
-    def reset_parameters(self) -> None:
-        """Leave the weights as they are."""
+_SCALE_RATE = 6.0  # a feature's scale learns so many times faster than a weight; 12 and 20 gain no more
 
 
 class PelsVae(nn.Module):
     """Physics-enhanced latent space variational autoencoder.
+
+    With `residual` each hidden layer adds to what the layers before gave and reads theta too, and each
+    feature of theta has a learnt scale. So the networks can be deep; measured in docs/paper.md.
 
     Shapes: b rows, f features of theta, d outputs (times x outputs), z latent, h hidden, L samples.
     A Gaussian in latent space is always a pair (mean, log-variance), each (b, z).
@@ -38,8 +36,7 @@ class PelsVae(nn.Module):
             generator: Source of the initial weights (CPU).
         """
         super().__init__()
-        z, h, n_inner = config.n_latent, config.n_hidden, config.n_layers - 2
-        activation = {"relu": nn.ReLU, "silu": nn.SiLU}[config.activation]
+        f, z, h = n_features, config.n_latent, config.n_hidden
 
         def linear(n_in: int, n_out: int, fan_in: int | None = None, bias: bool = True) -> nn.Linear:
             layer = _Linear(n_in, n_out, bias=bias)
@@ -48,34 +45,30 @@ class PelsVae(nn.Module):
                 nn.init.uniform_(weight, -bound, bound, generator=generator)
             return layer
 
-        def inner() -> list[nn.Module]:
-            return [module for _ in range(n_inner) for module in (linear(h, h), activation())]
-
-        self.encoding = nn.Sequential(
-            linear(n_outputs + n_features, h), activation(), *inner(), linear(h, 2 * z)
-        )
-        self.regressing = nn.Sequential(linear(n_features, h), activation(), *inner(), linear(h, 2 * z))
+        self.encoding_first = linear(n_outputs + f, h)
+        self.encoding = _Layers(f, 2 * z, config, linear)
+        self.regressing_first = linear(f, h)
+        self.regressing = _Layers(f, 2 * z, config, linear)
         # The decoder's first layer on (z, theta), written as two: L samples of z share theta's half.
-        self.decoding_z = linear(z, h, fan_in=z + n_features, bias=False)
-        self.decoding_theta = linear(n_features, h, fan_in=z + n_features)
-        self.decoding = nn.Sequential(activation(), *inner())
-        self.decoding_out = linear(h, n_outputs)
+        self.decoding_z = linear(z, h, fan_in=z + f, bias=False)
+        self.decoding_theta = linear(f, h, fan_in=z + f)
+        self.decoding = _Layers(f, n_outputs, config, linear)
+        self.scale = nn.Parameter(torch.zeros(f)) if config.residual else None
 
     def encoder(self, x: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         """psi(x, theta): x (b, d), theta (b, f) -> mean, log-variance of z, each (b, z)."""
-        return _gaussian(self.encoding(torch.cat([x, theta], dim=-1)))
+        theta = self._scaled(theta)
+        return _gaussian(self.encoding(self.encoding_first(torch.cat([x, theta], dim=-1)), theta))
 
     def regressor(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """varphi(theta), Eq. 6: theta (b, f) -> mean, log-variance of z, each (b, z)."""
-        return _gaussian(self.regressing(theta))
+        theta = self._scaled(theta)
+        return _gaussian(self.regressing(self.regressing_first(theta), theta))
 
     def decoder(self, z: Tensor, theta: Tensor) -> Tensor:
-        """Mean of L decoded samples, Eq. 7: z (L, b, z), theta (b, f) -> x (b, d).
-
-        The last layer is linear, so averaging before it gives the same mean and runs it once, not L times.
-        """
-        hidden = self.decoding(self.decoding_z(z) + self.decoding_theta(theta))  # (L, b, h)
-        x: Tensor = self.decoding_out(hidden.mean(dim=0))  # (b, d)
+        """Mean of L decoded samples, Eq. 7: z (L, b, z), theta (b, f) -> x (b, d)."""
+        theta = self._scaled(theta)
+        x: Tensor = self.decoding(self.decoding_z(z) + self.decoding_theta(theta), theta)
         return x
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:
@@ -83,6 +76,49 @@ class PelsVae(nn.Module):
         mean, log_variance = self.regressor(theta)
         z = latent_samples(mean, log_variance, eps[:, None, :])  # (L, b, z)
         return self.decoder(z, theta)
+
+    def _scaled(self, theta: Tensor) -> Tensor:
+        return theta if self.scale is None else theta * (1.0 + _SCALE_RATE * self.scale)
+
+
+class _Layers(nn.Module):
+    """What follows a first linear layer: activation, hidden layers, a last linear layer."""
+
+    def __init__(
+        self, n_features: int, n_outputs: int, config: SurrogateConfig, linear: Callable[..., nn.Linear]
+    ) -> None:
+        super().__init__()
+        h, n_inner = config.n_hidden, config.n_layers - 2
+        self.activation = {"relu": nn.ReLU, "silu": nn.SiLU}[config.activation]()
+        self.inner = nn.ModuleList([linear(h, h) for _ in range(n_inner)])
+        self.last = linear(h, n_outputs)
+        self.residual = config.residual
+        if config.residual:
+            self.inner_theta = nn.ModuleList(
+                [linear(n_features, h, fan_in=h, bias=False) for _ in range(n_inner)]
+            )
+            self.last_theta = linear(n_features, n_outputs, fan_in=h, bias=False)
+
+    def forward(self, first: Tensor, theta: Tensor) -> Tensor:
+        """First sums (b, h) or (L, b, h), theta (b, f) -> outputs (b, n_outputs), the mean over L.
+
+        The last layer is linear, so averaging before it gives the same mean and runs it once, not L times.
+        """
+        hidden = self.activation(first)
+        for place, layer in enumerate(self.inner):
+            if self.residual:
+                hidden = hidden + self.activation(layer(hidden) + self.inner_theta[place](theta))
+            else:
+                hidden = self.activation(layer(hidden))
+        out: Tensor = self.last(hidden.mean(dim=0) if hidden.ndim == 3 else hidden)
+        return out + self.last_theta(theta) if self.residual else out
+
+
+class _Linear(nn.Linear):
+    """A layer whose weights are unset until they are drawn: torch would, from the global generator."""
+
+    def reset_parameters(self) -> None:
+        """Leave the weights as they are."""
 
 
 def _gaussian(heads: Tensor) -> tuple[Tensor, Tensor]:

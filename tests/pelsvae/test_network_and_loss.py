@@ -124,8 +124,8 @@ def test_regression_terms_reach_the_encoder_unless_detached() -> None:
         net, (x, theta, eps) = network(), batch()
         terms = objective(net, x, theta, eps=eps, beta=1.0, detach_encoder=detach)
         (terms.regression_mean + terms.regression_scale).backward()
-        assert net.regressing[0].weight.grad is not None
-        return [weight.grad for weight in net.encoding.parameters()]
+        assert net.regressing_first.weight.grad is not None
+        return [weight.grad for weight in net.encoding_first.parameters()]
 
     assert all(gradient is None for gradient in encoder_gradients(detach=True))
     assert all(gradient is not None and gradient.any() for gradient in encoder_gradients(detach=False))
