@@ -21,8 +21,7 @@ class SurrogateConfig:
 
     With regressor "gaussian-process" encoder and decoder are linear (`linear_vae`). What is said of layers,
     batches, draws, beta and optimizer then does not apply; n_latent is the most principal coordinates, and
-    max_epochs the iterations of each search for the most probable kernel. Where processes leave much, or rows
-    are many, a few networks of another kind are averaged with them (`network_ensemble`).
+    max_epochs the iterations of each search for the most probable kernel.
 
     Attributes:
         regressor: What leads from theta to the latent code: layers, or Gaussian processes.

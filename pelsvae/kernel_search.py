@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.optimize import minimize
 from torch import Tensor
 
 from pelsvae.kernel import N_INDEPENDENT, Kernel, Prior
 from pelsvae.kernel_loss import kernel_losses
-from pelsvae.minimize_in_step import minimize_in_step
-from pelsvae.side_by_side import SideBySide
 from pelsvae.standardize import Array
 
 # Rows on which kernels are searched for, and how many of them go on from each to the next: a search on few
@@ -26,7 +24,7 @@ LEADING = 0.9  # part of the variance that the leading codes hold
 N_FINAL = 2  # kernels of a group that count without validation
 N_SINGLE = 10  # leading codes that have kernels of their own
 SINGLE_ROWS = 128  # on which these are searched for
-IN_STEP_ROWS = 128  # up to so many, searches for the same codes go in step, which halves their time
+N_CORRECTIONS = 20  # that L-BFGS-B keeps; its default is 10
 CLOSER = 0.7  # deviations of a single code's hyperparameters around those of all codes, in those of the prior
 _SPREAD = 0.7  # of the starts, in deviations of the prior: equal scales would stay equal
 
@@ -64,7 +62,7 @@ class _Search(NamedTuple):
 
 
 def candidates(
-    kernel: Kernel, features: Tensor, codes: Tensor, seed: int, max_iterations: int, threads: SideBySide
+    kernel: Kernel, features: Tensor, codes: Tensor, seed: int, max_iterations: int
 ) -> Iterator[Candidate]:
     """Search for likely kernels, each group of codes from several starts, then for single codes.
 
@@ -74,14 +72,13 @@ def candidates(
         codes: Principal coordinates, the leading ones first. Shape (n, z). [1]
         seed: Of the starts.
         max_iterations: Of each search.
-        threads: Where searches run.
 
     Yields:
         What each search ended with, as they end.
     """
 
-    def found(searches: Sequence[_Search]) -> list[tuple[float, Array]]:
-        return _most_probable(kernel, features, codes, searches, max_iterations, threads)
+    def found(search: _Search) -> tuple[float, Array]:
+        return _most_probable(kernel, features, codes, search, max_iterations)
 
     n, z = codes.shape
     groups = _groups(codes)
@@ -92,15 +89,9 @@ def candidates(
     all_work, done = sum(work) + 2 * n_single * float(n_few) ** 3, 0.0
     likely = [_starts(kernel, [seed, group]) for group in range(len(groups))]
     for stage, (n_rows, n_starts) in enumerate(plan):
-        searches = [
-            [_Search(slice(n_rows), columns, start, kernel.prior) for start in starts[:n_starts]]
-            for columns, starts in zip(groups, likely, strict=True)
-        ]
-        n_together = n_starts if n_rows <= IN_STEP_ROWS else 1
-        batches = [batch for group in searches for batch in _batches(group, n_together)]
-        answers = itertools.chain.from_iterable(threads.each(found, batches))
         for group, columns in enumerate(groups):
-            ranked = sorted(itertools.islice(answers, n_starts), key=lambda pair: pair[0])
+            searches = [_Search(slice(n_rows), columns, start, kernel.prior) for start in likely[group]]
+            ranked = sorted(map(found, searches[:n_starts]), key=lambda pair: pair[0])
             for rank, (loss, hyper) in enumerate(ranked):
                 done += float(n_rows) ** 3 / all_work
                 is_final = stage == len(plan) - 1 and rank < N_FINAL
@@ -114,8 +105,7 @@ def candidates(
         for code in range(n_single)
         for prior in ((shared, CLOSER * deviation), (mean, deviation))
     ]
-    answers = itertools.chain.from_iterable(threads.each(found, _batches(singles, N_SINGLE)))
-    for rank, (loss, hyper) in enumerate(answers):
+    for rank, (loss, hyper) in enumerate(map(found, singles)):
         done += float(n_few) ** 3 / all_work
         place = (len(groups), 0, rank)
         yield Candidate(place, hyper, singles[rank].columns, False, None, loss / n_few, done)
@@ -150,35 +140,28 @@ def _stages(n: int) -> Iterator[tuple[int, int]]:
             return
 
 
-def _batches(searches: Sequence[_Search], n_together: int) -> list[Sequence[_Search]]:
-    return [searches[first : first + n_together] for first in range(0, len(searches), n_together)]
-
-
 def _most_probable(
-    kernel: Kernel,
-    features: Tensor,
-    codes: Tensor,
-    searches: Sequence[_Search],
-    max_iterations: int,
-    threads: SideBySide,
-) -> list[tuple[float, Array]]:
-    """Return the smallest loss found from each start, and the hyperparameters there.
+    kernel: Kernel, features: Tensor, codes: Tensor, search: _Search, max_iterations: int
+) -> tuple[float, Array]:
+    """Return the smallest loss found from the start of a search, and the hyperparameters there."""
+    x, known = features[search.rows], codes[search.rows, search.columns]
+    total = known.square().sum()
+    if total == 0.0:  # where every trajectory is the same there is nothing to learn from
+        return 0.0, search.prior[0]
+    known = known * torch.sqrt(len(x) / total)
 
-    The searches are for the same rows and as many codes each.
-    """
-    rows, n_independent = searches[0].rows, searches[0].n_independent
-    x = features[rows]
-    known = torch.stack([codes[rows, search.columns] for search in searches])  # (b, n, z)
-    total = known.square().sum(dim=(1, 2))
-    # Where every trajectory is the same there is nothing to learn from.
-    learning = torch.nonzero(total).flatten().tolist()
-    known = known[learning] * torch.sqrt(len(x) / total[learning])[:, None, None]
-    mean, deviation = (np.array([s.prior[i] for s in searches])[learning] for i in range(2))
+    def loss(hyper: Array) -> tuple[float, Array]:
+        value, gradient = kernel_losses(
+            kernel, hyper[None], x, known[None], search.prior, search.n_independent
+        )
+        return float(value[0]), gradient[0]
 
-    def losses(which: list[int], hyper: Array) -> tuple[Array, Array]:
-        threads.check()
-        return kernel_losses(kernel, hyper, x, known[which], (mean[which], deviation[which]), n_independent)
-
-    starts = [searches[place].start for place in learning]
-    found = dict(zip(learning, minimize_in_step(losses, starts, kernel.bounds, max_iterations), strict=True))
-    return [found.get(place, (0.0, search.prior[0])) for place, search in enumerate(searches)]
+    found = minimize(
+        loss,
+        search.start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=kernel.bounds,
+        options={"maxiter": max_iterations, "maxcor": N_CORRECTIONS},
+    )
+    return float(found.fun), np.asarray(found.x, dtype=np.float64)

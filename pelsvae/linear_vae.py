@@ -17,7 +17,6 @@ import torch
 from torch import Tensor, nn
 
 from pelsvae.kernel import CONSTANT, Kernel
-from pelsvae.network_ensemble import NetworkEnsemble
 
 # Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core, and which
 # the allocator keeps instead of taking fresh pages from the system.
@@ -44,17 +43,14 @@ class _Member(NamedTuple):
 class LinearVae(nn.Module):
     """Principal coordinates and the weighted mean of m members, Gaussian processes of one form.
 
-    Where networks are worth it, their mean is one member more.
-
     Shapes: b rows, f features of theta, d outputs (times x outputs), z latent, n training rows, m members.
 
     Attributes:
         kernel: Form of the members' kernels.
-        networks: With a share of their own; None where processes are enough.
         basis: Principal components, orthonormal rows. Shape (z, d).
         x: Features of the training rows. Shape (n, f). [1]
         hyper: Hyperparameters of every member. Shape (m, h).
-        share: Of every process in each code, often 0; with the networks' they sum up to 1. Shape (m, z).
+        share: Of every process in each code, often 0; they sum up to 1. Shape (m, z).
         coefficients: Inverse of each member's covariances times the codes that it has a share in. Shape
             (m, n, z).
         amplitude: Variance of each code under each member. Shape (m, z).
@@ -74,7 +70,6 @@ class LinearVae(nn.Module):
     def __init__(
         self,
         kernel: Kernel,
-        networks: NetworkEnsemble | None = None,
         factors: Sequence[Tensor] | None = None,
         **buffers: Tensor,
     ) -> None:
@@ -82,13 +77,11 @@ class LinearVae(nn.Module):
 
         Args:
             kernel: Form of the kernels.
-            networks: One member more.
             factors: Cholesky factors of every member's covariances, if they are known. m of (n, n).
             buffers: The tensors among the attributes, by name.
         """
         super().__init__()
         self.kernel = kernel
-        self.networks = networks
         for name in ("basis", "x", "hyper", "share", "coefficients", "amplitude", "rest", "inflation"):
             self.register_buffer(name, buffers[name])
         self._known: list[_Member] | None = None
@@ -114,8 +107,6 @@ class LinearVae(nn.Module):
         for place, member in enumerate(self._members()):
             share = self.share[place, member.columns]
             total = total.index_add(1, member.columns, share * self._member_mean(member, theta))
-        if self.networks is not None:
-            total = total + self.networks.share * self.networks.each(theta).mean(dim=0)
         return total
 
     def regressor_variance(self, theta: Tensor) -> Tensor:
@@ -130,9 +121,6 @@ class LinearVae(nn.Module):
             away = self._member_mean(member, theta) - center[:, columns]
             of_member = unexplained[:, None] * self.amplitude[place, columns] + away.square()
             total = total.index_add(1, columns, self.share[place, columns] * of_member)
-        if self.networks is not None:
-            away = self.networks.each(theta) - center
-            total = total + self.networks.share * away.square().mean(dim=0)
         return total
 
     def predict(self, theta: Tensor, eps: Tensor) -> Tensor:

@@ -17,9 +17,6 @@ _LEAST_NOISE = 1e-10  # in what all members leave; below, their squares are sing
 _LEAST = 0.01  # share below which a member is left out of a code
 _KEPT = 2.0 / 3.0  # of the members that remain when some are left out: the others' worth changes with it
 
-_ROUNDS = 5  # of reweighted squares, which then are norms
-_LEAST_NORM = 0.01  # in the mean one; below it a row's weight grows no more
-
 
 class Shares(NamedTuple):
     """Members that are worth their cost, and what they count.
@@ -79,30 +76,3 @@ def _of_code(left: Array, believed: Array) -> Array:
     share = np.where(share < _LEAST * share.sum(), 0.0, share)
     normal: Array = share / share.sum()
     return normal
-
-
-def best_part(first: Array, second: Array, true: Array) -> tuple[float, Array]:
-    """Find the part of one mean beside another, in all codes, that makes the errors' norms small, row by row.
-
-    Networks gain most in rows where processes are lost. By squares these would decide alone, and the others,
-    which are many, could lose.
-
-    Args:
-        first: Codes by the one. Shape (b, z). [1]
-        second: Codes by the other, whose part is asked for. Shape (b, z). [1]
-        true: The codes. Shape (b, z). [1]
-
-    Returns:
-        The part, and weights of rows with which squares behave as norms do. Shape of the weights (b, 1).
-    """
-    apart, left, part = second - first, true - first, 0.0
-    weight = np.ones((len(true), 1))
-    for _ in range(_ROUNDS):
-        square = float(np.square(weight * apart).sum())
-        if square > 0.0:
-            part = float(np.clip((np.square(weight) * left * apart).sum() / square, 0.0, 1.0))
-        norm = np.linalg.norm(left - part * apart, axis=1, keepdims=True)
-        if norm.max() == 0.0:
-            break
-        weight = np.sqrt(norm.mean() / (norm + _LEAST_NORM * norm.mean()))
-    return part, weight

@@ -1,4 +1,4 @@
-"""Fits the linear form: principal components, and a mean of likely kernels and networks of proven worth."""
+"""Fits the linear form: principal components, and a mean of processes with likely kernels."""
 
 from __future__ import annotations
 
@@ -13,27 +13,18 @@ from torch import Tensor
 
 from pelsvae.config import SurrogateConfig
 from pelsvae.device import keep_freed_memory
-from pelsvae.ensemble_training import NetworkTraining
 from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.kernel import Kernel
 from pelsvae.kernel_search import Candidate, candidates
 from pelsvae.linear_vae import LinearVae
-from pelsvae.member_shares import best_part, best_shares
-from pelsvae.network_ensemble import NetworkEnsemble
-from pelsvae.side_by_side import SideBySide, side_by_side
+from pelsvae.member_shares import best_shares
 from pelsvae.standardize import Array
 
 MEMBER_ROWS = 4096  # members times rows at most: what a prediction costs
 CHOOSING_ROWS = 1024  # from so many rows at most it is chosen which kernels are members
-THREADED_ROWS = 200  # with fewer, threads wait for the interpreter as long as they gain
-# Part of the validation set's squared codes that processes leave, above which networks are tried. Where they
-# leave 2 to 9 %, on 64 rows of buildings, networks improve the error by 0 to 1.3 %.
-UNEXPLAINED = 0.1
-# Of so many rows at most four processes are averaged, and networks are tried in any case: they take 3 to 10 %
-# off the error on buildings.
+# Up to so many rows the kernels found are also tried with longer and with shorter lengths.
 MANY_ROWS = 1024
-_STRETCH = 1.5  # of the lengths of further candidates where rows are fewer
-_WORTH = 0.01  # part of the squares left by processes that networks must explain to be kept
+_STRETCH = 1.5  # of these lengths
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
 _SHARE = 0.9  # of the validation values that the band shall cover
 
@@ -46,13 +37,11 @@ def fit_processes(
     n_outputs: int,
     validation_error: Callable[[LinearVae], float],
     seed: int,
-    n_jobs: int,
     on_epoch: Callable[[EpochReport], None] | None,
 ) -> tuple[LinearVae, list[dict[str, float]]]:
     """Fit principal components and the Gaussian processes of their coordinates.
 
-    Many kernels are searched for, on few rows first; the validation set says what each counts in each code,
-    and whether a few networks are worth their cost beside them.
+    Many kernels are searched for, on few rows first; the validation set says what each counts in each code.
 
     Args:
         config: Scales, degree, members and iterations.
@@ -62,8 +51,7 @@ def fit_processes(
             deviations are right. Shapes (b, f) and (b, d). [1]
         n_outputs: Outputs k of a model; d is times x k.
         validation_error: Judges a network.
-        seed: Of the searches' starts and of networks.
-        n_jobs: Threads that work side by side; a GPU and few rows have one.
+        seed: Of the searches' starts.
         on_epoch: Called with searches, in parts of `max_epochs`, and last of what is returned.
 
     Returns:
@@ -85,29 +73,22 @@ def fit_processes(
             on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
 
     keep_freed_memory()
-    if features.is_cuda or len(features) < THREADED_ROWS:
-        n_jobs = 1
     # Threads of the optimizer's small linear algebra would wait for each other most of the time.
-    with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"), side_by_side(n_jobs) as threads:
+    with torch.no_grad(), threadpool_limits(limits=1, user_api="blas"):
         kernel = Kernel(features.shape[1], config.n_scales, config.degree)
         basis, rest = _principal_components(x, config.n_latent)
         codes = x @ basis.T  # (n, z)
         rows = _Rows(kernel, features, codes)
-        networks = NetworkTraining(features, codes, seed, threads)
-        if len(features) >= MANY_ROWS:
-            networks.begin(n_jobs - 1)
         found: list[Candidate] = []
-        for one in candidates(kernel, features, codes, seed, config.max_epochs, threads):
+        for one in candidates(kernel, features, codes, seed, config.max_epochs):
             found.append(one)
             epoch, last = int(one.done * (config.max_epochs - 1)), history[-1]["epoch"] if history else 0
             if one.n_rows and epoch > last:
                 alone = _Members(one.hyper[None], np.ones((1, len(basis))))
                 report(_assembled(rows.first(one.n_rows), basis, rest, alone), one.loss, epoch)
         found.sort(key=lambda one: one.place)
-        if len(features) >= MANY_ROWS:
-            networks.begin(n_jobs)
         known = validation[0], validation[1] @ basis.T
-        members = _members(rows, known, found, config.n_members, networks, threads)
+        members = _members(rows, known, found, config.n_members)
         network = _assembled(rows, basis, rest, members)
         _inflate(network, *validation, n_outputs)
         of_all_codes = next(one.loss for one in found if one.is_final)
@@ -121,12 +102,10 @@ class _Members(NamedTuple):
     Attributes:
         hypers: Of the processes. Shape (m, h).
         share: Of the processes in the codes. Shape (m, z).
-        networks: With their own share; None where they are not worth it.
     """
 
     hypers: Array
     share: Array
-    networks: NetworkEnsemble | None = None
 
 
 class _Rows:
@@ -166,8 +145,6 @@ def _members(
     validation: tuple[Tensor, Tensor],
     found: list[Candidate],
     n_members: int,
-    networks: NetworkTraining,
-    threads: SideBySide,
 ) -> _Members:
     """Choose members by the validation set, whose codes are known as the training set's are."""
     n, z = rows.codes.shape
@@ -177,20 +154,14 @@ def _members(
     believed = np.zeros((len(found), z))
     for place, one in enumerate(found):
         believed[place, one.columns] = one.is_final
-    n_most, seen = max(1, min(n_members, MEMBER_ROWS // n)), 0
+    n_most = max(1, min(n_members, MEMBER_ROWS // n))
     for n_rows in sorted({min(n, CHOOSING_ROWS), n}):
         if n_rows > CHOOSING_ROWS and len(hypers) == 1:
             break
-        predicted = _predicted(rows.first(n_rows), validation[0], hypers, threads)
+        predicted = _predicted(rows.first(n_rows), validation[0], hypers)
         chosen = best_shares(predicted, true, believed, n_most)
-        hypers, believed, predicted = (values[chosen.members] for values in (hypers, believed, predicted))
-        seen = n_rows
-    members = _Members(hypers, chosen.share)
-    if n < MANY_ROWS and _left(predicted, chosen.share, true) <= UNEXPLAINED * np.square(true).sum():
-        return members
-    if seen < n:
-        predicted = _predicted(rows, validation[0], hypers, threads)
-    return _with_networks(members, predicted, validation, networks.result())
+        hypers, believed = hypers[chosen.members], believed[chosen.members]
+    return _Members(hypers, chosen.share)
 
 
 def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
@@ -200,55 +171,14 @@ def _stretched(kernel: Kernel, found: list[Candidate]) -> Iterator[Candidate]:
             yield one._replace(hyper=kernel.stretched(one.hyper, factor), is_final=False)
 
 
-def _with_networks(
-    members: _Members,
-    predicted: Array,
-    validation: tuple[Tensor, Tensor],
-    networks: NetworkEnsemble,
-) -> _Members:
-    """Let the validation set say what networks count beside the processes.
-
-    Args:
-        members: Processes alone.
-        predicted: Their codes of the validation set. Shape (m, b, z). [1]
-        validation: Features and codes of b rows. Shapes (b, f), (b, z). [1]
-        networks: Trained on what the processes were.
-    """
-    true = validation[1].cpu().numpy()
-    mean = networks.each(validation[0]).mean(dim=0, keepdim=True).cpu().numpy()  # (1, b, z)
-    if not np.isfinite(mean).all():
-        return members
-    everything = np.concatenate([predicted, mean])
-    in_all, weight = best_part(np.einsum("mbz,mz->bz", predicted, members.share), mean[0], true)
-    believed = np.concatenate([(1.0 - in_all) * members.share, np.full((1, true.shape[1]), in_all)])
-    everything, true = weight * everything, weight * true
-    chosen = best_shares(everything, true, believed, len(everything))
-    share = np.zeros_like(believed)
-    share[chosen.members] = chosen.share
-    is_worth = _left(everything, share, true) <= (1.0 - _WORTH) * _left(everything[:-1], members.share, true)
-    # What other shares of the processes gain is not the networks' merit.
-    if not (is_worth and share[-1].any()):
-        return members
-    networks.share.copy_(torch.from_numpy(share[-1]))
-    used = share[:-1].max(axis=1) > 0.0
-    used[0] = True  # the form has a process at least
-    return _Members(members.hypers[used], share[:-1][used], networks)
-
-
-def _left(predicted: Array, share: Array, true: Array) -> float:
-    """Return the squares that a mean leaves of codes (b, z): members' codes (m, b, z), shares (m, z)."""
-    return float(np.square(true - np.einsum("mbz,mz->bz", predicted, share)).sum())
-
-
-def _predicted(rows: _Rows, points: Tensor, hypers: Array, threads: SideBySide) -> Array:
+def _predicted(rows: _Rows, points: Tensor, hypers: Array) -> Array:
     """Return the codes that processes predict at points, (b, f) -> (m, b, z)."""
 
     def codes_at_points(hyper: Array) -> Array:
-        threads.check()
         at, (_, solved) = torch.from_numpy(hyper).to(points.device), rows.solved(hyper)
         return (rows.kernel.matrix(at, points, rows.features) @ solved).cpu().numpy()
 
-    return np.array(list(threads.each(codes_at_points, hypers)))
+    return np.array([codes_at_points(hyper) for hyper in hypers])
 
 
 def _inflate(network: LinearVae, features: Tensor, x: Tensor, n_outputs: int) -> None:
@@ -286,7 +216,6 @@ def _assembled(rows: _Rows, basis: Tensor, rest: Tensor, members: _Members) -> L
     share = torch.from_numpy(members.share).to(device)
     return LinearVae(
         rows.kernel,
-        members.networks,
         factors,
         basis=basis,
         x=rows.features,

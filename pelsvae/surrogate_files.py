@@ -19,7 +19,6 @@ from pelsvae.device import resolve_device
 from pelsvae.kernel import Kernel
 from pelsvae.linear_vae import LinearVae
 from pelsvae.network import PelsVae
-from pelsvae.network_ensemble import NetworkEnsemble
 from pelsvae.standardize import OutputStandardizer, ThetaStandardizer
 from pelsvae.surrogate import Surrogate, SurrogateShape
 
@@ -27,7 +26,6 @@ WEIGHTS = "weights.npz"
 DESCRIPTION = "surrogate.json"
 _FORMAT = 1
 _NETWORK = "network."  # prefix of the weights among the arrays
-_ENSEMBLE = "networks."  # prefix of the networks beside processes, among the weights
 
 
 def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
@@ -125,19 +123,16 @@ def _assembled(
     if theta.n_features != shape.n_parameters + theta.log_columns.size:
         raise RuntimeError(f"theta.mean has shape {theta.mean.shape}")
     eps = torch.from_numpy(arrays["eps"])
-    learnt = _under(_NETWORK, {name: torch.from_numpy(array) for name, array in arrays.items()})
+    learnt = {
+        name.removeprefix(_NETWORK): torch.from_numpy(array)
+        for name, array in arrays.items()
+        if name.startswith(_NETWORK)
+    }
     network: PelsVae | LinearVae
     if config.regressor == "network":
         network = PelsVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
         network.load_state_dict(learnt)
     else:
-        layers = _under(_ENSEMBLE, learnt)
-        processes = {name: value for name, value in learnt.items() if not name.startswith(_ENSEMBLE)}
         kernel = Kernel(theta.n_features, config.n_scales, config.degree)
-        network = LinearVae(kernel, NetworkEnsemble(layers) if layers else None, None, **processes)
+        network = LinearVae(kernel, None, **learnt)
     return Surrogate(config, shape, network.to(device).eval(), eps.to(device), theta, output)
-
-
-def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return those whose names begin so, by what follows."""
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

@@ -54,7 +54,6 @@ def fit(
     seed: int,
     log_columns: npt.ArrayLike | None = None,
     output_scales: Array | None = None,
-    n_jobs: int | None = None,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> FitResult:
     """Train a PELS-VAE by Eq. 5 and keep the weights with the smallest validation error.
@@ -72,8 +71,6 @@ def fit(
             means every column that is positive throughout. Shape (p,), bool.
         output_scales: Makes validation errors of different units comparable (see `metrics.errors`).
             Shape (k,).
-        n_jobs: Threads on which processes are searched for side by side; None means as many as torch may
-            use. They change no bit.
         on_epoch: Called after each validated epoch; what it raises ends the training and reaches the caller.
 
     Returns:
@@ -131,7 +128,6 @@ def fit(
                 n_outputs=shape.n_outputs,
                 validation_error=lambda network: validation_error(surrogate_of(network, network.no_draw)),
                 seed=seed,
-                n_jobs=n_jobs or torch.get_num_threads(),
                 on_epoch=on_epoch,
             )
             surrogate = surrogate_of(made, made.no_draw)

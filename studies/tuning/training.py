@@ -90,7 +90,6 @@ def train(
         seed=seed,
         log_columns=np.array(spec.is_log),
         output_scales=np.array(spec.output_scales),
-        n_jobs=1,
         on_epoch=hear,
     )
     judged = judge(fitted.surrogate, spec, data)

@@ -19,7 +19,6 @@ from pelsvae.kernel_search import ROWS, candidates
 from pelsvae.linear_vae import LinearVae
 from pelsvae.member_shares import Shares, best_shares
 from pelsvae.process_fitting import MANY_ROWS, MEMBER_ROWS
-from pelsvae.side_by_side import side_by_side
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
 
@@ -114,8 +113,7 @@ def test_a_code_that_only_late_rows_have_is_nothing_to_the_first_ones() -> None:
     kernel, n = Kernel(2, 1, 1), ROWS[0] + 2
     x, codes = torch.from_numpy(random.normal(size=(n, 2))), torch.zeros(n, 2, dtype=torch.float64)
     codes[:, 0], codes[-1, 1] = torch.sin(x[:, 0]), 1e-3
-    with side_by_side(1) as threads:
-        found = list(candidates(kernel, x, codes, 0, 3, threads))
+    found = list(candidates(kernel, x, codes, 0, 3))
     assert all(np.isfinite(one.loss) and np.isfinite(one.hyper).all() for one in found)
     of_few = [one for one in found if one.n_rows is None and one.columns == slice(1, 2)]
     assert [one.loss for one in of_few] == [0.0, 0.0]
