@@ -59,26 +59,12 @@ def test_members_that_matter_least_are_left_out() -> None:
     assert (chosen.share >= 0.0).all()
 
 
-@pytest.mark.parametrize("n_most", [1, 2])
-def test_members_that_all_are_right_keep_their_belief(n_most: int) -> None:
-    true = np.ones((5, 1))
-    share = best_shares(np.ones((2, 5, 1)), true, np.array([[0.75], [0.25]]), n_most).share
-    assert share[:, 0].tolist() == [[1.0], [0.75, 0.25]][n_most - 1]
-
-
 def test_part_of_a_mean_is_what_the_other_lacks() -> None:
     random = np.random.default_rng(0)
     true, error = random.normal(size=(50, 3)), random.normal(size=(50, 3))
     part, weight = best_part(true + 0.3 * error, true - 0.7 * error, true)
     assert part == pytest.approx(0.3)
     assert weight.shape == (50, 1)
-
-
-def test_part_stays_a_part_and_is_none_of_the_same() -> None:
-    true = np.random.default_rng(0).normal(size=(50, 3))
-    assert best_part(true + 1.0, true + 2.0, true)[0] == 0.0
-    assert best_part(true + 2.0, true + 1.0, true)[0] == 1.0
-    assert best_part(true, true, true)[0] == 0.0
 
 
 def test_a_few_lost_rows_do_not_decide() -> None:

@@ -70,29 +70,6 @@ def test_networks_are_not_tried_where_processes_do_well() -> None:
     assert network_of(fitted(rc_step(60, seed=1), rc_step(40, seed=2))).networks is None
 
 
-def test_networks_are_tried_in_any_case_where_rows_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried = []
-
-    class Noted(NetworkTraining):
-        def result(self) -> NetworkEnsemble:
-            tried.append(len(self._features))
-            return super().result()
-
-    monkeypatch.setattr(process_fitting, "NetworkTraining", Noted)
-    fitted(rc_step(60, seed=1), rc_step(40, seed=2))
-    assert tried == []
-    monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
-    fitted(rc_step(60, seed=1), rc_step(40, seed=2))
-    assert tried == [60]
-
-
-def test_networks_without_a_share_in_any_code_do_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beside networks, shares of processes are chosen anew, which may gain more than networks must."""
-    monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
-    monkeypatch.setattr(process_fitting, "_WORTH", -np.inf)  # whatever is gained
-    assert network_of(fitted(rc_step(60, seed=1), rc_step(40, seed=2))).networks is None
-
-
 def test_networks_that_diverge_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ensemble_training, "_LEARNING_RATE", 1e6)
     assert network_of(fitted(waves(N_WAVES, seed=1), waves(60, seed=2))).networks is None
@@ -144,40 +121,6 @@ def test_loaded_surrogate_is_the_same_bit_for_bit(surrogate: Surrogate, tmp_path
     np.testing.assert_array_equal(loaded.predict(theta), surrogate.predict(theta))
     np.testing.assert_array_equal(loaded.deviation(theta), surrogate.deviation(theta))
     np.testing.assert_array_equal(loaded.jacobian(theta[0]), surrogate.jacobian(theta[0]))
-
-
-def test_what_layers_say_is_multiplied_by_powers_of_the_parameters() -> None:
-    shapes = {
-        "share": (1,),
-        "power": (3, 2, 1),
-        "origin": (3, 1, 1),
-        "weight_0": (3, 2, 1),
-        "bias_0": (3, 1, 1),
-    }
-    random = np.random.default_rng(0)
-    made = {name: torch.from_numpy(random.normal(size=shape)) for name, shape in shapes.items()}
-    theta = torch.from_numpy(random.normal(size=(5, 2)))
-    said = torch.exp(theta @ made["power"]) * (theta @ made["weight_0"] + made["bias_0"])
-    torch.testing.assert_close(NetworkEnsemble(made).each(theta), made["origin"] + said)
-
-
-def test_networks_without_powers_are_refused() -> None:
-    with pytest.raises(KeyError, match="power"):
-        NetworkEnsemble(
-            {"share": torch.ones(1), "weight_0": torch.ones(1, 2, 1), "bias_0": torch.ones(1, 1, 1)}
-        )
-
-
-def test_many_rows_are_fitted_more_closely(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ensemble_training, "STEPS", 100)
-    monkeypatch.setattr(ensemble_training, "EPOCHS", 1)
-    random = np.random.default_rng(0)
-    features, codes = (torch.from_numpy(random.normal(size=(128, size))) for size in (2, 1))
-    left = []
-    for few_rows in (128, 1):  # of the second, 128 are many
-        monkeypatch.setattr(ensemble_training, "_FEW_ROWS", few_rows)
-        left.append(float((trained_networks(features, codes, 0).each(features) - codes).square().mean()))
-    assert left[1] < 0.9 * left[0]
 
 
 def test_same_seed_same_networks_and_other_seed_others(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,13 +75,3 @@ def test_answers_come_in_the_order_of_their_questions(n_jobs: int) -> None:
         assert list(threads.each(lambda number: number * number, range(20))) == [n * n for n in range(20)]
         assert later() == later() == 7
         assert torch.get_num_threads() == 1
-
-
-def test_one_thread_computes_what_is_asked_for_and_once() -> None:
-    asked = []
-    with side_by_side(1) as threads:
-        later = threads.later(lambda: asked.append(1))
-        assert asked == []
-        later()
-        later()
-    assert asked == [1]
