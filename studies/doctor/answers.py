@@ -11,9 +11,9 @@ from simulation.design import uniform_design
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.doctor.declared import temperature_doubt
-from studies.doctor.finding import Finding
+from studies.doctor.finding import Finding, Level, finding, named
 from studies.doctor.keeping import MORE_TIME, STOPPED
-from studies.doctor.region import commonest, failing_region
+from studies.doctor.region import where_and_why
 from studies.report.wording import difference_unit, quantity, squared
 
 N_CORNERS, N_COVERAGE = 32, 64
@@ -24,8 +24,6 @@ UNSEEN_SHARE = 0.01
 """A parameter that moves the output by less than this share of the uncertainty cannot be identified."""
 COVERED_SHARE = 0.9
 """Part of the measurement that should lie within the simulated envelope."""
-
-
 _REMEDIES = {
     "accepted": "widen accepted of that output, or correct the estimates",
     STOPPED: MORE_TIME,
@@ -54,59 +52,30 @@ def with_unit(unit: str) -> str:
     return "" if unit in ("", "1") else f" {unit}"
 
 
+def cannot_open(reason: str) -> Finding:
+    """Say what to do about an FMU that cannot be opened: the reason may know it."""
+    found, separator, own = reason.rpartition("; ")
+    remedy = _remedy(reason)
+    if remedy == _GENERAL_REMEDY and separator:
+        reason, remedy = found, own
+    return finding("cannot-open", "fail", reason=reason, remedy=remedy)
+
+
 def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     """Judge the answer to the estimates."""
-    if nominal.failed[0]:
-        yield Finding(
-            "estimates", "fail", f"cannot be simulated: {nominal.failures[0]}", _remedy(nominal.failures[0])
-        )
+    if reason := nominal.failures[0]:
+        yield finding("estimates-fail", "fail", reason=reason, remedy=_remedy(reason))
         return
     mse = float(case.measurement.mse(nominal.y)[0])
-    spans = [(series.min(), series.max()) for series in nominal.y[0].T]
-    ranges = ", ".join(
-        f"{output.name} from {low:.4g} to {high:.4g}{with_unit(output.unit)}"
-        for output, (low, high) in zip(case.outputs, spans, strict=True)
-    )
+    series = list(zip(case.outputs, nominal.y[0].T, case.measurement.uncertainty, strict=True))
+    ranges = [f"{one.name} from {y.min():.4g} to {y.max():.4g}{with_unit(one.unit)}" for one, y, _ in series]
     unit = squared(difference_unit(case.outputs[0].unit))
-    yield Finding("estimates", "ok", f"MSE {quantity(mse, unit, 4)}, {ranges}")
-    still = [output.name for k, output in enumerate(case.outputs) if np.ptp(nominal.y[0, :, k]) <= SAME]
-    if still:
-        yield Finding(
-            "outputs move",
-            "warn",
-            f"constant over the window: {', '.join(still)}",
-            "see whether the inputs reach the model and the output is the right one",
-        )
-    jumps = [
-        output.name
-        for k, output in enumerate(case.outputs)
-        if _jumps(case.measurement.uncertainty[k], nominal.y[0, :, k])
-    ]
-    if jumps and not case.scenario.n_warmup:
-        yield Finding(
-            "first values",
-            "warn",
-            f"far from all that follow: {', '.join(jumps)}",
-            "the FMU may compute them in its first step only; begin the window a step after start_d",
-        )
-    doubts = [
-        f"{output.name}: {doubt}"
-        for k, output in enumerate(case.outputs)
-        if (doubt := temperature_doubt(nominal.y[0, :, k], output.unit))
-    ]
-    if doubts:
-        yield Finding(
-            "units of the outputs",
-            "warn",
-            "; ".join(doubts),
-            "the FMU may not answer in the unit it declares; compare with the tool that made it",
-        )
-
-
-def _jumps(uncertainty: float, values: FloatArray) -> bool:
-    """Say whether the first value is off by more than all others differ. Shape of values (t,)."""
-    step = abs(float(values[0] - values[1]))
-    return len(values) > 2 and step > max(10.0 * uncertainty, float(np.ptp(values[1:])))
+    yield finding("estimates", "ok", mse=quantity(mse, unit, 4), ranges=", ".join(ranges))
+    yield from named("outputs-still", [one.name for one, y, _ in series if np.ptp(y) <= SAME])
+    if not case.scenario.n_warmup:
+        yield from named("first-values", [one.name for one, y, sigma in series if _jumps(sigma, y)])
+    doubts = [(one.name, temperature_doubt(y, one.unit)) for one, y, _ in series]
+    yield from named("units-of-outputs", [f"{name}: {doubt}" for name, doubt in doubts if doubt], "; ")
 
 
 def corner_points(case: Case, n: int) -> FloatArray:
@@ -123,13 +92,9 @@ def look_at_corners(space: ParameterSpace, answer: Trajectories) -> Finding:
     """Judge the answers at the corners of the box."""
     n_failed = int(answer.failed.sum())
     if not n_failed:
-        return Finding("corners of the box", "ok", f"{answer.n} were simulated")
-    return Finding(
-        "corners of the box",
-        "fail" if n_failed == answer.n else "warn",
-        f"{n_failed} of {answer.n} corners failed{_where_and_why(space, answer)}",
-        "narrow the bounds where the model breaks; failed rows are left out of training",
-    )
+        return finding("corners", "ok", n=answer.n)
+    level: Level = "fail" if n_failed == answer.n else "warn"
+    return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=where_and_why(space, answer))
 
 
 def coverage_points(case: Case, n: int) -> FloatArray:
@@ -139,42 +104,23 @@ def coverage_points(case: Case, n: int) -> FloatArray:
 
 def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
     """Say how much of the measurement the box can produce."""
-    n_failed = int(answer.failed.sum())
-    good = answer.y[~answer.failed]
-    if len(good) < 2:
-        return Finding(
-            "box",
-            "fail",
-            f"{n_failed} of {answer.n} failed{_where_and_why(case.parameter_space, answer)}",
-            "narrow the bounds where the model breaks",
-        )
+    n_failed, good = int(answer.failed.sum()), answer.y[~answer.failed]
+    why = where_and_why(case.parameter_space, answer)
+    if len(good) < 2 or n_failed > case.policy.max_failed_share * answer.n:
+        return finding("box-fails", "fail", n_failed=n_failed, n=answer.n, why=why)
     n_inside = 0
     for k in range(len(case.outputs)):
         above = case.measurement.differences(good, k)
         n_inside += int(np.sum((above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0)))
     inside = n_inside / case.measurement.n_samples
-    if n_failed > case.policy.max_failed_share * answer.n:
-        return Finding(
-            "box",
-            "fail",
-            f"{n_failed} of {answer.n} failed, so a campaign would be "
-            f"stopped{_where_and_why(case.parameter_space, answer)}",
-            "narrow the bounds where the model breaks; or allow more: [simulation] max_failed_share",
-        )
-    why = _where_and_why(case.parameter_space, answer) if n_failed else ""
     failed = f", {n_failed} of {answer.n} failed{why}" if n_failed else ""
-    return Finding(
-        "box covers the measurement",
-        "ok" if inside >= COVERED_SHARE else "warn",
-        f"{inside:.0%} of the measured values lie between {answer.n} simulations{failed}",
-        "" if inside >= COVERED_SHARE else "widen the bounds, or check the unit of the measurement",
-    )
+    level: Level = "ok" if inside >= COVERED_SHARE else "warn"
+    return finding("covered", level, inside=inside, n=answer.n, failed=failed)
 
 
 def moved_points(case: Case, base: FloatArray) -> FloatArray:
     """Move each parameter to both of its bounds, one at a time. Shape (2 p, p)."""
-    space = case.parameter_space
-    p = space.n_parameters
+    space, p = case.parameter_space, len(base)
     theta = np.tile(base, (2 * p, 1))
     theta[2 * np.arange(p), np.arange(p)] = space.lower
     theta[2 * np.arange(p) + 1, np.arange(p)] = space.upper
@@ -192,9 +138,8 @@ def influence(case: Case, estimates: Estimates, answer: Trajectories) -> FloatAr
     Returns:
         Largest change, NaN where both bounds failed. Shape (p,). [uncertainties]
     """
-    p = answer.n // 2
     moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=1) / case.measurement.uncertainty
-    return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(p, 2), axis=1))
+    return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(-1, 2), axis=1))
 
 
 def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | None) -> Finding:
@@ -206,40 +151,20 @@ def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | Non
             Shape (p,). [uncertainties]
         elsewhere: the same from another point, where it was asked. Shape (p,). [uncertainties]
     """
-    what, names = "every parameter moves an output", case.parameter_space.names[: len(share)]
     most = share if elsewhere is None else np.fmax(share, elsewhere)
-    dead = [names[i] for i in np.flatnonzero(most <= SAME)]
-    if dead:
-        return Finding(
-            what,
-            "fail",
-            f"no effect: {', '.join(dead)}",
-            "name the variable that the equations use, or leave the parameter out",
-        )
-    still = [names[i] for i in np.flatnonzero(share <= SAME)]
-    if still:
-        return Finding(
-            what,
-            "warn",
-            f"at the estimates {', '.join(still)} has no effect, elsewhere it has",
-            "move the estimates to where the model does something, if they should matter",
-        )
-    unknown = [names[i] for i in np.flatnonzero(np.isnan(most))]
-    if unknown:
-        return Finding(
-            what,
-            "warn",
-            f"not known of {', '.join(unknown)}: the simulations at both bounds fail",
-            "narrow these bounds to where the model can be simulated",
-        )
-    weak = [names[i] for i in np.flatnonzero(most < UNSEEN_SHARE)]
-    least = int(np.argmin(most))
-    return Finding(
-        what,
-        "warn" if weak else "ok",
-        f"the weakest, {names[least]}, by {most[least]:.2g} times the sensor's uncertainty",
-        f"{', '.join(weak)} cannot be identified; leave out or fix" if weak else "",
-    )
+
+    def which(is_so: np.ndarray) -> str:
+        return ", ".join(case.parameter_space.names[i] for i in np.flatnonzero(is_so))
+
+    if names := which(most <= SAME):
+        return finding("no-effect", "fail", names=names)
+    if names := which(share <= SAME):
+        return finding("no-effect-here", names=names)
+    if names := which(np.isnan(most)):
+        return finding("effect-unknown", names=names)
+    weak, least = which(most < UNSEEN_SHARE), int(np.argmin(most))
+    values = {"least": case.parameter_space.names[least], "most": most[least], "names": weak}
+    return finding("effect", "warn" if weak else "ok", **values)
 
 
 def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Trajectories) -> Finding:
@@ -250,39 +175,20 @@ def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Traject
         estimates: what the answers are compared with.
         answer: answers to the estimates, each with one input changed.
     """
-    what = "every input moves an output"
     moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=(1, 2))
-    dead = [name for name, most in zip(names, moved, strict=True) if most <= SAME]
-    if dead:
-        return Finding(
-            what,
-            "warn",
-            f"no effect: {', '.join(dead)}",
-            "see whether the model uses this input, or is switched to use a table of its own",
-        )
+    if dead := [name for name, most in zip(names, moved, strict=True) if most <= SAME]:
+        return finding("inputs-no-effect", names=", ".join(dead))
     failed = [f"{name}: {reason}" for name, reason in zip(names, answer.failures, strict=True) if reason]
     if failed:
-        return Finding(what, "warn", f"fails with another value of {failed[0]}", "look at the input's values")
-    return Finding(what, "ok", f"all {len(names)} do" if len(names) > 1 else f"{names[0]} does")
+        return finding("inputs-fail", names=failed[0])
+    return finding("inputs", "ok", names=", ".join(names))
 
 
-def _where_and_why(space: ParameterSpace, answer: Trajectories) -> str:
-    """Say where rows failed, as far as one parameter explains it, and why most of them did."""
-    region = failing_region(space, answer.theta, answer.failed)
-    return f"{', ' if region else ''}{region}; the reason: {commonest(answer.failures)}"
-
-
-def cannot_open(reason: str) -> Finding:
-    """Say what to do about an FMU that cannot be opened: the reason may know it."""
-    found, separator, own = reason.rpartition("; ")
-    remedy = _remedy(reason)
-    if remedy != _GENERAL_REMEDY or not separator:
-        return Finding("opening the FMU", "fail", reason, remedy)
-    return Finding("opening the FMU", "fail", found, own)
+def _jumps(uncertainty: float, values: FloatArray) -> bool:
+    """Say whether the first value is off by more than all others differ. Shape of values (t,)."""
+    step = abs(float(values[0] - values[1]))
+    return len(values) > 2 and step > max(10.0 * uncertainty, float(np.ptp(values[1:])))
 
 
 def _remedy(reason: str) -> str:
-    for sign, remedy in _REMEDIES.items():
-        if sign in reason.lower():
-            return remedy
-    return _GENERAL_REMEDY
+    return next((to_do for sign, to_do in _REMEDIES.items() if sign in reason.lower()), _GENERAL_REMEDY)

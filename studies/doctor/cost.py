@@ -5,7 +5,7 @@ import math
 from simulation.case import Case
 from simulation.pool.execution import SLOWER as SLOWER_THAN_ANY
 from studies.console import format_seconds
-from studies.doctor.finding import Finding
+from studies.doctor.finding import Finding, finding
 from studies.doctor.patience import SLOWER
 from studies.profile import Profile
 from studies.report.wording import count
@@ -26,45 +26,38 @@ def planned_simulations(case: Case, profile: Profile) -> dict[str, int]:
     }
 
 
-def tell_cost(case: Case, profile: Profile, simulation_s: float, n_workers: int) -> Finding:
+def look_at_cost(case: Case, profile: Profile, simulation_s: float, n_workers: int) -> Finding:
     """Say what the profile costs on this machine.
 
     Polishing goes one simulation after the other or a Jacobian at a time, so the true time lies above a share
     by the workers: that part is counted for one worker.
     """
     planned = planned_simulations(case, profile)
-    total = sum(planned.values())
-    alone = planned["calibration at most"]
-    seconds = simulation_s * ((total - alone) / n_workers + alone)
-    trainings = len(profile.data.n_train) * profile.tuning.n_trials
-    workers = f"{n_workers} workers" if n_workers > 1 else "one worker"
-    return Finding(
-        f"cost of profile {profile.name}",
+    total, alone = sum(planned.values()), planned["calibration at most"]
+    return finding(
+        "cost",
         "ok",
-        f"{_duration(simulation_s)} per simulation; at most {total} simulations, "
-        f"{format_seconds(seconds)} with {workers}; {count(trainings, 'training')}",
+        profile=profile.name,
+        each=duration(simulation_s),
+        total=total,
+        time=format_seconds(simulation_s * ((total - alone) / n_workers + alone)),
+        workers=f"{n_workers} workers" if n_workers > 1 else "one worker",
+        trainings=count(len(profile.data.n_train) * profile.tuning.n_trials, "training"),
     )
 
 
-def tell_timeout(case: Case, simulation_s: float) -> Finding:
-    """Propose a time-out where there is none."""
-    if case.policy.timeout_s is not None:
-        tight = case.policy.timeout_s < 3.0 * simulation_s
-        limit = f"{case.policy.timeout_s:g} s" if math.isfinite(case.policy.timeout_s) else "never"
-        return Finding(
-            "time-out",
-            "warn" if tight else "ok",
-            f"{limit}; the estimates take {_duration(simulation_s)}",
-            "raise [simulation] timeout_s: other parameters may take longer" if tight else "",
-        )
+def look_at_timeout(case: Case, simulation_s: float) -> Finding:
+    """Judge the time-out, or propose one where there is none."""
+    policy = case.policy
+    if policy.timeout_s is not None:
+        limit = f"{policy.timeout_s:g} s" if math.isfinite(policy.timeout_s) else "never"
+        is_tight = policy.timeout_s < 3.0 * simulation_s
+        return finding("timeout", "warn" if is_tight else "ok", limit=limit, each=duration(simulation_s))
     proposed = max(LEAST_TIMEOUT_S, float(f"{SLOWER * simulation_s:.1g}"))
-    return Finding(
-        "time-out",
-        "ok",
-        f"{case.policy.limit_s(simulation_s):g} s or more, {SLOWER_THAN_ANY:g} times the slowest so far; for "
-        f"another: [simulation] timeout_s = {proposed:g}, or inf for never",
-    )
+    limit_s = policy.limit_s(simulation_s)
+    return finding("no-timeout", "ok", limit=limit_s, slower=SLOWER_THAN_ANY, proposed=proposed)
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Write a time: in milliseconds where it is short."""
     return f"{1000.0 * seconds:.3g} ms" if seconds < 1.0 else format_seconds(seconds)

@@ -15,38 +15,14 @@ from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
 from studies.circumstances import RestartModel
-from studies.console import Console, format_seconds
-from studies.doctor.answers import (
-    N_CORNERS,
-    N_COVERAGE,
-    SAME,
-    Estimates,
-    cannot_open,
-    corner_points,
-    coverage_points,
-    influence,
-    look_at_corners,
-    look_at_coverage,
-    look_at_estimates,
-    look_at_influence,
-    look_at_inputs,
-    moved_points,
-)
-from studies.doctor.cost import planned_simulations, tell_cost, tell_timeout
+from studies.console import Console
+from studies.doctor import answers, cost, repeats
+from studies.doctor.answers import Estimates
 from studies.doctor.declared import base_point, look_at_data, look_at_declaration
-from studies.doctor.finding import Diagnosis, Finding
+from studies.doctor.finding import Diagnosis, Finding, named
 from studies.doctor.keeping import KeepingModel
 from studies.doctor.patience import Patience
 from studies.doctor.region import N_HALVINGS, look_at_bounds
-from studies.doctor.repeats import (
-    MEMORY_S,
-    N_MEMORY,
-    look_at_memory,
-    look_at_order,
-    look_at_repeats,
-    look_at_restart,
-    memory_in_use,
-)
 from studies.doctor.variants import circumstances, look_at_halving
 from studies.profile import Profile
 
@@ -59,7 +35,7 @@ OpenModel = Callable[[ExecutionPolicy], AbstractContextManager[KeepingModel]]
 
 @dataclass(frozen=True)
 class Surgery:
-    """What the doctor has at hand.
+    """What an examination needs.
 
     Attributes:
         case: the case.
@@ -88,170 +64,155 @@ def examine(surgery: Surgery, *, is_thorough: bool = False) -> Diagnosis:
         is_thorough: whether nothing is left out, however long it takes.
     """
     case = surgery.case
-    patience = Patience(surgery.n_workers, is_thorough, case.policy.timeout_s)
+    examination = _Examination(surgery, is_thorough=is_thorough)
     findings = [*look_at_declaration(case), *look_at_data(case)]
     with (
         surgery.console.progress("examinations", N_STEPS) as advance,
-        closing(_simulated(surgery, patience)) as simulated,
+        closing(examination.simulated()) as simulated,
     ):
         for step, found in enumerate(simulated, start=1):
             findings += found
             advance(min(step, N_STEPS), N_STEPS)
-    planned = planned_simulations(case, surgery.profile)
-    return Diagnosis(tuple(findings), patience.simulation_s, planned)
+    planned = cost.planned_simulations(case, surgery.profile)
+    return Diagnosis(tuple(findings), examination.patience.simulation_s, planned)
 
 
-def _simulated(surgery: Surgery, patience: Patience) -> Generator[list[Finding]]:
-    """Simulate, and judge what comes; ends early where the estimates fail."""
-    case, base = surgery.case, base_point(surgery.case.parameter_space)
-    policy, warn = _policy(case, patience.first_timeout_s), surgery.console.warn
-    with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
-        try:
-            nominal, patience.opening_s = _timed(alone, base)
-            patience.simulation_s = patience.opening_s
-        except InputError as error:
-            yield [cannot_open(_in_short(error, case))]
+class _Examination:
+    """What is simulated and judged, and how long that may take."""
+
+    def __init__(self, surgery: Surgery, *, is_thorough: bool) -> None:
+        self._surgery, self._case = surgery, surgery.case
+        self._space, self._base = self._case.parameter_space, base_point(surgery.case.parameter_space)
+        self.patience = Patience(surgery.n_workers, is_thorough, self._case.policy.timeout_s)
+
+    def simulated(self) -> Generator[list[Finding]]:
+        """Simulate, and judge what comes; ends early where the estimates fail."""
+        case, base, patience = self._case, self._base, self.patience
+        policy, warn = self._policy(patience.first_timeout_s), self._surgery.console.warn
+        with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
+            try:
+                nominal, patience.opening_s = _timed(alone, base)
+                patience.simulation_s = patience.opening_s
+            except InputError as error:
+                reason = " ".join(str(error).split()).removeprefix(f"{case.fmu.path}: ")
+                yield [answers.cannot_open(reason)]
+                return
+            yield list(answers.look_at_estimates(case, nominal))
+            if nominal.failed[0]:
+                return
+            estimates, again = Estimates(base, nominal), []
+            if patience.rows("a repetition", 3, at_once=False):
+                # Without opening the FMU; and after a row that is not the estimates.
+                answer, patience.simulation_s = _timed(alone, base)
+                # Inside the box: at a corner a parameter may do nothing.
+                after = alone.simulate(np.stack([answers.coverage_points(case, 1)[0], base]))
+                again = [answer, after.take([1])]
+                if patience.rows("starting the FMU over", 4, at_once=False):
+                    yield self._restart(after.take([0]))
+            yield from self._in_the_box(estimates)
+            yield self._in_other_processes(estimates, again)
+            yield [*self._memory(alone)]
+        yield [*self._costs()]
+
+    def _restart(self, later: Trajectories) -> list[Finding]:
+        """Ask a row as the first of a process that was answered after others in another."""
+        model = RestartModel(self._case.settings, later.theta[0], self._base)
+        policy = self._policy(self.patience.with_opening(self.patience.first_timeout_s))
+        with PoolModel(model.open, 1, policy=policy) as alone:
+            answer = alone.simulate(np.zeros((1, 1)))
+        first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
+        return [repeats.look_at_order(later, first), *repeats.look_at_restart(answer)]
+
+    def _in_the_box(self, estimates: Estimates) -> Iterator[list[Finding]]:
+        """Move the parameters, and keep what is simulated."""
+        case, patience = self._case, self.patience
+        with self._surgery.open_model(self._policy(patience.row_timeout_s)) as model:
+            model.keep(estimates.nominal)
+            if n := patience.rows("influence of the parameters", 2 * self._space.n_parameters, 2):
+                yield list(self._influence(model, estimates, n - n % 2))
+            what = "corners of the box"
+            if n := patience.rows(what, len(answers.corner_points(case, answers.N_CORNERS)), 2):
+                answer = self._in_pieces(model, answers.corner_points(case, n), what)
+                yield [answers.look_at_corners(self._space, answer)]
+            what = "coverage of the measurement"
+            if n := patience.rows(what, answers.N_COVERAGE, 8):
+                answer = self._in_pieces(model, answers.coverage_points(case, n), what)
+                yield [answers.look_at_coverage(case, answer)]
+
+    def _in_pieces(self, model: ForwardModel, theta: FloatArray, what: str) -> Trajectories:
+        """Simulate until patience ends, at least one piece: rows that hang must not eat up hours."""
+        size, patience = PIECE * self.patience.n_workers, self.patience
+        parts = [model.simulate(theta[:size])]
+        for start in range(size, len(theta), size):
+            if patience.is_over:
+                patience.left_out.append(f"{what} ({start} of {len(theta)} simulations)")
+                break
+            parts.append(model.simulate(theta[start : start + size]))
+        return Trajectories.concatenate(parts)
+
+    def _influence(self, model: ForwardModel, estimates: Estimates, n: int) -> Iterator[Finding]:
+        """Move every parameter; where one does nothing, once more from another point."""
+        case = self._case
+        answer = model.simulate(answers.moved_points(case, self._base)[:n])
+        share, elsewhere = answers.influence(case, estimates, answer), None
+        if not (share > answers.SAME).all():
+            other = answers.coverage_points(case, 1)[0]
+            moved = model.simulate(np.vstack([other, answers.moved_points(case, other)[:n]]))
+            if not moved.failed[0]:
+                there = Estimates(other, moved.take([0]))
+                elsewhere = answers.influence(case, there, moved.take(np.arange(1, n + 1)))
+        yield answers.look_at_influence(case, share, elsewhere)
+        n_rows = N_HALVINGS * int(answer.failed.sum())
+        is_traced = n_rows > 0 and self.patience.rows("from where on bounds fail", n_rows, n_rows) > 0
+        yield from look_at_bounds(case, self._base, answer, model if is_traced else None)
+
+    def _in_other_processes(self, estimates: Estimates, again: list[Trajectories]) -> list[Finding]:
+        """Ask the estimates in another process: as they are, at half the step, with other inputs."""
+        case, halved, patience = self._case, self._surgery.halved, self.patience
+        names = case.scenario.input_names
+        model = circumstances(case, halved, self._base)
+        policy = self._policy(patience.with_opening(patience.row_timeout_s))
+        with PoolModel(model.open, min(patience.n_workers, 2 + len(names)), policy=policy) as other:
+            n = patience.rows("another process, half the step, other inputs", 3 + len(names), 3)
+            if not n:
+                return []
+            answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
+        nominal, asked = estimates.nominal, names[: n - 3]
+        findings = [repeats.look_at_repeats(nominal, again, answer.take([0]))] if again else []
+        findings.append(look_at_halving(case, halved, estimates, answer.take([1])))
+        if asked:
+            changed = answer.take(np.arange(2, 2 + len(asked)))
+            findings.append(answers.look_at_inputs(asked, estimates, changed))
+        return findings
+
+    def _memory(self, model: ForwardModel) -> Iterator[Finding]:
+        patience, n = self.patience, repeats.N_MEMORY
+        if patience.simulation_s > 0.0:
+            n = min(n, int(repeats.MEMORY_S / patience.simulation_s))
+        if n < 20:
             return
-        yield list(look_at_estimates(case, nominal))
-        if nominal.failed[0]:
-            return
-        estimates = Estimates(base, nominal)
-        again = []
-        if patience.rows("a repetition", 3, at_once=False):
-            # Without opening the FMU; and after a row that is not the estimates.
-            answer, patience.simulation_s = _timed(alone, base)
-            # Inside the box: at a corner a parameter may do nothing.
-            after = alone.simulate(np.stack([coverage_points(case, 1)[0], base]))
-            again = [answer, after.take([1])]
-            if patience.rows("starting the FMU over", 4, at_once=False):
-                yield _restart(case, patience, after.take([0]), base)
-        yield from _in_the_box(surgery, patience, estimates)
-        yield _elsewhere(surgery, patience, estimates, again)
-        yield [*_memory(surgery, patience, alone, base)]
-    yield [*_costs(surgery, patience)]
+        # The first rows fill caches; what comes after them should not.
+        model.simulate(np.tile(self._base, (n // 4, 1)))
+        before, started = repeats.memory_in_use(), time.perf_counter()
+        model.simulate(np.tile(self._base, (n, 1)))
+        # Of many rows, handing over one has no weight.
+        patience.simulation_s = (time.perf_counter() - started) / n
+        total = sum(cost.planned_simulations(self._case, self._surgery.profile).values())
+        yield repeats.look_at_memory(repeats.memory_in_use() - before, n, total)
 
+    def _costs(self) -> Iterator[Finding]:
+        surgery, patience = self._surgery, self.patience
+        yield cost.look_at_timeout(surgery.case, patience.simulation_s)
+        yield cost.look_at_cost(surgery.case, surgery.profile, patience.simulation_s, surgery.n_workers)
+        each = cost.duration(patience.simulation_s)
+        yield from named("left-out", patience.left_out, "; ", each=each, command=surgery.command)
 
-def _restart(case: Case, patience: Patience, later: Trajectories, other: FloatArray) -> list[Finding]:
-    """Ask a row as the first of a process that was answered after others in another."""
-    model = RestartModel(case.settings, later.theta[0], other)
-    policy = _policy(case, patience.with_opening(patience.first_timeout_s))
-    with PoolModel(model.open, 1, policy=policy) as alone:
-        answer = alone.simulate(np.zeros((1, 1)))
-    first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
-    found = look_at_restart(answer)
-    return [look_at_order(later, first), *([] if found is None else [found])]
-
-
-def _in_the_box(surgery: Surgery, patience: Patience, estimates: Estimates) -> Iterator[list[Finding]]:
-    """Move the parameters, and keep what is simulated."""
-    case, p = surgery.case, surgery.case.parameter_space.n_parameters
-    with surgery.open_model(_policy(case, patience.row_timeout_s)) as model:
-        model.keep(estimates.nominal)
-        if n := patience.rows("influence of the parameters", 2 * p, 2):
-            yield _influence(case, model, estimates, n - n % 2, patience)
-        what = "corners of the box"
-        if n := patience.rows(what, len(corner_points(case, N_CORNERS)), 2):
-            answer = _in_pieces(model, corner_points(case, n), what, patience)
-            yield [look_at_corners(case.parameter_space, answer)]
-        what = "coverage of the measurement"
-        if n := patience.rows(what, N_COVERAGE, 8):
-            yield [look_at_coverage(case, _in_pieces(model, coverage_points(case, n), what, patience))]
-
-
-def _in_pieces(model: ForwardModel, theta: FloatArray, what: str, patience: Patience) -> Trajectories:
-    """Simulate until patience ends, at least one piece: rows that hang must not eat up hours."""
-    size = PIECE * patience.n_workers
-    parts = [model.simulate(theta[:size])]
-    for start in range(size, len(theta), size):
-        if patience.is_over:
-            patience.left_out.append(f"{what} ({start} of {len(theta)} simulations)")
-            break
-        parts.append(model.simulate(theta[start : start + size]))
-    return Trajectories.concatenate(parts)
-
-
-def _influence(
-    case: Case, model: ForwardModel, estimates: Estimates, n: int, patience: Patience
-) -> list[Finding]:
-    """Move every parameter; where a bound fails, find out from where on."""
-    answer = model.simulate(moved_points(case, estimates.theta)[:n])
-    found = [_moves(case, model, influence(case, estimates, answer))]
-    n_rows = N_HALVINGS * int(answer.failed.sum())
-    is_told = n_rows > 0 and patience.rows("from where on bounds fail", n_rows, n_rows) > 0
-    bounds = look_at_bounds(case, estimates.theta, answer, model if is_told else None)
-    return found if bounds is None else [*found, bounds]
-
-
-def _moves(case: Case, model: ForwardModel, share: FloatArray) -> Finding:
-    """Judge what every parameter moves; where one does nothing, ask once more from another point."""
-    n = 2 * len(share)
-    if (share > SAME).all():
-        return look_at_influence(case, share, None)
-    other = coverage_points(case, 1)[0]
-    answer = model.simulate(np.vstack([other, moved_points(case, other)[:n]]))
-    if answer.failed[0]:
-        return look_at_influence(case, share, None)
-    moved = influence(case, Estimates(other, answer.take([0])), answer.take(np.arange(1, n + 1)))
-    return look_at_influence(case, share, moved)
-
-
-def _elsewhere(
-    surgery: Surgery, patience: Patience, estimates: Estimates, again: list[Trajectories]
-) -> list[Finding]:
-    """Ask the estimates in another process: as they are, at half the step, with other inputs."""
-    case, names = surgery.case, surgery.case.scenario.input_names
-    model = circumstances(case, surgery.halved, estimates.theta)
-    policy = _policy(case, patience.with_opening(patience.row_timeout_s))
-    with PoolModel(model.open, min(surgery.n_workers, 2 + len(names)), policy=policy) as elsewhere:
-        n = patience.rows("another process, half the step, other inputs", 3 + len(names), 3)
-        if not n:
-            return []
-        answer = elsewhere.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
-    findings = [look_at_repeats(estimates.nominal, again, answer.take([0]))] if again else []
-    findings.append(look_at_halving(case, surgery.halved, estimates, answer.take([1])))
-    if n > 3:
-        asked = names[: n - 3]
-        findings.append(look_at_inputs(asked, estimates, answer.take(np.arange(2, 2 + len(asked)))))
-    return findings
-
-
-def _memory(surgery: Surgery, patience: Patience, model: ForwardModel, base: FloatArray) -> Iterator[Finding]:
-    n = min(N_MEMORY, int(MEMORY_S / patience.simulation_s)) if patience.simulation_s > 0.0 else N_MEMORY
-    if n < 20:
-        return
-    # The first rows fill caches; what comes after them should not.
-    model.simulate(np.tile(base, (n // 4, 1)))
-    before, started = memory_in_use(), time.perf_counter()
-    model.simulate(np.tile(base, (n, 1)))
-    # Of many rows, handing over one has no weight.
-    patience.simulation_s = (time.perf_counter() - started) / n
-    total = sum(planned_simulations(surgery.case, surgery.profile).values())
-    yield look_at_memory(memory_in_use() - before, n, total)
-
-
-def _costs(surgery: Surgery, patience: Patience) -> Iterator[Finding]:
-    case = surgery.case
-    yield tell_timeout(case, patience.simulation_s)
-    yield tell_cost(case, surgery.profile, patience.simulation_s, surgery.n_workers)
-    if patience.left_out:
-        yield Finding(
-            "left out",
-            "warn",
-            f"a simulation takes {format_seconds(patience.simulation_s)}: {'; '.join(patience.left_out)}",
-            f"to have everything examined: {surgery.command} --thorough",
-        )
-
-
-def _policy(case: Case, timeout_s: float | None) -> ExecutionPolicy:
-    """Return the case's patience, with the doctor's time-out and without an end when many fail."""
-    return replace(case.policy, timeout_s=timeout_s, max_failed_share=1.0)
+    def _policy(self, timeout_s: float | None) -> ExecutionPolicy:
+        """Return the case's policy with this time-out and without an end when many fail."""
+        return replace(self._case.policy, timeout_s=timeout_s, max_failed_share=1.0)
 
 
 def _timed(model: ForwardModel, row: FloatArray) -> tuple[Trajectories, float]:
     started = time.perf_counter()
     answer = model.simulate(row[None])
     return answer, time.perf_counter() - started
-
-
-def _in_short(error: InputError, case: Case) -> str:
-    return " ".join(str(error).split()).removeprefix(f"{case.fmu.path}: ")

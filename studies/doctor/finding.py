@@ -1,16 +1,22 @@
-"""What the doctor finds: one line each, with what to do, and the diagnosis they make."""
+"""What `studies check` finds: one line each, with what to do; the words are those of findings.toml."""
 
+import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal
 
 from studies.console import Column, Console
 
 Level = Literal["ok", "warn", "fail"]
+LONGEST = 4
+"""Names in one line."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing the doctor looked at.
+    """One thing that was examined.
 
     Args:
         what: what was examined.
@@ -46,27 +52,41 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the diagnosis as JSON values."""
-        return {
-            "sound": self.is_sound,
-            **asdict(self),
-            "findings": [asdict(found) for found in self.findings],
-        }
+        return {"sound": self.is_sound, **asdict(self)}
+
+
+@cache
+def _words() -> dict[str, dict[str, str]]:
+    return tomllib.loads(Path(__file__).with_name("findings.toml").read_text(encoding="utf-8"))
+
+
+def finding(key: str, level: Level = "warn", **values: Any) -> Finding:
+    """Return a finding in the words of its key, which these values complete."""
+    words = {name: text.format(**values) for name, text in _words()[key].items()}
+    return Finding(words["what"], level, words["found"], "" if level == "ok" else words["remedy"])
+
+
+def named(key: str, names: Sequence[str], separator: str = ", ", **values: Any) -> Iterator[Finding]:
+    """Give a finding to look at where there are names: a few of them, and how many more there are."""
+    if names:
+        more = f" and {len(names) - LONGEST} more" if len(names) > LONGEST else ""
+        yield finding(key, names=separator.join(names[:LONGEST]) + more, **values)
 
 
 def say_warnings(console: Console, diagnosis: Diagnosis) -> None:
     """Say in one line each what a study may go on with and its user should know."""
-    for finding in diagnosis.findings:
-        if finding.level == "warn":
-            console.say(f"check: {finding.what}: {finding.found}; {finding.remedy}")
+    for one in diagnosis.findings:
+        if one.level == "warn":
+            console.say(f"check: {one.what}: {one.found}; {one.remedy}")
 
 
 def show_diagnosis(console: Console, label: str, diagnosis: Diagnosis) -> None:
     """Print the findings as a table, and what they come to."""
     console.table(
-        f"{label}: what the doctor found",
+        f"{label}: findings",
         [Column("examined"), Column("result"), Column("found"), Column("what to do")],
-        [[found.what, found.level, found.found, found.remedy] for found in diagnosis.findings],
+        [[one.what, one.level, one.found, one.remedy] for one in diagnosis.findings],
     )
-    levels = [finding.level for finding in diagnosis.findings]
+    levels = [one.level for one in diagnosis.findings]
     words = f"{levels.count('fail')} failed, {levels.count('warn')} to look at, {levels.count('ok')} good"
     console.result(f"{label}: {words}")

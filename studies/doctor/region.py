@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -11,15 +11,13 @@ from simulation.case import Case
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.doctor.finding import Finding
+from studies.doctor.finding import Finding, named
 from studies.report.wording import percent, shown_unit
 
 N_HALVINGS = 5
 """Rows that find out from where on a bound fails: to 1/32 of the way to it."""
 EXPLAINED = 0.9
 """One parameter explains failures that separates so much of the failed rows from the others."""
-LONGEST = 3
-"""Regions named in one line."""
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -54,9 +52,17 @@ def failing_region(space: ParameterSpace, theta: FloatArray, failed: BoolArray) 
     return best[1]
 
 
+def where_and_why(space: ParameterSpace, answer: Trajectories) -> str:
+    """Say where rows failed, as far as one parameter explains it, and why most of them did."""
+    if not answer.failed.any():
+        return ""
+    region = failing_region(space, answer.theta, answer.failed)
+    return f"{', ' if region else ''}{region}; the reason: {commonest(answer.failures)}"
+
+
 def look_at_bounds(
     case: Case, base: FloatArray, answer: Trajectories, model: ForwardModel | None
-) -> Finding | None:
+) -> Iterator[Finding]:
     """Say which single parameters cannot be moved to a bound, from where on, and why.
 
     Args:
@@ -64,36 +70,23 @@ def look_at_bounds(
         base: The estimates. Shape (p,). [per parameter]
         answer: The answers to `moved_points`, or to the first of them.
         model: Shows from where on a bound fails; None where there is no time for that.
-
-    Returns:
-        The finding, None where no bound fails.
     """
-    failed = np.flatnonzero(answer.failed)
+    failed, space = np.flatnonzero(answer.failed), case.parameter_space
     if not len(failed):
-        return None
-    space = case.parameter_space
+        return
     good, bad = np.tile(space.to_unit(base), (len(failed), 1)), space.to_unit(answer.theta[failed])
-    for _ in range(N_HALVINGS if model is not None else 0):
-        assert model is not None, "nothing is halved without one"
-        middle = 0.5 * (good + bad)
-        is_good = ~model.simulate(space.from_unit(middle)).failed
-        good, bad = np.where(is_good[:, None], middle, good), np.where(is_good[:, None], bad, middle)
+    for _ in range(N_HALVINGS):
+        if model is not None:
+            middle = 0.5 * (good + bad)
+            is_good = ~model.simulate(space.from_unit(middle)).failed[:, None]
+            good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
     regions = []
     for row, edge in zip(failed, space.from_unit(good), strict=True):
-        j, is_upper = divmod(int(row), 2)
-        parameter = space.parameters[j]
-        bound, where = (parameter.upper, "above") if is_upper else (parameter.lower, "below")
-        from_where = f"{where} {edge[j]:.3g}, " if model is not None else ""
+        one, is_upper = space.parameters[row // 2], bool(row % 2)
+        bound, where, side = (one.upper, "above", "upper") if is_upper else (one.lower, "below", "lower")
+        begin = "" if model is None else f"{where} {edge[row // 2]:.3g}, "
         regions.append(
-            f"{parameter.name} fails {from_where}at its {'upper' if is_upper else 'lower'} bound "
-            f"{bound:.4g} {shown_unit(parameter.unit)}".rstrip()
+            f"{one.name} fails {begin}at its {side} bound {bound:.4g} {shown_unit(one.unit)}".rstrip()
         )
-    share = len(failed) / answer.n
-    more = f" and {len(regions) - LONGEST} more" if len(regions) > LONGEST else ""
-    return Finding(
-        "every parameter reaches its bounds",
-        "warn",
-        f"{'; '.join(regions[:LONGEST])}{more} ({percent(share)} of the bounds); the reason: "
-        f"{commonest(answer.failures)}",
-        "narrow these bounds to where the model can be simulated, if what lies beyond is not wanted",
-    )
+    share, reason = percent(len(failed) / answer.n), commonest(answer.failures)
+    yield from named("bounds-fail", regions, "; ", share=share, reason=reason)

@@ -1,6 +1,6 @@
 """Whether a question gets the same answer again, after others and in another process; and memory."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import psutil
@@ -8,7 +8,7 @@ import psutil
 from simulation.trajectories import Trajectories
 from studies.circumstances import WAYS
 from studies.doctor.answers import SAME
-from studies.doctor.finding import Finding
+from studies.doctor.finding import Finding, finding
 from studies.doctor.keeping import MORE_TIME, STOPPED
 
 N_MEMORY = 200
@@ -16,6 +16,7 @@ MEMORY_S = 10.0
 """Longest that memory is watched. [s]"""
 LEAK_BYTES = 20_000
 """A process that grows by more than this with each simulation, again and again, leaks. [B]"""
+_COSTS = {"state": "goes back to a saved state", "new instance": "gets a new instance"}
 
 
 def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: Trajectories) -> Finding:
@@ -26,58 +27,24 @@ def look_at_repeats(first: Trajectories, again: Sequence[Trajectories], fresh: T
         again: later answers of the same process, other rows in between.
         fresh: the first answer of another process.
     """
-    what = "the same answer again"
-    if failed := next((one.failures[0] for one in (*again, fresh) if one.failed[0]), ""):
-        return Finding(
-            what,
-            "fail",
-            f"the estimates could be simulated once, then not: {failed}",
-            "try it in another tool",
-        )
-    between = _apart(first, fresh)
-    if not between <= SAME:
-        return Finding(
-            what,
-            "fail",
-            f"two new processes give outputs {between:.3g} apart for the same parameters",
-            "the FMU draws random numbers, reads a clock or memory it never set; have it corrected",
-        )
-    within = max((_apart(first, one) for one in again), default=0.0)
-    if not within <= SAME:
-        return Finding(
-            what,
-            "fail",
-            f"the same parameters give outputs {within:.3g} apart after other simulations",
-            "the FMU keeps a state over fmi2Reset; have its exporter corrected",
-        )
+    if reason := next((one.failures[0] for one in (*again, fresh) if one.failed[0]), ""):
+        return finding("repeats-fail", "fail", reason=reason)
+    between, within = _apart(first, fresh), max((_apart(first, one) for one in again), default=0.0)
+    if between > SAME:
+        return finding("random", "fail", apart=between)
+    if within > SAME:
+        return finding("keeps-a-state", "fail", apart=within)
     most = max(between, within)
-    exact = "bit for bit" if most == 0.0 else f"within {most:.1g}"
-    return Finding(what, "ok", f"{exact}, after other simulations and in another process")
+    return finding("repeats", "ok", exact="bit for bit" if most == 0.0 else f"within {most:.1g}")
 
 
-def look_at_restart(answer: Trajectories) -> Finding | None:
-    """Say how rows are started over.
-
-    Args:
-        answer: the answer of a RestartModel.
-
-    Returns:
-        The finding; None where nothing can be said: the row failed, or rows are too slow to try.
-    """
-    if answer.failed[0]:
-        return None
-    what, way = "starting the FMU over", WAYS[round(float(answer.y[0, 0, -1]))]
+def look_at_restart(answer: Trajectories) -> Iterator[Finding]:
+    """Say how rows are started over, by the answer of a RestartModel; nothing where it failed or is slow."""
+    way = "undecided" if answer.failed[0] else WAYS[round(float(answer.y[0, 0, -1]))]
     if way == "reset":
-        return Finding(what, "ok", "a reset forgets the row before")
-    if way == "undecided":
-        return None
-    cost = {"state": "goes back to a saved state", "new instance": "gets a new instance"}
-    return Finding(
-        what,
-        "warn",
-        f"its reset fails or does not forget the row before: each row {cost.get(way, 'gets a new process')}",
-        "results are right, only slower; have its exporter corrected",
-    )
+        yield finding("restart", "ok")
+    elif way != "undecided":
+        yield finding("restart-fails", cost=_COSTS.get(way, "gets a new process"))
 
 
 def look_at_order(later: Trajectories, first: Trajectories) -> Finding:
@@ -87,24 +54,18 @@ def look_at_order(later: Trajectories, first: Trajectories) -> Finding:
         later: the answer of a process that answered another row before.
         first: the first answer of another process.
     """
-    what = "the same answer in any order"
     if later.failed[0] and first.failed[0]:
-        return Finding(what, "ok", "a point of the box fails, first and later")
+        return finding("order", "ok", said="a point of the box fails, first and later")
     # On a busy machine that is no sign of what the FMU keeps.
     if any(STOPPED in answer.failures[0] for answer in (later, first)):
-        said = "a point of the box ran into the time-out first in a process or after others, not both"
-        return Finding(what, "warn", said, MORE_TIME)
+        return finding("order-timeout", remedy=MORE_TIME)
     apart = _apart(later, first)
     if apart <= SAME:
-        return Finding(what, "ok", "first in a process, and after other parameters")
-    return Finding(
-        what,
-        "fail",
-        "a point of the box fails either first in a process or after others, not both"
-        if np.isnan(apart)
-        else f"the same parameters give outputs {apart:.3g} apart first in a process and after others",
-        "the FMU keeps its first parameters while its process lives; have its exporter corrected",
-    )
+        return finding("order", "ok", said="first in a process, and after other parameters")
+    said = f"the same parameters give outputs {apart:.3g} apart first in a process and after others"
+    if np.isnan(apart):
+        said = "a point of the box fails either first in a process or after others, not both"
+    return finding("keeps-first-parameters", "fail", said=said)
 
 
 def memory_in_use() -> int:
@@ -128,13 +89,8 @@ def look_at_memory(grown_bytes: int, n_rows: int, n_planned: int) -> Finding:
     """
     each = grown_bytes / n_rows
     if each < LEAK_BYTES:
-        return Finding("memory", "ok", f"does not grow over {n_rows} simulations")
-    return Finding(
-        "memory",
-        "warn",
-        f"grows by {each / 1e6:.2g} MB with each simulation, {each * n_planned / 1e9:.3g} GB over the plan",
-        "processes are replaced before that hurts; have the FMU's exporter corrected",
-    )
+        return finding("memory", "ok", n=n_rows)
+    return finding("leak", each=each / 1e6, total=each * n_planned / 1e9)
 
 
 def _apart(one: Trajectories, other: Trajectories) -> float:

@@ -10,12 +10,10 @@ from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.trajectories import Trajectories
 from studies.circumstances import CircumstanceModel
 from studies.doctor.answers import Estimates, with_unit
-from studies.doctor.finding import Finding
+from studies.doctor.finding import Finding, finding
 
 STEP_SHARE = 0.2
 """Halving the communication step may change the output by this share of the sensor's uncertainty."""
-HALVING = "half the communication step"
-"""What the finding of that is called, before the step."""
 INPUT_SHARE = 0.1
 """A constant input is changed by this share of its size."""
 EVEN = 1e-3
@@ -26,8 +24,8 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     """Collect the circumstances: as it is (0), half the step (1), each input changed (2, 3, ...)."""
     scenario = case.settings.scenario
     changed = []
-    for column in range(scenario.inputs.shape[1]):
-        variable = case.fmu.variables[scenario.input_names[column]]
+    for column, name in enumerate(scenario.input_names):
+        variable = case.fmu.variables[name]
         over_steps, at_edges = scenario.inputs.copy(), scenario.inputs_at_edges
         over_steps[:, column] = changed_input(over_steps[:, column], variable)
         if at_edges is not None:
@@ -40,21 +38,15 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
 
 def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Trajectories) -> Finding:
     """Say what half the communication step changes."""
-    what = f"{HALVING} ({halved.communication_step_s:g} s)"
+    step_s = halved.communication_step_s
     if answer.failed[0]:
-        return Finding(what, "warn", f"failed: {answer.failures[0]}", "check the FMU's smallest step")
+        return finding("half-step-fails", step_s=step_s, reason=answer.failures[0])
     change = np.abs(answer.y[0] - estimates.nominal.y[0]).max(axis=0)
     shares = change / case.measurement.uncertainty
     worst = int(np.argmax(shares))
-    good = shares[worst] <= STEP_SHARE
-    output = case.outputs[worst]
-    return Finding(
-        what,
-        "ok" if good else "warn",
-        f"changes {output.name} by {change[worst]:.3g}{with_unit(output.unit)} at most, "
-        f"{shares[worst]:.2g} times the sensor's uncertainty",
-        "" if good else "lower communication_step_s in the case file, or choose another interpolation",
-    )
+    output, share = case.outputs[worst], shares[worst]
+    values = {"output": output.name, "change": change[worst], "unit": with_unit(output.unit), "share": share}
+    return finding("half-step", "ok" if share <= STEP_SHARE else "warn", step_s=step_s, **values)
 
 
 def changed_input(values: FloatArray, variable: FmuVariable) -> FloatArray:

@@ -3,7 +3,6 @@
 import filecmp
 import re
 import shlex
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,32 +15,11 @@ from studies.new.choice import (
     choose_outputs,
     choose_parameters,
     choose_times,
-    held_inputs,
     inputs_of,
     other_parameters,
 )
-from studies.new.data import data_readme, example_files
-from studies.new.text import NewCase, case_text, lines_to_edit
+from studies.new.text import NewCase, case_text, data_readme, example_files, lines_to_edit
 from studies.paths import ProjectPaths
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What the user asks of a new case.
-
-    Attributes:
-        folder: Folder of the case; None for fmus/<name of the FMU's file>.
-        outputs: Names or patterns of the outputs that are measured; empty for the first.
-        parameters: Names or patterns of the parameters to calibrate; empty for those at the top level.
-        interface: How to run the FMU; None for co-simulation where there is some.
-        show_all: Whether every variable is written, however many there are.
-    """
-
-    folder: Path | None = None
-    outputs: Sequence[str] = ()
-    parameters: Sequence[str] = ()
-    interface: str | None = None
-    show_all: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,22 +41,35 @@ class MadeCase:
     to_edit: tuple[tuple[int, str], ...]
 
 
-def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
+def make_case(
+    fmu_file: Path,
+    paths: ProjectPaths,
+    *,
+    folder: Path | None = None,
+    outputs: Sequence[str] = (),
+    parameters: Sequence[str] = (),
+    interface: str | None = None,
+    show_all: bool = False,
+) -> MadeCase:
     """Write a case file for an FMU, copy the FMU beside it and lay out the folder of its recordings.
 
     Args:
         fmu_file: The FMU.
         paths: The project.
-        wishes: What the user asks for.
+        folder: Folder of the case; None for fmus/<name of the FMU's file>.
+        outputs: Names or patterns of the outputs that are measured; empty for the first.
+        parameters: Names or patterns of the parameters to calibrate; empty for those at the top level.
+        interface: How to run the FMU; None for co-simulation where there is some.
+        show_all: Whether every variable is written, however many there are.
 
     Raises:
-        InputError: The FMU cannot be used, a wish cannot be met, there is a case file or another FMU of that
+        InputError: The FMU cannot be used, a name is not in it, there is a case file or another FMU of that
             name, or the folder cannot be written.
     """
     fmu = describe(fmu_file)
-    folder = _folder(fmu_file, paths, wishes.folder)
+    folder = _folder(fmu_file, paths, folder)
     name = case_name(folder.name)
-    parameters = choose_parameters(fmu, wishes.parameters)
+    chosen = choose_parameters(fmu, parameters)
     is_named = folder.parent.resolve() == paths.fmus.resolve() and folder.name == name
     data = paths.data / name if is_named else folder
     case = NewCase(
@@ -87,60 +78,57 @@ def make_case(fmu_file: Path, paths: ProjectPaths, wishes: Wishes) -> MadeCase:
         fmu=fmu,
         fmu_file=fmu_file.name,
         data=f"../../data/{name}" if is_named else ".",
-        interface=choose_interface(fmu, wishes.interface),
-        inputs=tuple(one for one in inputs_of(fmu) if one not in parameters.used),
-        held_inputs=held_inputs(fmu),
-        outputs=choose_outputs(fmu, wishes.outputs),
-        parameters=parameters,
+        interface=choose_interface(fmu, interface),
+        inputs=tuple(one for one in inputs_of(fmu) if one not in chosen.used),
+        held_inputs=inputs_of(fmu, held=True),
+        outputs=choose_outputs(fmu, outputs),
+        parameters=chosen,
         fixable=other_parameters(fmu),
         times=choose_times(fmu),
-        show_all=wishes.show_all,
+        show_all=show_all,
     )
-    text = case_text(case)
-    texts = {folder / "case.toml": text, data / "README.md": data_readme(case)}
-    texts |= {data / file: content for file, content in example_files(case).items()}
-    copied = folder / fmu_file.name
+    case_file, copied = folder / "case.toml", folder / fmu_file.name
+    texts = {data / file: content for file, content in example_files(case).items()}
+    texts |= {data / "README.md": data_readme(case), case_file: case_text(case)}
+    # One's own data and what was written beside them stay as they are.
+    kept = [file for file, text in texts.items() if file != case_file and _holds_other(file, text.encode())]
+    texts = {file: text for file, text in texts.items() if file not in kept}
     try:
-        # One's own data and what was written beside them stay as they are.
-        kept = tuple(file for file in texts if file.name != "case.toml" and _holds_other(file, texts[file]))
-        is_copied = _write({f: text for f, text in texts.items() if f not in kept}, fmu_file, copied, paths)
+        is_copied = _write(texts, fmu_file, copied, paths)
     except OSError as error:
         place = paths.show(Path(error.filename or folder))
         raise InputError(
             f"{place}: the case cannot be written there ({error.strerror}); choose another folder: "
             "--to FOLDER"
         ) from None
-    files = tuple(file for file in (*texts, copied) if file not in kept and (is_copied or file != copied))
-    return MadeCase(case, folder / "case.toml", files, kept, tuple(lines_to_edit(text)))
+    files = (*reversed(texts), *[copied] * is_copied)
+    return MadeCase(case, case_file, files, tuple(kept), tuple(lines_to_edit(texts[case_file])))
 
 
 def _write(texts: Mapping[Path, str], fmu_file: Path, copied: Path, paths: ProjectPaths) -> bool:
     """Write the texts and copy the FMU, or nothing where there is a case file or another FMU already.
 
-    The first text is the case file. It is written last, so that a command that was killed can be typed again:
-    what it had written is there already.
+    The case file is the last text, so that a command that was killed can be typed again: what it had written
+    is there already.
 
     Returns:
         Whether the FMU was copied.
     """
-    is_copied = not copied.exists()
-    is_another = not is_copied and not (copied.is_file() and filecmp.cmp(copied, fmu_file, shallow=False))
-    case_file = next(iter(texts))
+    case_file = list(texts)[-1]
+    is_another = copied.exists() and not (copied.is_file() and filecmp.cmp(copied, fmu_file, shallow=False))
     for file in [case_file] if case_file.exists() else [copied] if is_another else []:
         raise InputError(
             f"{paths.show(file)} exists and is never overwritten; choose another folder: --to FOLDER"
         )
-    if is_copied:
-        with fmu_file.open("rb") as source, whole_file(copied) as stream:
-            shutil.copyfileobj(source, stream)
-    for file, text in reversed(list(texts.items())):
+    is_copied = not copied.exists()
+    for file in [copied] * is_copied + list(texts):
         with whole_file(file) as stream:
-            stream.write(text.encode())
+            stream.write(fmu_file.read_bytes() if file == copied else texts[file].encode())
     return is_copied
 
 
-def _holds_other(file: Path, text: str) -> bool:
-    return file.exists() and not (file.is_file() and file.read_bytes() == text.encode())
+def _holds_other(file: Path, content: bytes) -> bool:
+    return file.exists() and not (file.is_file() and file.read_bytes() == content)
 
 
 def describe(fmu_file: Path) -> FmuDescription:

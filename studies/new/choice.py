@@ -136,14 +136,10 @@ def choose_outputs(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
     return _split(candidates, candidates[:1])
 
 
-def inputs_of(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
-    """Return the inputs that recordings drive: numbers of any kind, and switches."""
-    return tuple(v for v in _of(fmu, "input") if v.kind != "String" and not v.is_out_of_reach)
-
-
-def held_inputs(fmu: FmuDescription) -> tuple[FmuVariable, ...]:
-    """Return the inputs that are texts: a case holds them at a value."""
-    return tuple(v for v in _of(fmu, "input") if v.kind == "String" and not v.is_out_of_reach)
+def inputs_of(fmu: FmuDescription, *, held: bool = False) -> tuple[FmuVariable, ...]:
+    """Return the inputs that recordings drive: numbers and switches; or the texts, held at a value."""
+    inputs = [v for v in _of(fmu, "input") if not v.is_out_of_reach]
+    return tuple(v for v in inputs if (v.kind == "String") == held)
 
 
 def other_parameters(fmu: FmuDescription) -> tuple[FmuVariable, ...]:

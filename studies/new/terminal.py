@@ -1,21 +1,19 @@
 """`studies new` on the terminal: what was written, which lines need the user, what to type next."""
 
 import argparse
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from studies.console import Column, Console
 from studies.marker import mark_project
-from studies.new.case import MadeCase, Wishes, describe, make_case
+from studies.new.case import MadeCase, describe, make_case
 from studies.new.choice import bounds_for, choose_parameters, parameter_candidates
-from studies.new.text import INPUTS_FILE, MEASURED_FILE
 from studies.paths import ProjectPaths
 from studies.report.wording import count
 
 OK = 0
-_TEXTS = (Column("unit"), Column("meaning"))
+_NUMBERS = [Column(word, True) for word in ("start", "min", "max")]
 
 
 def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
@@ -23,13 +21,11 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
     made = make_case(
         Path(options.fmu).expanduser(),
         paths,
-        Wishes(
-            folder=None if options.to is None else Path(options.to).expanduser(),
-            outputs=options.output or (),
-            parameters=options.parameter or (),
-            interface=options.interface,
-            show_all=options.all,
-        ),
+        folder=None if options.to is None else Path(options.to).expanduser(),
+        outputs=options.output or (),
+        parameters=options.parameter or (),
+        interface=options.interface,
+        show_all=options.all,
     )
     mark_project(paths.root, console)
     case, name = made.case, paths.show(made.file)
@@ -42,8 +38,7 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
         f"{_of(case.parameters.used, case.parameters.others)}, {count(len(case.inputs), 'input')}, "
         f"{count(len(case.outputs.used), 'output')}{_of(case.outputs.used, case.outputs.others)}"
     )
-    for step in _next_steps(made, paths):
-        console.result(step)
+    console.result("\n".join(_next_steps(made, paths)))
     console.document(
         {
             "command": "new",
@@ -71,12 +66,7 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
     for what, variables in groups.items():
         console.table(
             f"{fmu.path.name}: {count(len(variables), what)}",
-            [
-                Column(what),
-                Column("type"),
-                *(Column(word, True) for word in ("start", "min", "max")),
-                *_TEXTS,
-            ],
+            [Column(what), Column("type"), *_NUMBERS, Column("unit"), Column("meaning")],
             [
                 [f"{v.name} *" if v.name in active else v.name, v.kind, *_numbers(v), v.unit, v.description]
                 for v in variables
@@ -93,18 +83,13 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
     return OK
 
 
-def _next_steps(made: MadeCase, paths: ProjectPaths) -> Iterable[str]:
+def _next_steps(made: MadeCase, paths: ProjectPaths) -> list[str]:
     case, data = made.case, paths.show((made.file.parent / made.case.data).resolve())
     lines = ", ".join(str(number) for number, _ in made.to_edit)
-    yield "next:"
-    number = 1
-    if case.inputs:
-        yield f"  {number}. save {data}/{INPUTS_FILE}: {_columns(case.inputs)}"
-        number += 1
-    yield f"  {number}. save {data}/{MEASURED_FILE}: {_columns(case.outputs.used)}"
-    yield f"  {number + 1}. look at the lines marked EDIT of {paths.show(made.file)}: {lines}"
-    yield f"  {number + 2}. studies check {case.place}"
-    yield f"  {number + 3}. studies calibrate {case.place}"
+    steps = [f"save {data}/{file}: {_columns(variables)}" for file, variables, _ in case.tables]
+    steps.append(f"look at the lines marked EDIT of {paths.show(made.file)}: {lines}")
+    steps += [f"studies {word} {case.place}" for word in ("check", "calibrate")]
+    return ["next:", *(f"  {number}. {step}" for number, step in enumerate(steps, start=1))]
 
 
 def _columns(variables: tuple[FmuVariable, ...], most: int = 8) -> str:

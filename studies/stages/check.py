@@ -9,7 +9,6 @@ from simulation.pool.execution import ExecutionPolicy
 from studies.doctor import Diagnosis, Finding, examine
 from studies.doctor.examination import Surgery
 from studies.doctor.keeping import KeepingModel
-from studies.doctor.variants import HALVING
 from studies.physical_model import open_physical_model
 from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs
@@ -72,7 +71,7 @@ def found_of_the_step(study: Study) -> str | None:
     if manifest is None or manifest["inputs"]["case"] != study.case.digest:
         return None
     for one in _diagnosis(manifest["summary"]).findings:
-        if one.what.startswith(HALVING) and one.level == "warn":
+        if one.what.startswith("half the communication step") and one.level == "warn":
             return f"{one.what} {one.found}: {one.remedy}"
     return ""
 

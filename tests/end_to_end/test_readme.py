@@ -96,12 +96,6 @@ TEXTS = {str(page.relative_to(ROOT)): list(paragraphs_of_markdown(read(page))) f
 TEXTS |= {f"help of {name}": texts for name, texts in helps().items()}
 
 
-def test_a_long_sentence_is_found() -> None:
-    page = "# Heading\n\n| cell | cell |\n|---|---|\n\n- An item.\n- " + "word " * 31 + "\n  more. Short.\n"
-    found = [one for paragraph in paragraphs_of_markdown(page) for one in sentences(paragraph)]
-    assert [one for one in found if len(one.split()) > MAX_SENTENCE] == ["- " + "word " * 31 + "more."]
-
-
 def test_the_readme_is_one_page() -> None:
     text = read(README)
     assert len(text.splitlines()) <= MAX_LINES
@@ -153,13 +147,6 @@ def test_decisions_are_a_map() -> None:
         assert "](docs/notes/" in record, lines[0]
 
 
-def test_notes_say_that_they_are_a_history() -> None:
-    notes = sorted((DOCS / "notes").glob("*.md"))
-    assert notes
-    for note in notes:
-        assert re.match(r"# Notes: .*\n\nThis is a history of measurements of version", read(note)), note.name
-
-
 def commands_shown() -> list[str]:
     """Return the lines of the code blocks that call the command line."""
     blocks = [block for page in PAGES for kind in ("sh", "text") for block in code_blocks(read(page), kind)]
@@ -174,18 +161,6 @@ def test_a_shown_command_exists(line: str) -> None:
     with contextlib.redirect_stderr(complaints):
         chosen = build_parser().parse_args(words)
     assert chosen.command == words[0]
-
-
-def test_shown_scripts_exist() -> None:
-    named = {name for page in PAGES for name in re.findall(r"python (tests/benchmarks/\S+)", read(page))}
-    assert named
-    assert not [name for name in named if not (ROOT / name.rstrip("`,.)")).exists()]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_shown_python_compiles(page: Path) -> None:
-    for block in code_blocks(read(page), "python"):
-        compile(block, str(page), "exec")
 
 
 def test_places_named_in_contributing_exist() -> None:

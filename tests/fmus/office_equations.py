@@ -1,7 +1,6 @@
-"""The office zone's equations, written by hand from the paper twice: as matrices and flow by flow."""
+"""The office zone's equations, written by hand from the paper."""
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 # Name, estimate, lower and upper bound, unit (Table 1).
@@ -86,29 +85,6 @@ def network(theta, inputs):
     return flows / capacities[:, None], sources / capacities
 
 
-def right_side(temperatures, theta, inputs):
-    """Give the time derivatives of the four temperatures, flow by flow. [K/s]."""
-    p = dict(zip(NAMES, theta, strict=True))
-    t_air, t_int, t_w, t_tac = temperatures
-    t_e, t_eq, t_sup, y_sup, t_mv, y_mv, irr, occ = inputs
-    t_port = 0.8 * t_int + 0.2 * t_air
-    q = p["qIntOcc"] * 12.72 * occ
-    from_ceiling = 11.935 / p["rZone"] * (t_tac - t_port)
-    from_masses = 36.1589 / p["rInt"] * (t_int - t_air)
-    from_wall = 4.888 / p["rExt1"] * (t_w - t_air)
-    from_pipe = (11.935 / p["rPipe"] if y_sup > 0.1 else 1e-6) * (t_sup - t_tac)
-    from_supply = (p["VSUP"] * 1204.8 if y_mv > 0.1 else 1e-6) * (t_mv - t_air)
-    air = p["UWin"] * 2.626 * (t_e - t_air) + from_supply + from_masses + from_wall + 0.2 * from_ceiling
-    return np.array(
-        [
-            (air + 0.09 * p["fSol"] * irr + 0.3 * q) / (p["b"] * 1.23 * 1008.0 * 36.7608),
-            (-from_masses + 0.8 * from_ceiling + 0.91 * p["fSol"] * irr + 0.7 * q) / (p["cInt"] * 12.72),
-            (-from_wall + 4.888 / p["rExt2"] * (t_eq - t_w)) / (p["cExt1"] * 4.888),
-            (from_pipe - from_ceiling) / (p["cTABS"] * 11.935),
-        ]
-    )
-
-
 def start(theta, t_air):
     """Give the four temperatures at the start. [K]."""
     return np.array([t_air, t_air, T_WALL_K, theta[NAMES.index("TTABSInit")]])
@@ -123,23 +99,5 @@ def solve_exactly(theta, inputs, t_air):
         augmented = np.zeros((5, 5))
         augmented[:4, :4], augmented[:4, 4] = matrix, source
         temperatures = (expm(augmented * STEP_S) @ np.append(temperatures, 1.0))[:4]
-        air.append(temperatures[0])
-    return np.array(air)
-
-
-def solve_tightly(theta, inputs, t_air):
-    """Step by an ODE solver, restarted at each step. Shape (n_steps + 1,). [K]."""
-    temperatures = start(theta, t_air)
-    air = [t_air]
-    for row in inputs:
-        solution = solve_ivp(
-            lambda _, y, row=row: right_side(y, theta, row),
-            (0.0, STEP_S),
-            temperatures,
-            method="DOP853",
-            rtol=1e-10,
-            atol=1e-10,
-        )
-        temperatures = solution.y[:, -1]
         air.append(temperatures[0])
     return np.array(air)

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +10,7 @@ import zipfile
 import pytest
 from fmpy import extract, simulate_fmu
 from fmpy.build import build_platform_binary
-from fmu_for_tests import OFFICE, REPOSITORY
+from fmu_for_tests import REPOSITORY
 
 from fmus.compiler.__main__ import main
 
@@ -40,18 +39,6 @@ def test_the_shipped_fmu_belongs_to_its_sources(compiler, tmp_path, folder):
     assert different == [], f"run: python -m fmus.compiler fmus/{folder}"
 
 
-def test_the_command_builds_and_prints_the_checksum(compiler, tmp_path):
-    result = subprocess.run(
-        [sys.executable, "-m", "fmus.compiler", "fmus/office", "--output", str(tmp_path / "O.fmu")],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "sha256" in result.stdout
-
-
 def test_the_command_says_in_one_line_what_is_wrong(compiler, tmp_path):
     result = subprocess.run(
         [sys.executable, "-m", "fmus.compiler", str(tmp_path)],
@@ -63,19 +50,6 @@ def test_the_command_says_in_one_line_what_is_wrong(compiler, tmp_path):
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
-
-
-def test_a_target_that_cannot_be_is_told_before_anything_is_compiled(compiler, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(compiler, "read_model", pytest.fail)
-    (tmp_path / "O.fmu").mkdir()
-    for target, wrong in (
-        (tmp_path / "O.fmu", "is a folder"),
-        (tmp_path / "no" / "O.fmu", "there is no folder"),
-    ):
-        assert main([str(FOLDER), "--output", str(target)]) == 2
-        assert re.fullmatch(
-            rf"error: {target}: {wrong}.*; name a file to write, .*\n", capsys.readouterr().err
-        )
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(compiler, tmp_path, monkeypatch, capsys):
@@ -138,18 +112,3 @@ def test_fmpy_compiles_the_sources(compiler, tmp_path, folder, output):
     recompiled = simulate_fmu(str(tmp_path / "fmu"), fmi_type="CoSimulation", **settings)
     shipped = simulate_fmu(str(fmu), fmi_type="CoSimulation", **settings)
     assert abs(recompiled[output] - shipped[output]).max() < 1e-9
-
-
-@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
-def test_fmpy_simulates_both_interfaces(kind):
-    result = simulate_fmu(
-        str(OFFICE),
-        fmi_type=kind,
-        stop_time=86400.0,
-        output_interval=600.0,
-        relative_tolerance=1e-8,
-        output=["TAir"],
-    )
-    expected = simulate_fmu(str(OFFICE), stop_time=86400.0, output_interval=600.0, output=["TAir"])
-    assert len(result) == 145
-    assert abs(result["TAir"] - expected["TAir"]).max() < 1e-4

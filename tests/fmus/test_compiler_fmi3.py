@@ -72,27 +72,6 @@ def test_the_office_answers_the_same_bits_in_both_versions(compiler, tmp_path):
     np.testing.assert_array_equal(answers[0], answers[1])
 
 
-def test_both_interfaces_of_the_wall_agree():
-    settings = {"stop_time": 86400.0, "output_interval": 600.0, "output": ["TMasonry", "QRoom"]}
-    exact = simulate_fmu(str(WALL), fmi_type="CoSimulation", **settings)
-    integrated = simulate_fmu(str(WALL), fmi_type="ModelExchange", relative_tolerance=1e-9, **settings)
-    np.testing.assert_allclose(integrated["TMasonry"], exact["TMasonry"], rtol=0, atol=1e-4)
-    np.testing.assert_allclose(integrated["QRoom"], exact["QRoom"], rtol=0, atol=1e-2)
-
-
-def test_a_reset_instance_repeats_bit_for_bit(wall):
-    def run(**values):
-        wall.initialize(**values)
-        for k in range(20):
-            wall.fmu.doStep(600.0 * k, 600.0)
-        return wall.get("TMasonry", "QRoom", "T1", "T3", "time")
-
-    first = run(G12=50.0)
-    run(G12=3.0, T2Start=300.0)
-    assert run(G12=50.0) == first
-    assert first[-1] == 12000.0
-
-
 def test_a_saved_state_goes_back_and_through_bytes(wall):
     def go_on():
         for k in range(5, 10):
@@ -175,20 +154,3 @@ def test_model_exchange_only_offers_no_co_simulation(build, tmp_path, version):
     if version == "3.0":
         with pytest.raises(Exception, match="instantiate"):
             Driver3(fmu, tmp_path / "unpacked")
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ('fmi_version = "1.0"', r"fmi_version = '1\.0' is unknown; known are 2\.0, 3\.0"),
-        ("fmi_version = 3", "must be a text"),
-        ("events = 1", "must be true or false"),
-        ('model_exchange_only = "yes"', "must be true or false"),
-    ],
-)
-def test_a_wrong_key_is_one_clear_line(build, settings, message):
-    from fmus.compiler.errors import CompileError
-
-    with pytest.raises(CompileError, match=message) as caught:
-        build("model M\nend M;", f'model = "M"\n{settings}\n')
-    assert "\n" not in str(caught.value)

@@ -3,7 +3,6 @@
 import numpy as np
 import office_equations as reference
 import pytest
-from fmpy.fmi1 import FMICallException
 
 STATES = ("air.T", "masses.T", "wall.T", "ceiling.T")
 DERIVATIVES = tuple(f"der({name})" for name in STATES)
@@ -41,26 +40,10 @@ def test_derivatives_are_those_of_the_paper(office_exchange, seed):
     temperatures = np.array([295.0, 296.5, 279.0, 300.0]) + seed
     set_states(office_exchange, temperatures)
     # Relative to the flows, of which a derivative is a difference.
-    expected = reference.right_side(temperatures, theta, row)
+    matrix, source = reference.network(theta, row)
+    expected = matrix @ temperatures + source
     np.testing.assert_allclose(derivatives_of(office_exchange), expected, rtol=1e-10, atol=1e-15)
     assert office_exchange.get("TAir") == [295.0 + seed]
-
-
-def test_both_interfaces_give_the_same_derivatives(office, office_exchange):
-    enter_continuous_time(office_exchange, TAirInit=295.0, HGlo=100.0)
-    office.initialize(TAirInit=295.0, HGlo=100.0)
-    assert office.get(*DERIVATIVES) == list(derivatives_of(office_exchange))
-
-
-def test_a_short_explicit_step_agrees_with_the_exact_one(office, office_exchange):
-    values = {"HGlo": 300.0, "ySupTAC": 1.0, "ySupMV": 1.0, "occ": 1.0, "TAmb": 270.0}
-    office.initialize(**values)
-    office.fmu.doStep(0.0, 0.1)
-    enter_continuous_time(office_exchange, **values)
-    slope = derivatives_of(office_exchange)
-    before = np.array(office_exchange.get(*STATES))
-    # The wall bends most: 0.014 K/s with a time constant of 400 s, so 2e-7 K in a tenth of a second.
-    np.testing.assert_allclose(office.get(*STATES), before + 0.1 * slope, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("known", [*STATES, *reference.INPUTS, *reference.NAMES])
@@ -101,12 +84,6 @@ def test_during_the_initialization_states_follow_their_start_parameters(office):
         office.refer(["der(wall.T)"]), office.refer(["TAirInit"]), [1.0]
     )
     assert office.get("der(wall.T)")[0] - before == pytest.approx(slope, rel=1e-9)
-
-
-def test_an_unknown_cannot_be_a_seed(office):
-    office.initialize()
-    with pytest.raises(FMICallException):
-        office.fmu.getDirectionalDerivative(office.refer(["TAir"]), office.refer(["der(air.T)"]), [1.0])
 
 
 def test_a_saved_state_goes_back_and_through_bytes(office):

@@ -64,29 +64,3 @@ def test_a_step_past_the_stop_time_is_refused(office):
     with pytest.raises(FMICallException):
         office.fmu.doStep(600.0, 600.0)
     assert "stop time" in office.messages[-1]
-
-
-def test_a_parameter_is_fixed_after_the_initialization(office):
-    office.initialize()
-    with pytest.raises(FMICallException):
-        office.set(b=4.0)
-    assert "parameter b is fixed" in office.messages[-1]
-
-
-def test_neither_states_nor_unknown_references_can_be_set(office):
-    with pytest.raises(FMICallException):
-        office.fmu.setReal([office.references["air.T"]], [300.0])
-    with pytest.raises(FMICallException):
-        office.fmu.setReal([999], [1.0])
-    with pytest.raises(FMICallException):
-        office.fmu.getReal([999])
-
-
-def test_calls_out_of_order_are_refused(office):
-    with pytest.raises(FMICallException):
-        office.fmu.doStep(0.0, 600.0)
-    with pytest.raises(FMICallException):
-        office.fmu.exitInitializationMode()
-    office.initialize()
-    with pytest.raises(FMICallException):
-        office.fmu.enterInitializationMode()

@@ -36,83 +36,13 @@ KINDS = ("case", "profile", "recording", "FMU", "record", "URL")
 COMMAND = ("run", "wall", "--profile", "own.toml", "--dry-run", "--json", "-q")
 SECRET = "hunter2hunter2"
 
-TEXTS = (
-    *("", ".", "..", "../../x", "/etc/passwd", "/dev/zero", "a/b", "x" * 5000, "a\\u0000b", "\\u001b[2J"),
-    *("\\u202ea", "%s%n", "{0}", "é日本", "km99", "m999999999", "((((" * 50, "W/(m2.K)", "1/0", "K-99"),
-    *("2018-02-30", "Europe/Berlin", "../../../etc/localtime", "9" * 50, "case.toml", "Wall.fmu"),
-)
-VALUES = (
-    *("0", "-1", "1", "1e308", "-1e308", "1e-308", "nan", "inf", "-inf", "true", "false", "9" * 400, "0.1"),
-    *(
-        "-0.0",
-        "1e999",
-        "0x7fffffffffffffffffff",
-        "9" * 5000,
-        "1979-05-27",
-        "07:32:00",
-        "1979-05-27T07:32:00Z",
-    ),
-    *("[]", "{}", "[1]", "[1, 2]", "[2, 1]", "[1, 2, 3]", '["a", 1]', "[[1, 2], [3, 4]]", "{ a = 1 }"),
-    *(
-        "[" * 500 + "]" * 500,
-        "[" * 3000 + "]" * 3000,
-        "[" + "1, " * 3000 + "]",
-        "{ value = 1e308, unit = 'K' }",
-    ),
-    *("[1e308, -1e308]", "[0, 1e12]", "[1, 5.0001]", "[nan, 1]", "{ about = 1, within = 0 }", "", "="),
-)
-CELLS = (
-    *(
-        "",
-        "nan",
-        "inf",
-        "-inf",
-        "1e31",
-        "-9999",
-        "1e400",
-        "abc",
-        "1,5",
-        "1_0",
-        "0x10",
-        "9" * 5000,
-        "=1+1",
-        "\x00",
-    ),
-    *("\x1b[2J", '"', '"a', "١", "1e-320", "true", " ", "2018-01-01T00:00", "\r", "\ufeff1", "1;2", "−1"),
-)
-NUMBERS = (
-    *(
-        "-1",
-        "0",
-        "4294967295",
-        "4294967296",
-        "99999999999999999999",
-        "9" * 5000,
-        "1e308",
-        "-1e308",
-        "nan",
-        "INF",
-    ),
-    *("abc", "", "1.5", "2147483648", "-2147483649", "1000001", "999999999", "true", "٣", " 1 ", "1_0"),
-)
-JSONS: tuple[Any, ...] = (
-    *(
-        None,
-        True,
-        -1,
-        0,
-        1e308,
-        "",
-        "..",
-        "../../../../tmp/x",
-        "/etc/passwd",
-        "a\x00b",
-        "\x1b[2J",
-        "x" * 5000,
-    ),
-    *([], {}, [[]], {"a": {}}, [None], 10**400, "--output=/tmp/x", "\ud800", float("nan"), float("-inf")),
-)
-texts, values, cells = st.sampled_from(TEXTS), st.sampled_from(VALUES), st.sampled_from(CELLS)
+STRANGE: dict[str, list[Any]] = json.loads(Path(__file__).with_name("strange.json").read_bytes())
+DIGITS, LONG = "9" * 5000, "x" * 5000
+NESTED = ["[" * n + "]" * n for n in (500, 3000)]
+texts = st.sampled_from([*STRANGE["texts"], LONG, "((((" * 50, DIGITS[:50]])
+values = st.sampled_from([*STRANGE["values"], DIGITS[:400], DIGITS, *NESTED, "[" + "1, " * 3000 + "]"])
+cells, numbers = (st.sampled_from([*STRANGE[name], DIGITS]) for name in ("cells", "numbers"))
+jsons = st.sampled_from([*STRANGE["json"], LONG, 10**400, float("nan"), float("-inf")])
 
 
 @dataclass(frozen=True)
@@ -240,7 +170,7 @@ def description(draw: st.DrawFn) -> bytes:
         value, _, rest = parts[at].partition('"')
         match draw(st.integers(0, 4)):
             case 0 | 1:
-                new = draw(st.sampled_from(NUMBERS))
+                new = draw(numbers)
             case 2:
                 new = quoteattr(draw(texts))[1:-1].replace('"', "")
             case 3:
@@ -278,7 +208,7 @@ def record(draw: st.DrawFn) -> bytes:
         if isinstance(place, dict) and draw(st.integers(0, 4)) == 0:
             del place[key]
         else:
-            place[key] = copy.deepcopy(draw(st.sampled_from(JSONS)))
+            place[key] = copy.deepcopy(draw(jsons))
     return json.dumps(content).encode()
 
 

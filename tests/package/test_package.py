@@ -132,7 +132,7 @@ def test_the_wheel_holds_three_packages_and_the_embedded_cases(wheel: Path) -> N
         "studies/report/page.html",
     } <= names
     rest = {Path(name).suffix for name in names if not name.startswith((EMBEDDED, about))}
-    assert rest == {".py", ".typed", ".toml", ".html"}
+    assert rest == {".py", ".typed", ".toml", ".html", ".jinja"}
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {
         file.relative_to(REPOSITORY).as_posix()

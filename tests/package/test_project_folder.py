@@ -2,7 +2,6 @@
 
 import os
 import platform
-import shutil
 import sys
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from studies import embedded, entry
 from studies.cli import main
 from studies.commands.study import _keep_compiled_loops
 from studies.console import Console
-from studies.embedded import EMBEDDED, adopt_cases
+from studies.embedded import adopt_cases
 from studies.marker import MARKER, mark_project
 from studies.paths import ProjectPaths, find_case, find_project
 
@@ -47,14 +46,9 @@ def test_the_nearest_marker_above_makes_the_project(folder: Path, monkeypatch: p
     assert find_project(None).root == folder.parent
 
 
-def test_the_checkout_is_a_project() -> None:
-    assert (REPOSITORY / MARKER).is_file()
-    assert EMBEDDED == REPOSITORY
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
-    [("schema = 2", "schema is 2"), ("", "schema is None"), ("schema =", "not valid TOML")],
+    [("schema = 2", "schema is 2"), ("schema =", "not valid TOML")],
 )
 def test_a_marker_of_another_version_is_refused(folder: Path, text: str, told: str) -> None:
     (folder / MARKER).write_text(text, encoding="utf-8")
@@ -90,18 +84,6 @@ def test_a_new_case_lands_where_one_stands(folder: Path, capsys: pytest.CaptureF
     assert said.err.startswith(f"project: {folder} (studies.toml made)")
     assert "wrote fmus/wall/case.toml" in said.out
     assert sorted(place.name for place in folder.iterdir()) == ["data", "fmus", "studies.toml"]
-
-
-def test_shown_paths_hold_in_the_working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = ProjectPaths(folder.parent)
-    file = paths.mlruns / "results" / "x.json"
-    assert paths.show(file) == "../mlruns/results/x.json"
-    assert paths.show(folder) == "."
-    monkeypatch.chdir(paths.root)
-    assert paths.show(file) == "mlruns/results/x.json"
-    assert paths.show(WALL) == str(WALL)
-    monkeypatch.chdir(folder.parent.parent)
-    assert paths.show(file) == str(file)
 
 
 def test_recorded_names_hold_wherever_the_project_moves(
@@ -216,7 +198,9 @@ def test_compiled_loops_go_to_the_project_where_the_package_cannot_be_written(
 
 @pytest.mark.parametrize(
     ("system", "machine", "told"),
-    [("darwin", "arm64", "on arm64"), ("linux", "aarch64", "on aarch64"), ("win32", "AMD64", "on AMD64")],
+    [
+        ("linux", "aarch64", "on aarch64"),
+    ],
 )
 def test_another_machine_is_told_what_is_missing(
     system: str,
@@ -232,13 +216,3 @@ def test_another_machine_is_told_what_is_missing(
     assert said.count("\n") == 1
     assert "Linux on x86-64 is missing" in said
     assert told in said
-
-
-def test_a_moved_project_goes_on(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert main(["simulate", "wall", "--profile", "smoke", "--jobs", "1", "-q"]) == 0
-    moved = folder.parent / "moved"
-    monkeypatch.chdir(folder.parent)
-    shutil.move(folder, moved)
-    monkeypatch.chdir(moved)
-    assert main(["simulate", "wall", "--profile", "smoke", "--jobs", "1", "-q"]) == 0
-    assert find_project(None).root == moved

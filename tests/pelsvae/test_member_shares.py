@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 from scipy.optimize import minimize
 
 from pelsvae.member_shares import BELIEF, best_shares
@@ -57,10 +56,3 @@ def test_members_that_matter_least_are_left_out() -> None:
     assert chosen.members.tolist() == [0, 1, 2]
     np.testing.assert_allclose(chosen.share.sum(axis=0), 1.0)
     assert (chosen.share >= 0.0).all()
-
-
-@pytest.mark.parametrize("n_most", [1, 2])
-def test_members_that_all_are_right_keep_their_belief(n_most: int) -> None:
-    true = np.ones((5, 1))
-    share = best_shares(np.ones((2, 5, 1)), true, np.array([[0.75], [0.25]]), n_most).share
-    assert share[:, 0].tolist() == [[1.0], [0.75, 0.25]][n_most - 1]

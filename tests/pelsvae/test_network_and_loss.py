@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rc_step_for_tests import SMALL
 
-from pelsvae.loss import kl_divergence, objective, reconstruction, regression_mean, regression_scale
+from pelsvae.loss import kl_divergence, objective, regression_scale
 from pelsvae.network import PelsVae, latent_samples
 
 FLOAT64_TOL = 1e-12  # rounding of some hundred float64 operations on numbers near 1
@@ -47,10 +47,6 @@ def test_kl_equals_torch_distributions(moments: np.ndarray) -> None:
     p = torch.distributions.Normal(torch.zeros_like(mean), torch.ones_like(mean))
     expected = torch.distributions.kl_divergence(q, p).sum(dim=1).mean()
     assert kl_divergence(mean, log_variance).item() == pytest.approx(expected.item(), rel=1e-10, abs=1e-10)
-
-
-def test_kl_is_zero_at_the_standard_normal() -> None:
-    assert kl_divergence(torch.zeros(3, 4), torch.zeros(3, 4)).item() == 0.0
 
 
 def test_kl_golden_value_in_one_dimension() -> None:
@@ -129,12 +125,6 @@ def test_regression_terms_reach_the_encoder_unless_detached() -> None:
 
     assert all(gradient is None for gradient in encoder_gradients(detach=True))
     assert all(gradient is not None and gradient.any() for gradient in encoder_gradients(detach=False))
-
-
-def test_simple_terms_are_means_over_all_entries() -> None:
-    zero, two = torch.zeros(2, 3), torch.full((2, 3), 2.0)
-    assert reconstruction(zero, two).item() == 4.0
-    assert regression_mean(zero, two).item() == 4.0
 
 
 def test_weights_come_from_the_generator_alone() -> None:

@@ -11,13 +11,12 @@ import torch
 from rc_step_for_tests import PROCESSES, rc_step
 from scipy.optimize import check_grad
 
-from pelsvae import linear_vae, process_fitting
+from pelsvae import linear_vae
 from pelsvae.epochs import EpochReport
 from pelsvae.kernel import CONSTANT, Kernel
 from pelsvae.kernel_loss import kernel_losses
-from pelsvae.kernel_search import ROWS, candidates
+from pelsvae.kernel_search import ROWS
 from pelsvae.linear_vae import LinearVae
-from pelsvae.member_shares import Shares, best_shares
 from pelsvae.process_fitting import MANY_ROWS, MEMBER_ROWS
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import FitResult, fit
@@ -77,79 +76,6 @@ def test_covariances_are_the_sums_that_the_module_states() -> None:
         expected[i, j] = CONSTANT + slope * product + bend * product**2 + bumps
     found = kernel.matrix(*(torch.from_numpy(values) for values in (hyper, x, others)))
     np.testing.assert_allclose(found.numpy(), expected, rtol=1e-12)
-
-
-def test_kernels_that_are_looked_at_together_are_said_the_same_of_as_alone() -> None:
-    random = np.random.default_rng(4)
-    kernel = Kernel(3, 3, 2)
-    mean, deviation = kernel.prior
-    hyper = mean + 0.5 * deviation * random.normal(size=(5, mean.size))
-    priors = mean + 0.1 * random.normal(size=hyper.shape), deviation * np.exp(random.normal(size=hyper.shape))
-    x = torch.from_numpy(random.normal(size=(21, 3)))
-    codes = torch.from_numpy(random.normal(size=(5, 21, 2)))
-    values, gradients = kernel_losses(kernel, hyper, x, codes, priors)
-    for i in range(5):
-        one = slice(i, i + 1)
-        alone = kernel_losses(kernel, hyper[one], x, codes[one], (priors[0][one], priors[1][one]))
-        np.testing.assert_allclose(values[i], alone[0][0], rtol=1e-9)
-        np.testing.assert_allclose(gradients[i], alone[1][0], rtol=1e-7, atol=1e-7)
-    assert np.unique(values).size == 5
-
-
-def test_a_kernel_that_has_no_factor_is_infinitely_unlikely_and_another_is_not() -> None:
-    kernel = Kernel(1, 1, 1)
-    hyper = np.stack([np.full_like(kernel.prior[0], np.nan), kernel.prior[0]])
-    x = torch.tensor([[-0.5], [0.5]], dtype=torch.float64)
-    codes = torch.ones(2, 2, 1, dtype=torch.float64)
-    values, gradients = kernel_losses(kernel, hyper, x, codes, kernel.prior)
-    assert values[0] == np.inf
-    alone = kernel_losses(kernel, hyper[1:], x, codes[1:], kernel.prior)
-    np.testing.assert_allclose(values[1], alone[0][0])
-    np.testing.assert_allclose(gradients[1], alone[1][0])
-
-
-def test_a_code_that_only_late_rows_have_is_nothing_to_the_first_ones() -> None:
-    random = np.random.default_rng(6)
-    kernel, n = Kernel(2, 1, 1), ROWS[0] + 2
-    x, codes = torch.from_numpy(random.normal(size=(n, 2))), torch.zeros(n, 2, dtype=torch.float64)
-    codes[:, 0], codes[-1, 1] = torch.sin(x[:, 0]), 1e-3
-    found = list(candidates(kernel, x, codes, 0, 3))
-    assert all(np.isfinite(one.loss) and np.isfinite(one.hyper).all() for one in found)
-    of_few = [one for one in found if one.n_rows is None and one.columns == slice(1, 2)]
-    assert [one.loss for one in of_few] == [0.0, 0.0]
-    np.testing.assert_array_equal(of_few[1].hyper, kernel.prior[0])
-
-
-def test_stretched_hyperparameters_have_longer_lengths_and_all_else_the_same() -> None:
-    kernel = Kernel(2, 3, 2)
-    hyper = kernel.prior[0]
-    longer, plain = (torch.from_numpy(h) for h in (kernel.stretched(hyper, 1.5), hyper))
-    torch.testing.assert_close(kernel.lengths(longer), 1.5 * kernel.lengths(plain))
-    assert torch.equal(longer[6:], plain[6:])
-
-
-def test_longer_and_shorter_lengths_are_candidates_where_rows_are_few(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    judged: list[npt.NDArray[np.float64]] = []
-
-    def noted(
-        predicted: npt.NDArray[np.float64],
-        true: npt.NDArray[np.float64],
-        believed: npt.NDArray[np.float64],
-        n_most: int,
-    ) -> Shares:
-        judged.append(believed)
-        return best_shares(predicted, true, believed, n_most)
-
-    monkeypatch.setattr(process_fitting, "best_shares", noted)
-    fitted()
-    monkeypatch.setattr(process_fitting, "MANY_ROWS", 60)
-    fitted()
-    few, many = judged[0], judged[1]
-    assert len(few) == 3 * len(many)
-    np.testing.assert_array_equal(few[: len(many)], many)
-    assert not few[len(many) :].any()  # without validation they count nothing
 
 
 @pytest.mark.parametrize("at_once", [7, 256])

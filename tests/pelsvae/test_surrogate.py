@@ -98,14 +98,6 @@ def test_jacobian_equals_finite_differences(surrogate: Surrogate) -> None:
         assert (np.abs(slope - jacobian[:, :, i]) <= FLOAT64_JACOBIAN_TOL * scale).all()
 
 
-def test_float32_jacobian_agrees_with_float64(surrogate: Surrogate) -> None:
-    theta = np.array([1.7, 4.2])
-    single, double = surrogate.jacobian(theta), in_double(surrogate).jacobian(theta)
-    assert single.dtype == np.float64
-    scale = np.abs(double).max(axis=(0, 2))[:, None]
-    assert (np.abs(single - double) <= FLOAT32_TOL * scale).all()
-
-
 def test_loaded_surrogate_is_the_same_bit_for_bit(surrogate: Surrogate, tmp_path: Path) -> None:
     theta, _ = rc_step(300, seed=5)
     surrogate.save(tmp_path / "a" / "n0032")
@@ -120,13 +112,6 @@ def test_loaded_surrogate_is_the_same_bit_for_bit(surrogate: Surrogate, tmp_path
         assert (tmp_path / "c" / name).read_bytes() == (moved / name).read_bytes()
 
 
-def test_double_precision_survives_saving(surrogate: Surrogate, tmp_path: Path) -> None:
-    theta, _ = rc_step(3, seed=5)
-    double = in_double(surrogate)
-    double.save(tmp_path)
-    np.testing.assert_array_equal(Surrogate.load(tmp_path).predict(theta), double.predict(theta))
-
-
 def test_files_hold_no_pickle(surrogate: Surrogate, tmp_path: Path) -> None:
     surrogate.save(tmp_path)
     with np.load(tmp_path / "weights.npz", allow_pickle=False) as file:
@@ -139,11 +124,6 @@ def test_missing_file_is_named(surrogate: Surrogate, tmp_path: Path, missing: st
     (tmp_path / missing).unlink()
     with pytest.raises(FileNotFoundError, match=f"{missing} is missing"):
         Surrogate.load(tmp_path)
-
-
-def test_missing_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no surrogate in"):
-        Surrogate.load(tmp_path / "nothing")
 
 
 def edited(folder: Path, **changes: object) -> None:
@@ -167,10 +147,7 @@ def test_damaged_weights_are_refused(surrogate: Surrogate, tmp_path: Path) -> No
     "changes",
     [
         {"format": 99},
-        {"format": None},
         {"config": {"n_latnet": 4}},
-        {"config": "small"},
-        {"n_times": "many"},
     ],
 )
 def test_damaged_description_is_refused(
@@ -182,20 +159,9 @@ def test_damaged_description_is_refused(
         Surrogate.load(tmp_path)
 
 
-def test_description_that_is_no_json_is_refused(surrogate: Surrogate, tmp_path: Path) -> None:
-    surrogate.save(tmp_path)
-    for text in ("{", "[]", "null"):
-        (tmp_path / "surrogate.json").write_text(text)
-        with pytest.raises(ValueError, match=r"surrogate.json is damaged"):
-            Surrogate.load(tmp_path)
-    (tmp_path / "surrogate.json").write_bytes(b"\xff\xfe")
-    with pytest.raises(ValueError, match=r"surrogate.json is damaged"):
-        Surrogate.load(tmp_path)
-
-
 @pytest.mark.parametrize(
     "changes",
-    [{"n_times": 20}, {"n_parameters": 3}, {"config": SMALL.replace(n_hidden=8).to_dict()}],
+    [{"n_times": 20}, {"config": SMALL.replace(n_hidden=8).to_dict()}],
 )
 def test_description_of_another_network_is_refused(
     surrogate: Surrogate, tmp_path: Path, changes: dict[str, object]

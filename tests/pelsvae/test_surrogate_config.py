@@ -28,16 +28,10 @@ def test_unknown_setting_is_named() -> None:
     [
         ({"n_latent": 0}, "n_latent = 0 must be at least 1"),
         ({"n_latent": 8.0}, "n_latent = 8.0 must be int"),
-        ({"n_latent": True}, "n_latent = True must be int"),
-        ({"n_layers": 1}, "n_layers = 1 must be at least 2"),
         ({"beta": 0}, "beta = 0 must be positive"),
         ({"beta": float("nan")}, "beta = nan must be positive"),
-        ({"learning_rate": "fast"}, "learning_rate = 'fast' must be float or int"),
         ({"activation": "tanh"}, r"activation = 'tanh' must be one of \['relu', 'silu'\]"),
-        ({"n_threads": 0}, "n_threads = 0"),
-        ({"weight_decay": -1.0, "optimizer": "adamw"}, "weight_decay = -1.0"),
         ({"weight_decay": 0.1, "optimizer": "adam"}, "belongs to optimizer 'adamw'"),
-        ({"detach_encoder": 1}, "detach_encoder = 1 must be bool"),
     ],
 )
 def test_impossible_setting_is_refused(changes: dict[str, Any], message: str) -> None:

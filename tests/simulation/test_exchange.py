@@ -19,11 +19,6 @@ def fmu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
-def stateless(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("stateless"), request.param, n_states=0)
-
-
-@pytest.fixture(scope="module", params=["2.0", "3.0"])
 def discrete(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Neither states nor event indicators."""
     return build(tmp_path_factory.mktemp("discrete"), request.param, n_states=0, n_indicators=0)
@@ -200,11 +195,6 @@ def test_a_model_without_states_samples_its_input(discrete: Path):
     last = np.floor(np.arange(21) / 2.5) * 2.5
     expected = np.where(last > 0, np.ceil(last) - 1, 0.0)
     np.testing.assert_array_equal(answer.y[0, :, 0], expected)
-
-
-def test_a_model_without_states_has_state_events(stateless: Path):
-    answer = run(stateless, "LATE", a=7.3, edges=np.arange(11.0))
-    np.testing.assert_array_equal(answer.y[0, :, 1], np.arange(11) > 7.3)
 
 
 @pytest.mark.parametrize(

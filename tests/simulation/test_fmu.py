@@ -97,13 +97,6 @@ def test_three_hundred_rows_leave_no_memory_behind(decay_case: Path):
     assert sizes[-1] - sizes[1] < 2**18
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_parameter_that_is_no_number_is_a_failed_row(model: FmuModel, bad: float):
-    answer = model.simulate(np.array([[bad, 0.0], [1e-4, 0.0]]))
-    assert answer.failures[0] == f"parameter k is {bad}"
-    assert answer.failures[1] == ""
-
-
 def test_reuse_equals_fresh(decay_case: Path):
     case = load_case(decay_case)
     rows = np.column_stack([case.parameter_space.lower[0] * np.linspace(1, 20, 300), np.zeros(300)])
@@ -112,15 +105,6 @@ def test_reuse_equals_fresh(decay_case: Path):
     for index in (0, 150, 299):
         with case.open_model() as model:
             assert np.array_equal(model.simulate(rows[[index]]).y[0], reused.y[index])
-
-
-def test_a_wrong_shape_is_refused(model: FmuModel):
-    with pytest.raises(ValueError, match=r"expected \(n, 2\)"):
-        model.simulate(np.array([1e-4, 0.0]))
-
-
-def test_no_rows_are_no_trajectories(model: FmuModel):
-    assert model.simulate(np.empty((0, 2))).y.shape == (0, 25, 1)
 
 
 def test_a_closed_model_says_so_and_closes_twice(decay_case: Path):

@@ -87,7 +87,6 @@ def test_inputs_of_every_type_arrive_with_their_step(fmu: Path):
     ("name", "value", "message"),
     [
         ("on", 0.5, r"input on is 0\.5 at 3000 s, and the FMU's on is of type Boolean; give 0 or 1"),
-        ("on", 2.0, r"input on is 2 at 3000 s"),
         (
             "level",
             1e10,
@@ -129,14 +128,7 @@ def test_an_alias_is_a_variable_like_any_other(fmu_3: Path):
     ("fixed", "message"),
     [
         ({"n": 1.5}, r"fixed\.n = 1\.5: n is of type Int.*; give a whole number from -\d+ to"),
-        ({"n": 2**40}, r"fixed\.n = 1099511627776: n is of type Int"),
-        ({"n": "3"}, r"fixed\.n = '3': n is of type Int"),
-        ({"b": 1}, r"fixed\.b = 1: b is of type Boolean; give true or false"),
         ({"c": "medium"}, r"fixed\.c = 'medium': c has no such item; choose one of: low, high"),
-        ({"s": 3}, r"fixed\.s = 3: s is of type String; give a text"),
-        ({"f": "hot"}, r"fixed\.f = 'hot': f is of type \w+; give a number"),
-        ({"y": 3.0}, r"y is output in .*, not parameter"),
-        ({"K": 3.0}, r"has no parameter named K; did you mean k\?"),
     ],
 )
 def test_a_fixed_value_that_does_not_fit_is_refused_in_one_line(fmu: Path, fixed: dict, message: str):

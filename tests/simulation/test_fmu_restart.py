@@ -72,22 +72,6 @@ def test_one_instance_with_states_needs_no_other_process(tmp_path: Path, fmi: in
     np.testing.assert_allclose(answer.y, _expected(settings), rtol=1e-13)
 
 
-def test_an_hour_long_row_is_not_repeated(tmp_path: Path, fmi: int, monkeypatch: pytest.MonkeyPatch):
-    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi))
-    monkeypatch.setattr("simulation.fmi.restart._CHEAP_S", 0.0)
-    with settings.open() as model:
-        runner = model._runner
-        solve, n_solved = runner._solver.solve, []
-        clock = iter(np.cumsum([0.0] + [1.0, 3600.0, 0.0] * 100))
-        monkeypatch.setattr("simulation.fmi.restart.time.perf_counter", lambda: next(clock))
-        monkeypatch.setattr(
-            runner._solver, "solve", lambda *arguments: n_solved.append(1) or solve(*arguments), raising=True
-        )
-        answer = model.simulate(ROWS)
-        assert (model.way, len(n_solved)) == ("undecided", len(ROWS))
-    np.testing.assert_allclose(answer.y, _expected(settings), rtol=1e-13)
-
-
 def test_rows_that_share_a_warm_up_start_from_its_end(tmp_path: Path, fmi: int):
     fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, state=True)
     settings = kinds_fmu.kinds_settings(fmu, names=("k",), n_warmup=9, warmup_theta=np.array([2e-4]))

@@ -10,15 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from simulation import InputError, foreign_file
+from simulation import InputError
 from simulation.case_reading import read_case_file
 from simulation.fmi.description import read_description
 from simulation.foreign_file import (
     CASE,
-    FMU,
     LIMITS_VARIABLE,
-    RECORDING,
-    Limit,
     check_members,
     parse_toml,
     read_limited,
@@ -26,7 +23,6 @@ from simulation.foreign_file import (
 from simulation.recording import read_recording
 from studies.profile import load_profile
 
-DOCS = Path(__file__).parents[2] / "docs" / "own-fmu.md"
 SOON_S, SMALL_MB = 5.0, 200.0
 READERS: dict[str, Callable[[Path], object]] = {
     "case": read_case_file,
@@ -120,19 +116,11 @@ def test_a_limit_is_raised_as_the_line_says(tmp_path: Path, monkeypatch: pytest.
     "text",
     [
         f"a = {'[' * 3000}{']' * 3000}",
-        f"a = {'{ a = ' * 3000}1{' }' * 3000}",
         ".".join("a" * 3000) + " = 1",
-        f"[{'.'.join('a' * 3000)}]",
-        f"[[{' . '.join('a' * 3000)}]]",
         ".".join('"a"' for _ in range(250_000)) + " = 1",
-        ".".join("a" * 450_000) + " = 1",
         f"a = {'9' * 5000}",
-        f"a = -{'9' * 900_000}",
-        f"a = {'9' * 900_000}:00",
-        '"' * 900_000,
         "'''" + "a" * 900_000,
         "[" * 900_000,
-        "= " * 400_000,
     ],
     ids=lambda text: f"{text[:12]!r}",
 )
@@ -172,19 +160,3 @@ def test_an_archive_is_measured_before_it_is_unpacked(
     many = [zipfile.ZipInfo(f"{i}") for i in range(1001)]
     with pytest.raises(InputError, match="an archive may have 1,000 files and this one has 1,001 files"):
         check_members(many, "file.zip")
-
-
-def test_the_documentation_has_all_limits() -> None:
-    text = DOCS.read_text(encoding="utf-8")
-    assert LIMITS_VARIABLE in text
-    limits = [one for one in vars(foreign_file).values() if isinstance(one, Limit)]
-    assert len(limits) == 10
-    for limit in limits:
-        assert f"| {limit.what} | {limit.most:,} {limit.unit} |" in text
-
-
-def test_a_limit_is_what_it_says() -> None:
-    assert {FMU.unit, RECORDING.unit} == {"MB"}
-    Limit("a thing", 3, "pieces").check(3, "place")
-    with pytest.raises(InputError, match=r"place: a thing may have 3 pieces and this one has 4 pieces"):
-        Limit("a thing", 3, "pieces").check(4, "place")

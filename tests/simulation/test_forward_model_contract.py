@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from toy_rc import ToyRC
-from toys_for_tests import IshigamiToy, ProductToy
 
 from simulation import CountingModel, ForwardModel, PoolModel, load_case
 from simulation.store.store import SimulationStore
@@ -14,8 +13,6 @@ from simulation.store.stored_model import StoredModel
 
 MODELS = [
     "toy-rc",
-    "toy-product",
-    "toy-ishigami",
     "counting",
     "stored",
     "parallel",
@@ -47,12 +44,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         with PoolModel(ToyRC, 2) as model:
             yield model
     else:
-        yield {
-            "toy-rc": ToyRC(),
-            "toy-product": ProductToy(),
-            "toy-ishigami": IshigamiToy(),
-            "counting": CountingModel(ToyRC()),
-        }[name]
+        yield ToyRC() if name == "toy-rc" else CountingModel(ToyRC())
 
 
 def _rows(model: ForwardModel, n: int = 23) -> np.ndarray:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from toy_rc import ToyRC
-from toys_for_tests import IshigamiToy, ProductToy
 
 import simulation
 from simulation import CountingModel
@@ -19,7 +18,6 @@ from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 from simulation.scratch import ScratchFolder
 from simulation.whole_file import whole_file
-from studies.report.wording import noun_of
 
 ROWS = np.array([[1.0, 1e4], [np.nan, 1e4], [2.0, 2e4]])
 
@@ -44,37 +42,6 @@ def test_a_batch_beyond_the_budget_is_refused_whole_and_not_counted():
     assert model.n_calls == model.budget == 4
     with pytest.raises(BudgetExceeded, match="the budget of 4 calls is spent"):
         model.simulate(ROWS[:1])
-
-
-def test_a_negative_budget_is_refused():
-    with pytest.raises(ValueError, match="budget is -1"):
-        CountingModel(ToyRC(), budget=-1)
-
-
-def test_the_rc_toy_obeys_its_differential_equation():
-    model = ToyRC(time=np.linspace(0, 3600, 3601))
-    y = model.simulate(np.array([[1.5, 1e4]])).y[0, :, 0]
-    # Central differences on 1 s: their error is y''' / 6, some 1e-10 K/s here.
-    rate = (y[2:] - y[:-2]) / 2
-    np.testing.assert_allclose(1e4 * rate, 10.0 - (y[1:-1] - 10.0) / 1.5, atol=1e-4)
-    assert y[0] == 10.0
-
-
-def test_the_product_toy_shows_the_product_alone():
-    y = ProductToy().simulate(np.array([[1.0, 2e4], [2.0, 1e4], [1.0, 1e4]])).y
-    np.testing.assert_allclose(y[0], y[1], rtol=1e-14)
-    assert np.abs(y[0] - y[2]).max() > 1
-
-
-def test_the_ishigami_toy_ends_as_the_classical_function():
-    y = IshigamiToy().simulate(np.array([[np.pi / 2, np.pi / 2, 2.0]])).y[0, :, 0]
-    assert y[-1] == pytest.approx(1 + 7 + 0.1 * 16)
-    assert y[0] == pytest.approx(1 + 7)
-
-
-def test_a_toy_can_fail():
-    answer = ToyRC(fails_above_r=1.5).simulate(ROWS)
-    assert answer.failures == ("", "parameter R is nan", "R = 2 K/W is above 1.5")
 
 
 def test_where_there_are_no_locks_nobody_waits_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -172,16 +139,3 @@ def test_what_is_public_is_a_dozen_names_that_are_there_and_explained():
         assert f"`{name}`" in str(simulation.__doc__)
     with pytest.raises(AttributeError, match="module 'simulation' has no attribute 'nothing'"):
         _ = simulation.nothing  # type: ignore[attr-defined]
-
-
-def test_another_system_is_told_at_once():
-    script = "import sys; sys.platform = 'darwin'; import simulation"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.stderr.splitlines()[-1].startswith("ImportError: simulations need Linux")
-
-
-@pytest.mark.parametrize(
-    ("n", "calls", "boxes"), [(0, "calls", "boxes"), (1, "call", "box"), (2, "calls", "boxes")]
-)
-def test_one_thing_has_another_noun_than_none_or_several(n: int, calls: str, boxes: str):
-    assert (noun_of(n, "call"), noun_of(n, "box", "boxes")) == (calls, boxes)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -27,6 +27,7 @@ def _trajectories(theta: np.ndarray, y: np.ndarray, failures: list[str] | None =
     )
 
 
+@settings(deadline=None)
 @given(batches)
 def test_a_row_is_good_and_finite_or_failed_and_nan_throughout(batch: tuple[np.ndarray, np.ndarray]):
     answer = _trajectories(*batch)
@@ -67,8 +68,3 @@ def test_different_models_do_not_stack():
         Trajectories.concatenate([base, other])
     with pytest.raises(ValueError, match="nothing"):
         Trajectories.concatenate([])
-
-
-def test_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match=r"expected \(1, 2\) and \(1, 3, 2\)"):
-        Trajectories(np.zeros((1, 2)), np.zeros((1, 3, 1)), np.zeros(3), ("a", "b"), ("T", "q"), ("",))

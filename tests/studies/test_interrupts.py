@@ -51,26 +51,6 @@ except KeyboardInterrupt:
     assert said_by(script) == ["dropped", "raised again"]
 
 
-def test_one_that_is_dropped_twice_is_raised_a_third_time() -> None:
-    script = """
-class DropsLater:
-    def __del__(self):
-        try:
-            work(30)
-        finally:
-            print("dropped again")
-
-try:
-    with interrupts_kept():
-        Drops()
-        DropsLater()
-        work(30)
-except KeyboardInterrupt:
-    print("raised again")
-"""
-    assert said_by(script) == ["dropped", "dropped again", "raised again"]
-
-
 def test_tidying_up_after_one_is_not_interrupted_again() -> None:
     script = """
 from contextlib import contextmanager
@@ -94,45 +74,6 @@ except KeyboardInterrupt:
     print("heard")
 """
     assert said_by(script) == ["tidied up", "closed", "heard"]
-
-
-def test_one_that_is_dropped_slowly_is_raised_again() -> None:
-    script = """
-class DropsSlowly:
-    def __del__(self):
-        try:
-            signal.raise_signal(signal.SIGINT)
-        finally:
-            work(0.4)
-            print("dropped")
-
-try:
-    with interrupts_kept():
-        DropsSlowly()
-        work(30)
-except KeyboardInterrupt:
-    print("raised again")
-"""
-    assert said_by(script) == ["dropped", "raised again"]
-
-
-def test_a_generator_that_is_dropped_on_the_way_tidies_up() -> None:
-    script = """
-def opened():
-    try:
-        yield
-    finally:
-        work(0.6)
-        print("tidied up")
-
-try:
-    with interrupts_kept():
-        for _ in opened():
-            signal.raise_signal(signal.SIGINT)
-except KeyboardInterrupt:
-    print("heard")
-"""
-    assert said_by(script) == ["tidied up", "heard"]
 
 
 def test_one_that_is_heeded_is_over() -> None:

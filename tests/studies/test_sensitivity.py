@@ -11,7 +11,6 @@ from toy_rc import ToyRC
 from toys_for_tests import IshigamiToy
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.sensitivity import SobolIndices, sobol_indices
@@ -104,14 +103,6 @@ def test_agrees_with_salibs_own_analysis_of_every_column(seed: int) -> None:
         np.testing.assert_allclose(indices.total_order_ci[step, 0], theirs["ST_conf"], rtol=1e-8)
 
 
-def test_confidence_intervals_cover_the_exact_values_and_narrow() -> None:
-    toy = IshigamiToy()
-    first, _ = exact_ishigami(toy.a, toy.b)
-    few, many = (sobol_indices(toy, n_base=n, seed=2) for n in (256, 4096))
-    assert (np.abs(many.first_order[-1, 0] - first) < 2.0 * many.first_order_ci[-1, 0]).all()
-    assert (many.first_order_ci[-1, 0, :2] < 0.5 * few.first_order_ci[-1, 0, :2]).all()
-
-
 def test_seed_zero_is_a_seed() -> None:
     first, second = (sobol_indices(IshigamiToy(), n_base=64, seed=0) for _ in range(2))
     np.testing.assert_array_equal(first.total_order, second.total_order)
@@ -144,12 +135,6 @@ def test_the_initial_value_of_a_step_response_is_undefined() -> None:
     assert (np.diff(indices.total_order[1:, 0], axis=0) * np.array([1.0, -1.0]) > 0.0).all()
 
 
-def test_progress_counts_rows() -> None:
-    reports: list[tuple[int, int]] = []
-    sobol_indices(IshigamiToy(), n_base=1024, seed=0, on_progress=lambda done, n: reports.append((done, n)))
-    assert reports == [(2048, 5120), (4096, 5120), (5120, 5120)]
-
-
 def test_saved_and_loaded_is_the_same(tmp_path: Path) -> None:
     indices = sobol_indices(GFunction(), n_base=16, seed=0)
     path = tmp_path / "folder" / "sobol.npz"
@@ -163,16 +148,3 @@ def test_saved_and_loaded_is_the_same(tmp_path: Path) -> None:
 
 def _arrays(indices: SobolIndices) -> dict[str, FloatArray]:
     return {name: value for name, value in vars(indices).items() if isinstance(value, np.ndarray)}
-
-
-def test_a_missing_file_is_one_clear_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="run the sensitivity analysis first"):
-        SobolIndices.load(tmp_path / "sobol.npz")
-
-
-@pytest.mark.parametrize(
-    ("n_base", "n_resamples", "message"), [(100, 100, "power of two"), (64, 1, "at least 2")]
-)
-def test_useless_sizes_are_refused(n_base: int, n_resamples: int, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        sobol_indices(ToyRC(), n_base=n_base, seed=0, n_resamples=n_resamples)

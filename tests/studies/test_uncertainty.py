@@ -16,17 +16,13 @@ from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.prior import Prior
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
-from studies.uncertainty.density import Predicted
 from studies.uncertainty.findings import compensations, knowledge
 from studies.uncertainty.identifiability import difference_rows, identifiability, judged
-from studies.uncertainty.noise import Noise, noise_of
-from studies.uncertainty.rows import MOST_KNOWN, MOST_ROWS, telling_rows
+from studies.uncertainty.noise import noise_of
 from studies.uncertainty.sample import Sampling
-from studies.uncertainty.stand_in import CHEAP, LEAST_PARTICLES, particles_for
 from studies.uncertainty.weights import effective_size, normalized, quantiles
 
 TIME = np.linspace(0.0, 1.0, 60)
@@ -167,19 +163,6 @@ def test_a_stand_in_that_is_wrong_is_found_out_and_what_it_cost_is_counted():
     assert found.interval == pytest.approx(alone.interval, abs=0.06)
 
 
-def test_a_stand_in_that_is_wrong_is_found_out_with_the_least_budget() -> None:
-    bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + (theta[2] + 0.3) * t**2)
-    found = judged_with(bent, max_calls=2 * 3 + 2 * Sampling.n_batch)
-    assert not found.by_equations
-    assert found.n_calls <= 22
-
-
-def test_what_costs_more_is_asked_at_fewer_points() -> None:
-    assert particles_for(1.0) == particles_for(CHEAP) == Sampling.n_of_stand_in
-    assert particles_for(2.0 * CHEAP) == Sampling.n_of_stand_in // 2
-    assert particles_for(1e12) == LEAST_PARTICLES
-
-
 @pytest.mark.parametrize("sigma", [1e-6, 1e-8, 1e-10])
 def test_a_stand_in_may_leave_a_direction_open_beside_the_narrowest_one(sigma: float) -> None:
     """A product of two parameters, a third one without effect: singular but for the box."""
@@ -199,11 +182,6 @@ def test_a_stand_in_may_leave_a_direction_open_beside_the_narrowest_one(sigma: f
     # At 1e-10 the last digits of the sums count, which differ from machine to machine.
     rel = 0.3 if sigma > 1e-10 else 0.5
     assert np.std(known) == pytest.approx(sigma / np.sqrt(TIME @ TIME) / (1.5 * 0.7), rel=rel)
-
-
-def test_a_stand_in_that_errs_a_little_is_found_out_too():
-    bent = replace(product(), f=lambda theta, t: theta[0] * theta[1] * t + 1.03 * theta[2] * t**2)
-    assert not judged_with(bent).by_equations
 
 
 def test_a_sample_is_as_narrow_as_its_density():
@@ -316,53 +294,12 @@ def test_what_fitted_parameters_took_from_the_noise_is_put_back(rho, n_fitted):
     assert np.median(found) == pytest.approx((1.0 + rho) / (1.0 - rho), rel=0.25)
 
 
-def test_more_parameters_than_samples_leave_one_independent_sample():
-    measurement = Measurement.on_grid(np.arange(5) * 1.0, np.zeros((5, 1)), ("y",), np.array([1.0]))
-    noise = noise_of("correlated", measurement, np.array([[1.0], [-1.0], [0.5], [1.5], [-0.5]]), 7)
-    assert noise.n_independent == 1.0
-    assert np.isfinite(noise.raised)
-
-
 def test_a_perfect_fit_shows_no_noise():
     problem = posed(line(), [0.3, -0.4], sigma=0.0)
     y = problem.model.simulate(np.array([[0.3, -0.4]])).y[0]
     with pytest.raises(InputError, match="to the last digit"):
         noise_of("white", problem.measurement, y, 2)
     assert noise_of("sensor", problem.measurement, y, 2).deviation == SIGMA
-
-
-def test_the_prediction_of_many_points_is_the_process_own():
-    problem = posed(product(), [2.0, 0.7, 1.5])
-    rng = np.random.default_rng(0)
-    u = rng.random((20, 3))
-    process = ResidualProcess.fit(Features.of(problem.space), u, problem.residuals(u))
-    at = rng.random((7, 3))
-    predicted = Predicted(process)
-    residuals, variance = predicted.residuals(at)
-    own = [process.expand(point, 1.0) for point in at]
-    mse = (np.sum(residuals**2, axis=1) + process.outside) / process.n_residuals
-    assert mse == pytest.approx([one.mse for one in own], rel=1e-9)
-    assert process.variance * variance == pytest.approx(
-        [one.value - one.mse for one in own], rel=1e-6, abs=1e-12
-    )
-    # Where it is sure, the likelihood is that of the mean.
-    there = predicted.log_likelihood(u[:1], 10.0)
-    assert there == pytest.approx(-0.5 * np.sum(problem.residuals(u[:1]) ** 2) / 100.0, rel=1e-2)
-
-
-def test_particles_fill_curved_valleys():
-    """Three of Rosenbrock's densities in one cube: a coordinate is normal, the other chi-squared."""
-
-    def log_density(u):
-        x, y = 8.0 * u[:, ::2] - 4.0, 24.0 * u[:, 1::2] - 4.0
-        return -0.5 * np.sum(x**2 + ((y - x**2) / 0.3) ** 2, axis=1)
-
-    found = sample_density(log_density, Reference.even(6), seed=0, n_particles=1000)
-    x, y = 8.0 * found.u[:, ::2] - 4.0, 24.0 * found.u[:, 1::2] - 4.0
-    assert x.mean(axis=0) == pytest.approx(0.0, abs=0.12)
-    assert x.std(axis=0) == pytest.approx(1.0, abs=0.12)
-    assert y.mean(axis=0) == pytest.approx(1.0, abs=0.25)
-    assert found.log_density == pytest.approx(log_density(found.u))
 
 
 @pytest.mark.parametrize("rate", [0.0, 3.0, 30.0])
@@ -435,15 +372,6 @@ def test_a_sample_is_the_seeds_and_stays_inside():
     assert first.u.mean(axis=0) == pytest.approx(1.0 / 3.0 - 1.0 / np.expm1(3.0), abs=0.03)
 
 
-def test_places_whose_surroundings_lie_outside_delay_no_start():
-    """In thirty parameters hardly one draw of so wide a density falls into the cube."""
-    reference = Reference(np.full((1, 30), 0.5), 2.0 * np.eye(30)[None])
-    u = reference.draw(200, np.random.default_rng(0))
-    assert u.shape == (200, 30)
-    assert np.all((u >= 0.0) & (u <= 1.0))
-    assert len(np.unique(u[:, 0])) == 200
-
-
 def test_weights_and_bands():
     weights = normalized(np.array([0.0, np.log(3.0), -np.inf]))
     assert weights == pytest.approx([0.25, 0.75, 0.0])
@@ -486,14 +414,6 @@ def test_a_value_is_as_uncertain_as_its_sensor_however_often_it_is_read_and_weig
 def test_too_few_calls_are_refused_in_one_line():
     with pytest.raises(InputError, match=r"--max-calls 20 does not hold 28 differences .* give 44 or more"):
         sampling_within(20, 14)
-
-
-def test_a_parameter_without_effect_is_open():
-    space = ParameterSpace((Parameter("a", lower=0.0, upper=1.0), Parameter("b", lower=0.0, upper=1.0)))
-    rng = np.random.default_rng(0)
-    u = np.column_stack([0.5 + 0.01 * rng.standard_normal(2000), rng.random(2000)])
-    assert knowledge(space, u) == {"a": "determined", "b": "open"}
-    assert compensations(space, u) == ()
 
 
 def test_what_was_known_before_is_no_merit_of_the_data():
@@ -585,52 +505,3 @@ class CountsRows(WrappedModel):
     def simulate(self, theta):
         self.asked.append(theta)
         return self._model.simulate(theta)
-
-
-def test_a_sample_without_a_success_is_worth_nothing():
-    found = assessed(posed(line(), [0.3, -0.4]), np.array([0.3, -0.4]))
-    lost = replace(found.sample, log_ratios=np.full(found.sample.drawn.n, -np.inf))
-    assert lost.n_effective == 0.0
-
-
-def test_where_nothing_moves_an_output_every_direction_is_null():
-    found = around(replace(line(), f=lambda theta, t: 0.0 * theta[0] + t), [0.3, -0.4])
-    assert found.n_null_directions == 2
-    assert found.n_determined_directions == 0
-
-
-def test_a_noise_is_worth_its_independent_samples():
-    noise = Noise("correlated", deviation=0.1, n_samples=100, n_independent=25.0)
-    assert noise.raised == pytest.approx(0.2)
-    mse = np.array([0.01, 0.02])
-    gain = np.diff(noise.log_likelihood(mse))
-    assert gain == pytest.approx(-0.5 * 100 * 0.01 / noise.raised**2)
-    assert replace(noise, n_independent=100.0).raised == pytest.approx(0.1)
-
-
-def test_a_row_that_was_asked_is_not_forgotten_for_better_known_ones():
-    rng = np.random.default_rng(0)
-    u = rng.random((MOST_KNOWN + 200 + 50, 3))
-    n_known = MOST_KNOWN + 200
-    density = np.concatenate([-rng.random(n_known), np.full(50, -100.0)])
-    density[-1] = -np.inf  # it failed
-    rows = telling_rows(u, density, n_known)
-    assert set(range(n_known, len(u) - 1)) <= set(rows.tolist())
-    assert len(rows) == MOST_KNOWN + 49 <= MOST_ROWS
-    assert np.all(np.diff(density[rows]) <= 0.0)
-    best_known = np.sort(density[:n_known])[-MOST_KNOWN:]
-    assert np.array_equal(np.sort(density[rows][density[rows] > -50.0]), best_known)
-
-
-def test_the_best_rows_are_kept_however_many_were_asked():
-    rng = np.random.default_rng(0)
-    u = rng.random((30 + MOST_ROWS + 20, 23))
-    density = np.concatenate([-rng.random(30), -50.0 - rng.random(MOST_ROWS + 20)])
-    rows = telling_rows(u, density, 30)
-    assert len(rows) == MOST_ROWS
-    assert set(range(30)) <= set(rows.tolist())
-
-
-def test_a_row_beside_a_better_one_tells_nothing_new():
-    u = np.array([[0.5, 0.5], [0.5, 0.5 + 1e-4], [0.1, 0.9]])
-    assert telling_rows(u, np.array([-1.0, -0.5, -3.0])).tolist() == [1, 2]

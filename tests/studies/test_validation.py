@@ -14,11 +14,7 @@ from mlflow_store_for_tests import give_store
 
 from simulation.case import Case, load_case
 from simulation.counting import CountingModel
-from studies.console import Console
-from studies.paths import ProjectPaths
-from studies.profile import load_profile
-from studies.stages.pipeline import Outcome, Study
-from studies.stages.validation import show_validation, validate, validation_inputs
+from studies.stages.validation import validate, validation_inputs
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -94,22 +90,6 @@ def test_shares_of_the_mean_are_given_where_the_unit_has_a_zero(case: Case) -> N
     more = len(values) / (len(values) - 1)
     assert fit.cv_rmse == pytest.approx(fit.rmse / values.mean() * np.sqrt(more))
     assert fit.nmbe == pytest.approx(fit.bias / values.mean() * more)
-
-
-def test_small_errors_keep_their_digits(case: Case, capsys: pytest.CaptureFixture[str]) -> None:
-    point = {"mse_window": 3.281e-6, "mse": 4.187e-6, "outputs": {"TAir": {"rmse": 0.00205}}, "failure": ""}
-    outcome = Outcome("calibrate", "", {"n_train": 0, "validation": {"points": {"best": point}}}, False, 1.0)
-    paths = ProjectPaths(case.path.parents[2])
-    show_validation(
-        Study(case, load_profile("smoke"), paths, Console(), n_jobs=1, label="a", command="a"), [outcome]
-    )
-    shown = capsys.readouterr().out
-    assert ["–", "best", "3.281e-06", "4.187e-06"] in [line.split()[:4] for line in shown.splitlines()]
-
-
-def test_a_case_without_a_validation_period_is_refused(case: Case) -> None:
-    with pytest.raises(ValueError, match="has no validation period"):
-        validate(replace(case, validation=None), None, {})  # type: ignore[arg-type]
 
 
 def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:

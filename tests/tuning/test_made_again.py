@@ -77,15 +77,6 @@ def trial_run(paths: ProjectPaths, state: str) -> str:
     return str(runs[-1].info.run_id)
 
 
-def test_a_complete_trial_is_made_again_to_the_last_digit(
-    here: ProjectPaths, capsys: pytest.CaptureFixture[str]
-) -> None:
-    document = reproduced(trial_run(here, "complete"), capsys)
-    assert document["equal"]
-    rows = {row["name"]: row for row in document["numbers"]}
-    assert {"val/mae", "val/p90", "test/mae", "test/p90", "curve/validation_mae"} <= set(rows)
-
-
 def test_a_pruned_trial_is_made_again_as_far_as_it_went(
     here: ProjectPaths, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,28 +92,3 @@ def test_simulations_that_are_gone_are_made_again(
 ) -> None:
     shutil.rmtree(here.data / "wall" / "generated")
     assert reproduced(trial_run(here, "complete"), capsys)["equal"]
-
-
-def test_a_changed_case_is_refused(here: ProjectPaths, capsys: pytest.CaptureFixture[str]) -> None:
-    case = here.fmus / "wall" / "case.toml"
-    case.write_text(case.read_text().replace("upper = 750", "upper = 700"))
-    assert main(["reproduce", trial_run(here, "complete")]) == 2
-    said = capsys.readouterr().err
-    assert "fmus/wall/case.toml" in said
-    assert "changed since" in said
-    assert len(said.strip().splitlines()) == 1
-
-
-@pytest.mark.parametrize("name", ["0123456789abcdef", "wall-tiny/nothing", "nobody"])
-def test_what_there_is_not_is_told(here: ProjectPaths, capsys: pytest.CaptureFixture[str], name: str) -> None:
-    assert main(["reproduce", name]) == 2
-    assert f"{name!r}" in capsys.readouterr().err
-
-
-def test_the_same_command_reuses_what_is_finished(
-    here: ProjectPaths, capsys: pytest.CaptureFixture[str]
-) -> None:
-    capsys.readouterr()
-    assert main(["tune", "wall", "--profile", "tiny.toml", "--json"]) == 0
-    answer = capsys.readouterr()
-    assert "finished before, 4 trials reused" in answer.err

@@ -8,7 +8,6 @@ from optuna.trial import TrialState, create_trial
 from toy_study_for_tests import (
     N_TUNED,
     SPECS,
-    assert_mlflow_agrees,
     plain_study,
     runs_of,
     states,
@@ -56,33 +55,6 @@ def test_added_and_enqueued_trials_and_attributes_stay_and_count(copied: Project
     assert found.best.run_id
     assert found.count("running") == 2
     assert not [run for run in runs_of(copied, spec.label) if run.info.status == "RUNNING"]
-
-
-def test_an_enqueued_trial_is_run(copied: ProjectPaths) -> None:
-    spec = tuned_study(24)
-    params = {"n_latent": 5, "n_hidden": 17, "beta": 77.0}
-    study = plain_study(copied, spec.name)
-    study.enqueue_trial(params, user_attrs={"why": "a guess"})
-    assert states(study.get_trials()).count("WAITING") == 1
-    Worker(copied, spec.name).run()  # although the study has its trials
-    trial = study.get_trials()[N_TUNED]
-    assert len(study.trials) == N_TUNED + 1
-    assert trial.state.is_finished()
-    assert trial.params == params
-    assert trial.user_attrs["why"] == "a guess"
-    assert trial.user_attrs["mlflow_run_id"]
-    tune([spec], paths=copied, n_trials=N_TUNED, n_jobs=1)
-    assert_mlflow_agrees(copied, spec.label, spec.name)
-
-
-def test_a_user_may_run_trials_with_an_objective_of_their_own(copied: ProjectPaths) -> None:
-    spec = tuned_study(16)
-    study = plain_study(copied, spec.name)
-    study.optimize(lambda trial: trial.suggest_float("beta", 1.0, 1000.0, log=True), n_trials=2)
-    found = next(one for one in read_studies(copied) if one.spec == spec)
-    assert found.n_ended == N_TUNED + 2
-    assert found.best is not None
-    assert found.best.number < N_TUNED
 
 
 def test_studies_of_other_programs_are_left_alone(copied: ProjectPaths) -> None:

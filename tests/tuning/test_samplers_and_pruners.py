@@ -5,7 +5,6 @@ from typing import Any
 
 import optuna
 import pytest
-from optuna.samplers import GPSampler, QMCSampler, RandomSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from toy_study_for_tests import plain_study, toy_study
 
@@ -18,20 +17,7 @@ from studies.tuning.worker import Worker
 NESTED = {"name": "PatientPruner", "wrapped_pruner": {"name": "MedianPruner"}, "patience": 2}
 
 
-@pytest.mark.parametrize(
-    ("declared", "kind"),
-    [
-        ({"name": "RandomSampler"}, RandomSampler),
-        ({"name": "TPESampler", "n_startup_trials": 3, "multivariate": True}, TPESampler),
-        ({"name": "GPSampler", "n_startup_trials": 2}, GPSampler),
-        ({"name": "QMCSampler", "qmc_type": "halton", "scramble": True}, QMCSampler),
-    ],
-)
-def test_a_sampler_is_made_by_its_name(declared: dict[str, Any], kind: type) -> None:
-    assert type(make_sampler(declared, 3)) is kind
-
-
-@pytest.mark.parametrize("name", ["RandomSampler", "GPSampler", "QMCSampler"])
+@pytest.mark.parametrize("name", ["GPSampler", "QMCSampler"])
 def test_a_study_runs_with_any_sampler(project: ProjectPaths, name: str) -> None:
     sampler = {"name": name, **({"n_startup_trials": 2} if name == "GPSampler" else {})}
     spec = toy_study(sampler=sampler, settings=toy_study().settings | {"max_epochs": 2, "patience": 2})
@@ -55,25 +41,11 @@ def test_a_pruner_is_made_by_its_name(declared: dict[str, Any]) -> None:
     assert type(make_pruner(declared)).__name__ == declared["name"]
 
 
-def test_a_nested_pruner_has_the_pruner_it_wraps() -> None:
-    patient = make_pruner(NESTED)
-    study = optuna.create_study(pruner=patient)
-    for _ in range(6):
-        study.add_trial(a_trial({step: 1.0 / step for step in range(1, 10)}, value=0.3))
-    worse = study.ask()
-    for step in range(1, 9):
-        worse.report(5.0 + step, step)
-    assert worse.should_prune()
-
-
 @pytest.mark.parametrize(
     ("declared", "message"),
     [
         ({"name": "BestSampler"}, r"no sampler 'BestSampler'; it has .*GPSampler.*TPESampler"),
-        ({"name": "BaseSampler"}, r"no sampler 'BaseSampler'"),
-        ({"name": "MedianPruner"}, r"no sampler 'MedianPruner'"),
         ({"name": "TPESampler", "n_startups": 3}, r"TPESampler refuses its arguments: .*n_startups"),
-        ({"name": "QMCSampler", "qmc_type": "none"}, r"QMCSampler refuses its arguments: .*qmc_type"),
     ],
 )
 def test_a_wrong_sampler_is_refused(declared: dict[str, Any], message: str) -> None:
@@ -85,9 +57,7 @@ def test_a_wrong_sampler_is_refused(declared: dict[str, Any], message: str) -> N
     ("declared", "message"),
     [
         ({"name": "NoPruner"}, r"no pruner 'NoPruner'; it has CatchUpPruner, .*NopPruner"),
-        ({"name": "CatchUpPruner", "courage": 1.0}, r"CatchUpPruner refuses its arguments: .*courage"),
         ({"name": "PatientPruner", "wrapped_pruner": {"name": "No"}, "patience": 2}, r"no pruner 'No'"),
-        ({"name": "MedianPruner", "n_startup_trials": -1}, r"MedianPruner refuses its arguments"),
     ],
 )
 def test_a_wrong_pruner_is_refused(declared: dict[str, Any], message: str) -> None:
@@ -134,7 +104,3 @@ def test_the_least_error_so_far_counts() -> None:
     assert least_until(a_trial({5: 1.0, 10: 3.0}), 7) == 1.0
     assert least_until(a_trial({5: 1.0, 10: 3.0}), 4) is None
     assert not is_stopped(KNOWN, {5: 1.0, 10: 50.0})
-
-
-def test_a_completed_trial_without_reports_tells_nothing() -> None:
-    assert not is_stopped([a_trial({}, 1e-9)], {10: 100.0})

@@ -7,7 +7,6 @@ import pytest
 from toy_study_for_tests import (
     BRIEF,
     DIVERGING,
-    FILES,
     N_TUNED,
     SEARCH,
     SPECS,
@@ -61,11 +60,6 @@ def test_the_sampler_proposes_most_trials_although_some_were_pruned(tuned: Proje
         assert study.count("pruned") >= 1
         assert 2 * study.n_proposed >= N_TUNED
         assert {trial.proposed_by for trial in study.trials} == {"default", "start-up", "TPESampler"}
-
-
-def test_sizes_draw_different_configurations(tuned: ProjectPaths) -> None:
-    small, large = ([trial.params for trial in study.trials[1:]] for study in of_sizes(tuned))
-    assert not [params for params in small if params in large]
 
 
 def test_more_trials_extend_a_study_as_if_it_had_been_asked_for_them_at_once(
@@ -127,14 +121,6 @@ def test_a_diverging_trial_fails_with_its_reason_and_costs_nobody_else(project: 
     assert not [name for name in run.data.metrics if name.startswith(("val/", "test/"))]
 
 
-def test_a_study_whose_trials_all_fail_ends(project: ProjectPaths) -> None:
-    spec = toy_study(16, search=DIVERGING)
-    prepared(project, spec, 4).run()
-    (found,) = tune([spec], paths=project, n_trials=4, n_jobs=1)
-    assert [trial.state for trial in found.trials] == ["failed"] * 4
-    assert found.best is None
-
-
 def test_a_trial_that_reaches_its_time_limit_counts_as_pruned(project: ProjectPaths) -> None:
     endless = toy_study(16).settings | {"max_epochs": 1_000_000, "patience": 1_000_000}
     spec = toy_study(16, settings=endless, max_trial_s=0.2)
@@ -145,29 +131,10 @@ def test_a_trial_that_reaches_its_time_limit_counts_as_pruned(project: ProjectPa
     assert trial.value is not None
 
 
-def test_no_trial_begins_after_the_given_moment(project: ProjectPaths) -> None:
-    (found,) = tune([toy_study(16)], paths=project, n_trials=4, n_jobs=1, until_s=0.0)
-    assert [trial.state for trial in found.trials] == ["waiting"]
-    assert found.n_ended == 0
-
-
 def test_changed_data_is_refused(project: ProjectPaths) -> None:
     digests = toy_study(16).digests | {"test": "0" * 64}
     with pytest.raises(InputError, match=r"test\.npz has changed since the study was declared"):
         tune([toy_study(16, digests=digests)], paths=project, n_trials=1, n_jobs=1)
-
-
-def test_a_file_outside_the_project_is_refused(project: ProjectPaths) -> None:
-    spec = toy_study(16, files=FILES | {"test": "../elsewhere.npz"})
-    with pytest.raises(InputError, match="lies outside the project"):
-        prepared(project, spec, 1)
-
-
-def test_a_study_of_another_version_is_refused() -> None:
-    content = toy_study(16).to_dict()
-    assert Declaration.from_dict(content) == toy_study(16)
-    with pytest.raises(InputError, match=r"a study is of another version \(n_rooms\)"):
-        Declaration.from_dict({**content, "n_rooms": 1})
 
 
 def test_what_decides_no_trial_changes_no_study() -> None:
