@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+import studies.doctor.answers as answers
+import studies.doctor.cost as cost
+import studies.doctor.repeats as repeats
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
@@ -16,7 +19,6 @@ from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
 from studies.circumstances import RestartModel
 from studies.console import Console
-from studies.doctor import answers, cost, repeats
 from studies.doctor.answers import Estimates
 from studies.doctor.declared import base_point, look_at_data, look_at_declaration
 from studies.doctor.finding import Diagnosis, Finding, named
