@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
+from torch.optim.adamw import adamw
 
-from pelsvae.adam import Adam
 from pelsvae.config import SurrogateConfig
 from pelsvae.device import denormals_flushed
 from pelsvae.epochs import EpochReport, TrainingDiverged
@@ -53,8 +53,8 @@ def train_network(
     size = min(config.batch_size, n)
     starts = range(0, n, size)
     noise = torch.Generator(x.device).manual_seed(generator.initial_seed())
-    optimizer = _optimizer(network, config)
     weights: list[Tensor] = list(network.parameters())
+    step_weights = _optimizer(weights, config)
     best = [weight.detach().clone() for weight in weights]
     best_mae, best_epoch, step, n_steps = math.inf, 0, 0, config.max_epochs * len(starts)
     history: list[dict[str, float]] = []
@@ -70,9 +70,10 @@ def train_network(
             terms = objective(
                 network, x_batch, theta_batch, eps=eps, beta=config.beta, detach_encoder=config.detach_encoder
             )
-            optimizer.forget_gradients()
+            for weight in weights:
+                weight.grad = None
             terms.total.backward()  # type: ignore[no-untyped-call]
-            optimizer.step(_learning_rate(config, step / n_steps))
+            step_weights(_learning_rate(config, step / n_steps))
             step += 1
             if epoch % config.validate_every == 0 or epoch == config.max_epochs:
                 sums += torch.stack(terms).detach() * (len(x_batch) / n)
@@ -92,25 +93,39 @@ def train_network(
         history.append(row)
         if mae < best_mae:
             best_mae, best_epoch = mae, epoch
-            with torch.no_grad():
-                torch._foreach_copy_(best, weights)
+            best = [weight.detach().clone() for weight in weights]
         if on_epoch is not None:
             seen = {name: row[name] for name in _TERMS[1:]}
             on_epoch(EpochReport(epoch, config.max_epochs, row["loss"], mae, seen))
         if epoch - best_epoch >= config.patience:
             break
     with torch.no_grad():
-        torch._foreach_copy_(weights, best)
+        for weight, value in zip(weights, best, strict=True):
+            weight.copy_(value)
     return history, best_epoch, "max_epochs" if epoch == config.max_epochs else "patience"
 
 
-def _optimizer(network: PelsVae, config: SurrogateConfig) -> Adam:
-    """Return the update rule."""
-    if config.optimizer == "adamw":
-        # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of
-        # a thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
-        return Adam(list(network.parameters()), betas=(0.9, 0.99), decay=config.weight_decay)
-    return Adam(list(network.parameters()))
+def _optimizer(weights: list[Tensor], config: SurrogateConfig) -> Callable[[float], None]:
+    """Return what takes a step of Adam or AdamW with a learning rate.
+
+    torch's function, not its class: to make one loads torch's compiler, two seconds in every process.
+    """
+    # Where the latent code has settled on the prior its gradients vanish, and with Adam's usual memory of a
+    # thousand steps the first larger one is a leap: seen as spikes of the loss, and once as NaN.
+    memory = 0.99 if config.optimizer == "adamw" else 0.999
+    means, squares = ([torch.zeros_like(weight) for weight in weights] for _ in range(2))
+    n_steps = [weight.new_zeros((), dtype=torch.float32) for weight in weights]
+
+    def step(learning_rate: float) -> None:
+        gradients = [weight.grad for weight in weights if weight.grad is not None]
+        with torch.no_grad():
+            adamw(
+                weights, gradients, means, squares, [], n_steps,
+                fused=True, amsgrad=False, maximize=False,
+                lr=learning_rate, beta1=0.9, beta2=memory, weight_decay=config.weight_decay, eps=1e-8,
+            )  # fmt: skip
+
+    return step
 
 
 def _learning_rate(config: SurrogateConfig, progress: float) -> float:

@@ -22,6 +22,7 @@ SMALL = SurrogateConfig(
     device="cpu",
     n_threads=1,
 )
+RESIDUAL = SMALL.replace(residual=True, n_layers=4)
 
 PROCESSES = SurrogateConfig(
     regressor="gaussian-process", theta_features="linear+log", max_epochs=15, device="cpu", n_threads=1

@@ -115,6 +115,20 @@ def test_all_three_networks_see_theta() -> None:
         assert not torch.equal(function(theta), function(theta + 1.0))
 
 
+def test_residual_layers_are_what_the_equations_say() -> None:
+    config = SMALL.replace(residual=True, n_layers=4)
+    net = PelsVae(N_FEATURES, N_OUTPUTS, config, torch.Generator().manual_seed(0)).double()
+    (_, theta, _), silu = batch(), torch.nn.functional.silu
+    with torch.no_grad():
+        net.scale.fill_(0.1)
+        seen = theta * 1.6
+        hidden = silu(net.regressing_first(seen))
+        for layer, of_theta in zip(net.regressing.inner, net.regressing.inner_theta, strict=True):
+            hidden = hidden + silu(layer(hidden) + of_theta(seen))
+        mean, _ = (net.regressing.last(hidden) + net.regressing.last_theta(seen)).chunk(2, dim=-1)
+        torch.testing.assert_close(net.regressor(theta)[0], mean)
+
+
 def test_regression_terms_reach_the_encoder_unless_detached() -> None:
     def encoder_gradients(detach: bool) -> list[torch.Tensor | None]:
         net, (x, theta, eps) = network(), batch()

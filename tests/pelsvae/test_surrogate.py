@@ -13,7 +13,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rc_step_for_tests import PROCESSES, SMALL, rc_step
+from rc_step_for_tests import PROCESSES, RESIDUAL, SMALL, rc_step
 
 from pelsvae.surrogate import Surrogate
 from pelsvae.training import fit
@@ -24,7 +24,7 @@ FLOAT64_JACOBIAN_TOL = 3e-6
 FLOAT32_TOL = 1e-5  # relative to the largest value: float32 sums in another order
 
 
-@pytest.fixture(scope="module", params=[SMALL, PROCESSES], ids=lambda config: config.regressor)
+@pytest.fixture(scope="module", params=[SMALL, RESIDUAL, PROCESSES], ids=["plain", "residual", "processes"])
 def surrogate(request: pytest.FixtureRequest) -> Surrogate:
     validation = rc_step(20, seed=2, n_outputs=2)
     return fit(*rc_step(32, seed=1, n_outputs=2), validation, config=request.param, seed=0).surrogate

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -191,3 +194,20 @@ def test_cuda_trains_and_predicts_like_the_cpu() -> None:
     assert {n: w.shape for n, w in weights[0].items()} == {n: w.shape for n, w in weights[1].items()}
     assert errors(cuda.surrogate.predict(theta), y).mae < np.abs(y - y.mean(axis=0)).mean()
     assert cuda.surrogate.jacobian(theta[0]).shape == (21, 1, 2)
+
+
+@pytest.mark.parametrize("variant", ["paper", "refined"])
+def test_a_training_loads_neither_torchs_compiler_nor_sympy(variant: str, tmp_path: Path) -> None:
+    script = f"""
+import sys
+import numpy as np
+from pelsvae.config import VARIANTS
+from pelsvae.surrogate import Surrogate
+from pelsvae.training import fit
+rows = np.linspace(1.0, 2.0, 8)[:, None], np.ones((8, 3, 1)) * np.linspace(0.0, 1.0, 8)[:, None, None]
+config = VARIANTS[{variant!r}].replace(max_epochs=2, device="cpu")
+fit(*rows, rows, config=config, seed=0).surrogate.save({str(tmp_path)!r})
+Surrogate.load({str(tmp_path)!r}).predict(rows[0])
+assert not {{"torch._dynamo", "sympy"}} & set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", script], check=True)
