@@ -1,196 +1,265 @@
-"""One row of the paper's Table 3, computed: starts side by side in processes, each a line on disk when done.
+"""SciPy's optimizers straight on the FMU, from the guess or from many starts (Tables 2 and 3, Fig. 8).
 
-The starts share no store of simulations: a million rows that nobody asks again are not worth keeping. An
-interruption loses the starts at work; differential evolution, a single long start, keeps a journal instead.
+"For all techniques from SciPy, default settings are used. Iterations are limited to reasonable values and
+tolerances are adapted to the FMU-settings" (Table 2): so defaults are used here, but for the limits and the
+tolerance that a row states. Calls are counted at the model, finite differences included, and not stored.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from datetime import UTC, datetime
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from queue import Queue
+from threading import Event
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import TypeAdapter
+from scipy.optimize import Bounds, differential_evolution, least_squares, minimize
+from scipy.special import ndtr, ndtri
+from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
-from simulation.file_lock import FileLock
-from studies.paper.direct_crew import OnStart, Task, compute_starts
-from studies.paper.direct_kept import KeptStarts
-from studies.paper.direct_optimizers import StartResult, thinned
-from studies.paper.direct_row import DirectRow, published_row, start_points
-from studies.stages.calibrate import write_arrays
+from simulation.counting import BudgetExceeded, CountingModel
+from simulation.forward_model import ForwardModel
+from simulation.measurement import Measurement
+from simulation.parameters import ParameterSpace
+from simulation.pool.pool_model import PoolModel
+from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Study, digest_of, read_json, write_json
-from studies.tracking.origin import versions
+
+Method = Literal["Powell", "Nelder-Mead", "SLSQP", "LS-TRF", "Differential evolution"]
+
+FAILED = 1e6
+"""MSE of a row that fails: worse than all others, and finite, so that no difference of two is NaN. [unit²]"""
+
+POPULATION = 15
+"""SciPy's default population of differential evolution, per parameter."""
 
 
-def direct_folder(study: Study) -> Path:
-    """Return where the rows and their starts lie."""
-    return study.results / "paper" / "direct"
-
-
-def run_direct_row(study: Study, row: DirectRow, on_start: OnStart | None = None) -> dict[str, Any]:
-    """Compute a row, or read it where it is finished; the starts that it shares with others are not repeated.
-
-    Args:
-        study: The study: case, window, processes, where results lie.
-        row: The row.
-        on_start: Told how far it is, after each start.
-
-    Returns:
-        The row's numbers; the same as in `<row.name>.json`, with arrays beside it in `<row.name>.npz`.
-
-    Raises:
-        InputError: Another command computes these starts right now.
-        StageError: The model cannot be run.
-    """
-    folder = direct_folder(study)
-    file = folder / f"{row.name}.json"
-    digest = digest_of({"row": asdict(row), **_inputs(study)})
-    finished = read_json(file)
-    if finished is not None and finished.get("digest") == digest and file.with_suffix(".npz").is_file():
-        return finished
-    starts = run_starts(study, row, on_start)
-    numbers, arrays = _summarize(study, row, starts)
-    write_arrays(file.with_suffix(".npz"), arrays)
-    numbers = {"digest": digest, **numbers}
-    write_json(file, numbers)
-    return numbers
-
-
-def run_starts(study: Study, row: DirectRow, on_start: OnStart | None = None) -> tuple[StartResult, ...]:
-    """Compute the starts of a row that no earlier run has finished, and return all of them in their order."""
-    folder = direct_folder(study)
-    lock = FileLock(folder / f"{row.series}.lock")
-    if not lock.try_acquire():
-        raise InputError(f"{row.series}: another command computes these starts; wait for it")
-    try:
-        digest = digest_of(_series_inputs(study, row))
-        kept = KeptStarts(folder / f"{row.series}.starts.jsonl", digest)
-        missing = [j for j in range(row.n_starts) if j not in kept.starts]
-        if missing:
-            # Differential evolution is one long start, which may not be lost. Its points are the same for
-            # any problem of these bounds, so that the journal's name says whose answers it holds.
-            is_long = row.method == "differential-evolution"
-            journal = folder / f"{row.series}.{digest[:16]}.journal" if is_long else None
-            task = Task(study.case.make_model, study.case.measurement, row, journal)
-            theta0 = start_points(study.case.parameter_space, row)
-
-            def tell() -> None:
-                if on_start is not None:
-                    on_start(sum(j < row.n_starts for j in kept.starts), row.n_starts)
-
-            compute_starts(task, study.n_jobs, kept, missing, theta0, tell)
-            for journal in folder.glob(f"{row.series}.*journal"):
-                journal.unlink()
-        return tuple(kept.starts[j] for j in range(row.n_starts))
-    finally:
-        lock.release()
-
-
-def row_over_seeds(
-    study: Study,
-    rows: Sequence[DirectRow],
-    teller: Callable[[DirectRow], OnStart | None] = lambda row: None,
-) -> dict[str, Any]:
-    """Compute a row with several seeds and say how far they differ.
+@dataclass(frozen=True)
+class Row:
+    """An optimizer coupled directly with the physical model.
 
     Args:
-        study: The study.
-        rows: The same row, each with its seed.
-        teller: Makes what is told how far a row is.
-
-    Returns:
-        Quartiles of MSE and calls, and each seed's own numbers.
+        method: SciPy's optimizer; LS-TRF gets signed residuals, the others the MSE.
+        n_starts: starting points: the first is the guess, the others are drawn.
+        seed: of the drawn starts, or of differential evolution.
+        max_calls: most model calls of one start; None for no limit but the optimizer's own.
+        tolerance: `tol` of `minimize` and of `differential_evolution`, `ftol` and `xtol` of `least_squares`;
+            None for SciPy's default.
+        is_squared: whether LS-TRF gets squared residuals as Table 2 says, which minimizes fourth powers.
+        in_unit_cube: whether the optimizer sees the unit cube in the scales of the case, not the parameters
+            as they are.
     """
-    found = [run_direct_row(study, row, teller(row)) for row in rows]
-    mse, calls = (np.array([one[key] for one in found], dtype=np.float64) for key in ("mse", "n_calls"))
-    return {
-        "seeds": [row.seed for row in rows],
-        "mse": mse.tolist(),
-        "n_calls": calls.tolist(),
-        "mse_quartiles": np.quantile(mse, [0.25, 0.5, 0.75]).tolist(),
-        "n_calls_quartiles": np.quantile(calls, [0.25, 0.5, 0.75]).tolist(),
-        "wall_s": float(sum(one["wall_s"] for one in found)),
-    }
+
+    method: Method
+    n_starts: int = 1
+    seed: int = 0
+    max_calls: int | None = None
+    tolerance: float | None = None
+    is_squared: bool = False
+    in_unit_cube: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the row's file."""
+        return digest_of(asdict(self))[:16]
+
+    @property
+    def title(self) -> str:
+        """The row as Table 3 calls it."""
+        form = ", squared residuals" if self.is_squared else ""
+        form += ", own scales" if self.in_unit_cube else ""
+        if self.method == "Differential evolution":
+            return self.method + form
+        return f"{self.method}, {'guess' if self.n_starts == 1 else f'{self.n_starts} starts'}{form}"
 
 
-def row_command(study: Study, row: DirectRow) -> str:
-    """Return the command that computes this row alone."""
-    return f"studies reproduce-paper {study.command} --only table3 --row {row.name}".replace("  ", " ")
+@dataclass(frozen=True)
+class Start:
+    """What one start came to.
+
+    Args:
+        theta: the best point it saw. Shape (p,). [per parameter]
+        mse: MSE there. [first output's unit squared]
+        n_calls: rows asked of the model.
+        reason: why it ended, in the optimizer's words.
+    """
+
+    theta: tuple[float, ...]
+    mse: float
+    n_calls: int
+    reason: str
 
 
-def _inputs(study: Study) -> dict[str, Any]:
-    space = study.case.parameter_space
-    return {
-        "case": study.case.digest,
-        "measurement": study.case.measurement.digest,
-        "is_log": space.is_log.tolist(),
-        "estimates": [parameter.estimate for parameter in space.parameters],
-    }
+def computed(study: Study, row: Row, folder: Path) -> tuple[Start, ...]:
+    """Compute all starts of a row, or read them where the row is finished.
 
-
-def _series_inputs(study: Study, row: DirectRow) -> dict[str, Any]:
-    """Return what decides every start of a series; how many there are does not."""
-    return {"row": {**asdict(row), "start": None}, **_inputs(study)}
-
-
-def _summarize(
-    study: Study, row: DirectRow, starts: Sequence[StartResult]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    names = study.case.parameter_space.names
-    mse = np.array([start.mse for start in starts])
-    best = starts[int(np.argmin(mse))]
-    published = published_row(row)
-    history = joined_history(starts)
-    few = np.sort(mse)[: max(1, round(0.05 * len(mse)))]
-    numbers = {
-        "name": row.name,
-        "title": row.title,
+    Args:
+        study: case, window, number of processes.
+        row: the row.
+        folder: where the file of each finished row lies.
+    """
+    case, file = study.case, folder / f"{row.name}.json"
+    inputs = {
         "row": asdict(row),
-        "command": row_command(study, row),
-        "label": study.label,
-        "case_sha256": study.case.digest,
-        "measurement_sha256": study.case.measurement.digest,
-        "mse": float(best.mse),
-        "n_calls": sum(start.n_calls for start in starts),
-        "wall_s": round(sum(start.wall_s for start in starts), 3),
-        "n_starts": len(starts),
-        "best_start": int(np.argmin(mse)),
-        "theta": dict(zip(names, best.theta.tolist(), strict=True)),
-        "mse_of_the_guess": float(starts[0].mse),
-        "mse_median": float(np.median(mse)),
-        "mse_mean": float(np.mean(mse)),
-        "mse_best_5_percent": float(np.mean(few)),
-        "reasons": _tally([start.reason for start in starts]),
-        "history": thinned(history).tolist(),
-        "paper": None if published is None else asdict(published),
-        "versions": versions(),
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "case": case.digest,
+        "measurement": case.measurement.digest,
+        **declared_inputs(case),
     }
-    arrays = {
-        "theta0": np.array([start.theta0 for start in starts]),
-        "theta": np.array([start.theta for start in starts]),
-        "mse": mse,
-        "n_calls": np.array([start.n_calls for start in starts]),
-        "wall_s": np.array([start.wall_s for start in starts]),
-        "history_calls": history[:, 0].astype(np.int64),
-        "history_mse": history[:, 1],
-    }
-    return numbers, arrays
+    digest, kept = digest_of(inputs), read_json(file)
+    if kept is not None and kept.get("digest") == digest:
+        return TypeAdapter(tuple[Start, ...]).validate_python(kept["starts"])
+    points, stop = start_points(case.parameter_space, row), Event()
+    with ExitStack() as opened:
+        models = Queue[PoolModel]()
+        for _ in range(min(study.n_jobs, row.n_starts)):
+            models.put(opened.enter_context(PoolModel(case.make_model, 1, policy=case.policy)))
+
+        def work(theta0: FloatArray) -> Start:
+            model = models.get()
+            try:
+                return minimize_from(model, case.measurement, row, theta0, stop)
+            finally:
+                models.put(model)
+
+        executor = opened.enter_context(ThreadPoolExecutor(models.qsize()))
+        # After Ctrl-C or a failure no start goes on.
+        opened.callback(executor.shutdown, wait=False, cancel_futures=True)
+        opened.callback(stop.set)
+        opened.enter_context(threadpool_limits(1))
+        advance = opened.enter_context(study.console.progress(row.title, row.n_starts))
+        futures = [executor.submit(work, theta0) for theta0 in points]
+        for n_done, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            advance(n_done, row.n_starts)
+    starts = tuple(future.result() for future in futures)
+    write_json(
+        file, {"digest": digest, "title": row.title, **inputs, "starts": [asdict(one) for one in starts]}
+    )
+    return starts
 
 
-def joined_history(starts: Sequence[StartResult]) -> FloatArray:
-    """Return calls and best MSE of starts that were made one after the other. Shape (h, 2)."""
-    paid, best, entries = 0, np.inf, []
-    for start in starts:
-        for calls, mse in start.history:
-            if mse < best:
-                best = float(mse)
-                entries.append((paid + calls, best))
-        paid += start.n_calls
-    return np.array([*entries, (paid, best)], dtype=np.float64)
+def start_points(space: ParameterSpace, row: Row) -> FloatArray:
+    """Draw the starting points as the paper's Table 2 does: the guess, then normal draws around it.
+
+    The paper's "variance 0.5 (theta+ - theta-)" has the unit of a standard deviation and is read as one.
+    "Repeated until a combination within the bounds is found" keeps the
+    parameters independent: each is a normal variable truncated at its bounds, drawn here by its inverse.
+    Start j depends on the seed and j alone.
+
+    Args:
+        space: The parameters; one without an estimate starts in the middle of its box.
+        row: Number of starts and seed.
+
+    Returns:
+        Starting points. Shape (s, p). [per parameter]
+    """
+    guess = space.expected
+    sigma = 0.5 * (space.upper - space.lower)
+    low, high = ndtr((space.lower - guess) / sigma), ndtr((space.upper - guess) / sigma)
+    starts = np.empty((row.n_starts, space.n_parameters))
+    starts[0] = guess
+    for j in range(1, row.n_starts):
+        u = np.random.default_rng([row.seed, j]).random(space.n_parameters)
+        starts[j] = guess + sigma * ndtri(low + u * (high - low))
+    return np.clip(starts, space.lower, space.upper)
 
 
-def _tally(words: Sequence[str]) -> dict[str, int]:
-    return {word: words.count(word) for word in sorted(set(words), key=lambda w: (-words.count(w), w))}
+class _Asked:
+    """The model as an optimizer sees it: counted, in its coordinates, the best point kept."""
+
+    def __init__(self, model: ForwardModel, measurement: Measurement, row: Row, stop: Event | None) -> None:
+        self._counter = CountingModel(model, row.max_calls)
+        self._measurement = measurement
+        self._row = row
+        self._stop = stop
+        self.space = model.parameter_space
+        self.best_mse = np.inf
+        self.best_theta: FloatArray = np.full(self.space.n_parameters, np.nan)
+
+    @property
+    def n_calls(self) -> int:
+        return self._counter.n_calls
+
+    @property
+    def bounds(self) -> Bounds:
+        if self._row.in_unit_cube:
+            return Bounds(np.zeros(self.space.n_parameters), np.ones(self.space.n_parameters))
+        return Bounds(self.space.lower, self.space.upper)
+
+    def residuals(self, x: FloatArray) -> FloatArray:
+        """Return the residuals at a point, those of a failure large and finite. Shape (m,)."""
+        if self._stop is not None and self._stop.is_set():
+            raise BudgetExceeded("the command was interrupted")
+        unit = self._row.in_unit_cube
+        theta = self.space.from_unit(x) if unit else np.clip(x, self.space.lower, self.space.upper)
+        answer = self._counter.simulate(theta[None])
+        residuals = self._measurement.compared(answer.y)[0]
+        if answer.failures[0] or not np.all(np.isfinite(residuals)):
+            residuals = np.full(self._measurement.n_samples, np.sqrt(FAILED))
+        mse = float(np.mean(residuals**2))
+        if mse < self.best_mse:
+            self.best_mse, self.best_theta = mse, theta.copy()
+        handed: FloatArray = residuals**2 if self._row.is_squared else residuals
+        return handed
+
+    def mse(self, x: FloatArray) -> float:
+        return float(np.mean(self.residuals(x) ** 2))
+
+
+def minimize_from(
+    model: ForwardModel, measurement: Measurement, row: Row, theta0: FloatArray, stop: Event | None = None
+) -> Start:
+    """Let an optimizer go from one starting point.
+
+    Args:
+        model: The physical model.
+        measurement: What it is compared with.
+        row: Which optimizer, with which objective and coordinates.
+        theta0: Starting point; differential evolution does without. Shape (p,). [per parameter]
+        stop: Ends the search early when it is set.
+
+    Returns:
+        The best point it saw, whether or not the optimizer was content.
+    """
+    asked = _Asked(model, measurement, row, stop)
+    x0 = asked.space.to_unit(theta0) if row.in_unit_cube else theta0
+    solve = {"LS-TRF": _least_squares, "Differential evolution": _evolve}.get(row.method, _minimize)
+    try:
+        reason = solve(asked, row, x0)
+    except BudgetExceeded as over:
+        reason = str(over)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        reason = f"the optimizer failed: {error}"
+    return Start(tuple(asked.best_theta.tolist()), float(asked.best_mse), asked.n_calls, reason)
+
+
+def _least_squares(asked: _Asked, row: Row, x0: FloatArray) -> str:
+    tol = 1e-8 if row.tolerance is None else row.tolerance  # SciPy's default of both
+    bounds = (asked.bounds.lb, asked.bounds.ub)
+    return str(least_squares(asked.residuals, x0, bounds=bounds, method="trf", ftol=tol, xtol=tol).message)
+
+
+def _minimize(asked: _Asked, row: Row, x0: FloatArray) -> str:
+    # SLSQP has a limit of iterations instead, 100 by default.
+    options: Any = {} if row.max_calls is None or row.method == "SLSQP" else {"maxfev": row.max_calls}
+    solver: Any = minimize  # the method is no literal here
+    found = solver(asked.mse, x0, method=row.method, bounds=asked.bounds, tol=row.tolerance, options=options)
+    return str(found.message)
+
+
+def _evolve(asked: _Asked, row: Row, x0: FloatArray) -> str:
+    generations = 1000 if row.max_calls is None else row.max_calls // (POPULATION * len(x0)) - 1
+    # Without SciPy's closing L-BFGS-B, as the paper's count tells.
+    found = differential_evolution(
+        asked.mse,
+        asked.bounds,
+        popsize=POPULATION,
+        maxiter=max(1, generations),
+        tol=0.01 if row.tolerance is None else row.tolerance,
+        polish=False,
+        rng=np.random.default_rng(row.seed),
+    )
+    return str(found.message)

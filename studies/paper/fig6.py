@@ -1,109 +1,322 @@
-"""Fig. 6: every trial's error over the training-set size, and how much hyperparameters matter at each."""
+"""Fig. 6: every trial's error over the training-set size, the best of each starred, PCA + GP as a line."""
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from studies.paper.fig6_shown import shown
-from studies.paper.fig6_sizes import SizeTrials, Tuning, read_trials, tuning_of
-from studies.paper.plan import FAITHFUL_PROFILE, FAITHFUL_TRAINING_S, SIMULATIONS_PER_S, Plan
-from studies.paper.result import ItemResult, item_folder
-from studies.paper.size_files import Origin, origin_of, write_sizes
-from studies.paper.tuned import Tuned, tune_sizes
-from studies.profile import Profile, load_profile
+from simulation.arrays import FloatArray
+from simulation.errors import InputError
+from studies.paper.items import Shown
+from studies.paper.plan import Plan
+from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
+from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
+from studies.report.figures_tuning import mae_over_n_figure
+from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.row_set import RowSet
-from studies.stages.pipeline import Study
-from studies.stages.simulate import set_files
+from studies.search_space import SearchParameter
+from studies.stages.learn import tune_stage
+from studies.stages.pipeline import Outcome, Study
+from studies.stages.simulate import set_files, simulate_stage
 from studies.stages.tuned_trials import tuned_by_size
+from studies.tuning.results import TrialView, TunedStudy, importances
+
+COLUMNS = (
+    "n_train", "trials", "pruned", "MAE", "P90", "n_latent", "n_hidden", "beta", "learning_rate",
+    "MAE untuned", "gain", "PCA+GP MAE", "PCA+GP P90", "faithful MAE", "mean's MAE", "paper MAE",
+)  # fmt: skip
+SETTINGS = ("n_latent", "n_hidden", "beta", "learning_rate")
 
 
-def inputs(plan: Plan) -> dict[str, Any]:
-    """Return all that decides the result."""
-    budget = plan.budget
-    beside = {"trials": budget.faithful_trials, "tuning": _tuning(load_profile(FAITHFUL_PROFILE))}
-    return {
-        "n_train": list(budget.n_train),
-        "trials": budget.trials,
-        "tuning": _tuning(plan.study.profile),
-        "faithful": beside if budget.faithful_trials else None,
-    }
+@dataclass(frozen=True)
+class Trial:
+    """One trial that has ended.
 
-
-def estimate_s(plan: Plan) -> float:
-    """Estimate how long it takes from nothing. [s]."""
-    budget = plan.budget
-    n_rows = max(budget.n_train) + 640
-    faithful_s = 0.0
-    if budget.faithful_trials:
-        faithful_s = plan.training_s(plan.faithful_sizes, budget.faithful_trials, FAITHFUL_TRAINING_S)
-    return plan.training_s(budget.n_train, budget.trials) + faithful_s + n_rows / SIMULATIONS_PER_S
-
-
-def run(plan: Plan) -> ItemResult:
-    """Tune every size on the window of Fig. 6, the faithful form beside it, and compare all trials."""
-    budget = plan.budget
-    tuned = tune_sizes(plan.hyperparameter_study(), budget.trials)
-    found = [(tuned, budget.trials)]
-    if budget.faithful_trials:
-        faithful = tune_sizes(plan.faithful_study(), budget.faithful_trials)
-        found.append((faithful, budget.faithful_trials))
-    origin, sizes = collected(plan, *(one for one, _ in found))
-    result = shown(origin, sizes)
-    files = write_sizes(item_folder(plan.study, "fig6"), origin, sizes)
-    commands = tuple(command for one, trials in found for command in one.commands(trials))
-    return replace(result, files=files, uses=commands)
-
-
-def drawn_from(folder: Path) -> tuple[Origin, ItemResult]:
-    """Return the same from the files of an earlier run, without simulations and trainings.
-
-    Raises:
-        InputError: the files cannot be read, or do not belong together.
+    Args:
+        number: Optuna's number of the trial.
+        state: "complete", "pruned" or "failed".
+        proposed_by: "default", "profile", "start-up" or the sampler's name.
+        params: its hyperparameters.
+        val_mae: validation MAE; of a pruned trial the last one reported. [output's unit]
+        val_p90: 90th percentile on the validation set, of a complete trial. [output's unit]
+        test_mae: test MAE of a complete trial. [output's unit]
+        test_p90: 90th percentile on the test set, of a complete trial. [output's unit]
+        n_epochs: epochs trained.
+        best_epoch: epoch whose weights were kept; 0 unless complete.
+        wall_s: duration of the training. [s]
     """
+
+    number: int
+    state: str
+    proposed_by: str
+    params: dict[str, float | int | str | bool]
+    val_mae: float | None
+    val_p90: float | None
+    test_mae: float | None
+    test_p90: float | None
+    n_epochs: int
+    best_epoch: int
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """An Optuna study: one form of the surrogate, one training-set size.
+
+    Args:
+        surrogate: the form, for example "refined".
+        study: name of the Optuna study; its end is the digest of all that decides the trials.
+        n_planned: trials it shall have.
+        settings: settings that its trials share, where a trial has no other.
+        search: search space, as JSON values by hyperparameter.
+        sampler: Optuna's sampler: its name and arguments.
+        pruner: the pruner: its name and arguments.
+        trials: its trials that have ended.
+    """
+
+    surrogate: str
+    study: str
+    n_planned: int
+    settings: dict[str, Any]
+    search: dict[str, dict[str, Any]]
+    sampler: dict[str, Any]
+    pruner: dict[str, Any]
+    trials: tuple[Trial, ...]
+
+    @cached_property
+    def best(self) -> Trial:
+        """The complete trial of least validation error."""
+        complete = [trial for trial in self.trials if trial.state == "complete"]
+        return min(complete, key=lambda trial: (_known(trial.val_mae), trial.number))
+
+    def setting(self, trial: Trial, name: str) -> float | int:
+        """Return a number among the settings of a trial's surrogate."""
+        number: float | int = {**self.settings, **trial.params}[name]
+        return number
+
+
+@dataclass(frozen=True)
+class SizeTrials:
+    """All trials of one training-set size.
+
+    Args:
+        n_train: training-set size.
+        mean_predictor_mae: test error of predicting the training set's mean trajectory. [output's unit]
+        networks: the surrogate of the profile.
+        faithful: the form of the paper beside it, None without.
+        pca_gp: PCA + GP, fitted once, None without.
+    """
+
+    n_train: int
+    mean_predictor_mae: float
+    networks: Tuning
+    faithful: Tuning | None
+    pca_gp: Tuning | None
+
+
+def run(plan: Plan) -> Shown:
+    """Tune every size on the window of Fig. 6, the faithful form beside it, and show all trials."""
+    study, beside = plan.hyperparameter_study(), plan.faithful_study()
+    simulated = tune_sizes(study, plan.budget.trials_of)
+    if beside is not None:
+        tune_sizes(beside, plan.budget.faithful_trials_of)
+    networks, pca_gp = _tunings(study), _tunings(study, baseline=True)
+    faithful = {} if beside is None else _tunings(beside)
+    mean_mae = _mean_predictor(study, simulated)
+    sizes = [
+        SizeTrials(n, mean_mae[n], networks[n], faithful.get(n), pca_gp.get(n)) for n in sorted(networks)
+    ]
+    origin = origin_of(plan, study, "fig6")
+    for size in sizes:
+        write_size(plan.folder("fig6"), origin, size.n_train, size)
+    return shown(origin, sizes)
+
+
+def drawn_from(folder: Path) -> tuple[Origin, Shown]:
+    """Return the same from the files of an earlier run, without simulations and trainings."""
     origin, sizes = read_trials(folder)
     return origin, shown(origin, sizes)
 
 
-def collected(plan: Plan, tuned: Tuned, faithful: Tuned | None = None) -> tuple[Origin, list[SizeTrials]]:
-    """Return all trials of all sizes that have a complete one, the smallest size first.
+def read_trials(folder: Path) -> tuple[Origin, tuple[SizeTrials, ...]]:
+    """Read the trials of all sizes of a folder, the smallest size first.
+
+    Raises:
+        InputError: there is none, one cannot be read, or they belong to different studies.
+    """
+    files = size_files(folder)
+    if not files:
+        raise InputError(f"{folder} holds no trials of Fig. 6; name a folder with files such as n0032.json")
+    return read_sizes(files, SizeTrials)
+
+
+def tune_sizes(study: Study, trials_of: Callable[[int], int]) -> Outcome:
+    """Simulate the sets of a study and tune all its sizes.
 
     Args:
-        plan: what is repeated.
-        tuned: the surrogate of the profile.
-        faithful: the form of the paper, None without.
+        study: the study, with all sizes.
+        trials_of: returns the trials of a size.
+
+    Returns:
+        What was simulated.
     """
-    study = tuned.study
-    origin = origin_of(plan, study, "fig6")
-    networks = _tunings(study)
-    beside = {} if faithful is None else _tunings(faithful.study)
-    pca_gp = _tunings(study, baseline=True)
-    sizes = [
-        SizeTrials(n, mean, networks[n], beside.get(n), pca_gp.get(n))
-        for n, mean in _mean_predictor(tuned).items()
-        if n in networks
-    ]
-    return origin, sizes
+    wanted = {n: trials_of(n) for n in study.profile.data.n_train}
+    simulated = simulate_stage(study)
+    # Breadth first: an interruption leaves something of every size.
+    for n_trials in sorted(set(wanted.values())):
+        profile = study.profile
+        data = replace(profile.data, n_train=tuple(n for n in wanted if wanted[n] >= n_trials))
+        profile = replace(profile, data=data, tuning=replace(profile.tuning, n_trials=n_trials))
+        tune_stage(replace(study, profile=profile), simulated)
+    return simulated
 
 
-def _tunings(study: Study, *, baseline: bool = False) -> dict[int, Tuning]:
-    found = {n: tuning_of(one) for n, one in tuned_by_size(study, baseline=baseline).items()}
-    return {n: one for n, one in found.items() if one is not None}
+def shown(origin: Origin, sizes: Sequence[SizeTrials]) -> Shown:
+    """Return Fig. 6.
+
+    Args:
+        origin: where the sizes come from.
+        sizes: all trials by size, the smallest first.
+    """
+    window = f"days {origin.window_d[0]:g} to {origin.window_d[1]:g}"
+    published = {n: (mae,) for n, mae in FIG_6_MAE.items()} | {FIG_6_RANGE[0]: FIG_6_RANGE[1:]}
+
+    def draw(folder: Path) -> list[Path]:
+        picture = mae_over_n_figure(
+            _record(sizes), folder / "mae-over-n.png", unit=origin.unit, published=published,
+            footnote=f"{origin.label}, {window}", beside=_lines(sizes),
+        )  # fmt: skip
+        return [picture]
+
+    return Shown(
+        f"Fig. 6: hyperparameters tuned on {window}; test errors [{origin.unit}] of the best by validation",
+        COLUMNS,
+        tuple(map(_row, sizes)),
+        draw,
+        {"importances": importances_by_size(sizes)},
+    )
 
 
-def _tuning(profile: Profile) -> dict[str, Any]:
-    tuning: dict[str, Any] = profile.to_dict()["tuning"]
-    return {key: value for key, value in tuning.items() if key != "n_trials"}
+def _row(size: SizeTrials) -> tuple[float | int | None, ...]:
+    tuning, best = size.networks, size.networks.best
+    default = next((t for t in tuning.trials if t.proposed_by == "default" and t.state == "complete"), None)
+    beside = None if size.pca_gp is None else size.pca_gp.best
+    return (
+        size.n_train,
+        len(tuning.trials),
+        sum(trial.state == "pruned" for trial in tuning.trials),
+        best.test_mae,
+        best.test_p90,
+        *(tuning.setting(best, name) for name in SETTINGS),
+        None if default is None else default.test_mae,
+        None if default is None else 1.0 - _known(best.test_mae) / _known(default.test_mae),
+        None if beside is None else beside.test_mae,
+        None if beside is None else beside.test_p90,
+        None if size.faithful is None else size.faithful.best.test_mae,
+        size.mean_predictor_mae,
+        FIG_6_MAE.get(size.n_train),
+    )
 
 
-def _mean_predictor(tuned: Tuned) -> dict[int, float]:
+def importances_by_size(sizes: Sequence[SizeTrials]) -> dict[str, dict[str, float]]:
+    """Return the importance of each hyperparameter by size, and over all sizes together. [1].
+
+    Pruned trials count with their last validation error. Over all sizes the error is that divided by the best
+    of the size.
+    """
+    found: dict[str, dict[str, float]] = {}
+    points: list[dict[str, Any]] = []
+    ratios: list[float] = []
+    space = {name: SearchParameter(**one) for name, one in sizes[0].networks.search.items()}
+    for size in sizes:
+        judged = [trial for trial in size.networks.trials if trial.val_mae is not None and trial.params]
+        here, values = [trial.params for trial in judged], [_known(trial.val_mae) for trial in judged]
+        found[str(size.n_train)] = importances(here, values, space)
+        points += here
+        ratios += [value / _known(size.networks.best.val_mae) for value in values]
+    return {**found, "all": importances(points, ratios, space)}
+
+
+def _record(sizes: Sequence[SizeTrials]) -> TrialsRecord:
+    trials = [(size, trial) for size in sizes for trial in size.networks.trials]
+    return TrialsRecord(
+        n_train=np.array([size.n_train for size, _ in trials], dtype=np.int64),
+        state=tuple(trial.state for _, trial in trials),
+        validation_mae=_floats([trial.val_mae for _, trial in trials]),
+        test_mae=_floats([trial.test_mae for _, trial in trials]),
+        test_p90=_floats([trial.test_p90 for _, trial in trials]),
+        is_best=np.array([trial is size.networks.best for size, trial in trials]),
+    )
+
+
+def _lines(sizes: Sequence[SizeTrials]) -> list[ErrorLine]:
+    lines = []
+    for name, tunings in (
+        ("PCA + GP", {size.n_train: size.pca_gp for size in sizes}),
+        ("faithful form, its best", {size.n_train: size.faithful for size in sizes}),
+    ):
+        best = {n: tuning.best for n, tuning in tunings.items() if tuning is not None}
+        mae, p90 = (_floats([getattr(one, key) for one in best.values()]) for key in ("test_mae", "test_p90"))
+        lines.append(ErrorLine(name, np.array(list(best), dtype=np.int64), mae, p90))
+    return [line for line in lines if len(line.n_train)]
+
+
+def _known(error: float | None) -> float:
+    return np.inf if error is None else error
+
+
+def _floats(values: Sequence[float | None]) -> FloatArray:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _mean_predictor(study: Study, simulated: Outcome) -> dict[int, float]:
     """Return the test error of predicting the training set's mean trajectory, by size. [output's unit]."""
-    files = set_files(tuned.study, tuned.simulated.summary)
-    scales = tuned.study.case.measurement.error_scales
-    train, test = RowSet.load(files["train"]).read().y, RowSet.load(files["test"]).read().y
+    files = set_files(study, simulated.summary)
+    scales = study.case.measurement.error_scales
+    train, test = (RowSet.load(files[name]).read().y for name in ("train", "test"))
     test = test[np.isfinite(test).all(axis=(1, 2))]
     return {
         n: float(np.mean(np.abs(np.nanmean(train[:n], axis=0) - test) * scales))
-        for n in sorted(tuned.study.profile.data.n_train)
+        for n in study.profile.data.n_train
     }
+
+
+def _tunings(study: Study, *, baseline: bool = False) -> dict[int, Tuning]:
+    found = tuned_by_size(study, baseline=baseline)
+    return {n: _tuning(one) for n, one in found.items() if one.best is not None}
+
+
+def _tuning(study: TunedStudy) -> Tuning:
+    spec = study.spec
+    # A complete trial without a run was added by hand and has no errors on the test set.
+    ended = [trial for trial in study.trials if trial.state in ("complete", "pruned", "failed")]
+    ours = [trial for trial in ended if trial.run_id or trial.state != "complete"]
+    return Tuning(
+        surrogate=spec.surrogate,
+        study=spec.name,
+        n_planned=study.n_planned,
+        settings=spec.settings,
+        search=spec.search,
+        sampler=spec.sampler,
+        pruner=spec.pruner,
+        trials=tuple(map(_trial, ours)),
+    )
+
+
+def _trial(trial: TrialView) -> Trial:
+    return Trial(
+        number=trial.number,
+        state=trial.state,
+        proposed_by=trial.proposed_by,
+        params=dict(trial.params),
+        val_mae=trial.value,
+        val_p90=trial.metrics.get("val/p90"),
+        test_mae=trial.metrics.get("test/mae"),
+        test_p90=trial.metrics.get("test/p90"),
+        n_epochs=trial.n_epochs,
+        best_epoch=trial.best_epoch,
+        wall_s=round(trial.wall_s, 1),
+    )

@@ -1,218 +1,86 @@
-"""Fig. 8 and sec. 3.3.2: is the calibration unique, which parameters compensate each other, and why."""
+"""Fig. 8 and sec. 3.3.2: is the calibration unique? Many starts of LS-TRF, and their optima in clusters."""
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
-from numpy.typing import NDArray
+import numpy as np
+from scipy.cluster.vq import kmeans2
 
-from studies.paper.direct import direct_folder
-from studies.paper.plan import DIRECT_CALLS_PER_S, Plan
-from studies.paper.result import Agreement, ItemResult
-from studies.paper.uniqueness import (
-    BEST_PAPER,
-    BEST_SHARE,
-    MEAN_PAPER,
-    N_LARGEST,
-    run_uniqueness,
-    uniqueness_rows,
-)
-from studies.report.figures_uniqueness import (
-    Bundle,
-    BundlePanel,
-    identifiability_figure,
-    parallel_coordinates_figure,
-)
-from studies.report.page import Picture
-from studies.report.tables import Column, Table
-from studies.report.wording import count, difference_unit, listed, percent, quantity, squared
-from studies.stages.results import read_arrays
+from simulation.arrays import FloatArray, IntArray
+from studies.paper.direct import Start, computed
+from studies.paper.items import Cell, Shown
+from studies.paper.plan import Plan
+from studies.paper.published import FIG_8_BEST, FIG_8_MEAN
+from studies.paper.table3 import SETTINGS
+from studies.report.drawing import SERIES, drawing, legend, shortened
+from studies.report.wording import difference_unit, squared
 
-CALLS_PER_START = 750
-CLOSE = 1.1
-"""Within this factor the best 5 % count as good as the paper's."""
-
-KINDS = {
-    "paper": "signed residuals, physical parameters, the paper's tolerance",
-    "squared": "squared residuals",
-    "patient": "own scales, SciPy's tolerance",
-}
-
-Found = dict[str, Any]
+N_CLUSTERS, N_LARGEST, BEST_SHARE = 10, 3, 0.05
+"""The paper's numbers of centroids and of clusters shown, and its best 5 %."""
 
 
-def inputs(plan: Plan) -> dict[str, Any]:
-    """Return all that decides the result."""
-    rows = uniqueness_rows(plan.study.profile.seed, plan.budget.max_starts)
-    return {"rows": {kind: row.name for kind, row in rows.items()}}
-
-
-def estimate_s(plan: Plan) -> float:
-    """Estimate how long it takes from nothing. [s]."""
-    return len(KINDS) * plan.budget.max_starts * CALLS_PER_START / DIRECT_CALLS_PER_S
-
-
-def run(plan: Plan) -> ItemResult:
-    """Start LS-TRF from many points in three ways, cluster the optima and differentiate at the best one."""
-    study = plan.study
-    rows = uniqueness_rows(study.profile.seed, plan.budget.max_starts)
-    found: dict[str, Found] = {}
-    with study.console.bars() as bars:
-        for kind, row in rows.items():
-
-            def tell(n_done: int, n_starts: int, kind: str = kind) -> None:
-                bars(KINDS[kind], n_done, n_starts)
-
-            found[kind] = run_uniqueness(study, row, tell)
-    arrays = read_arrays(direct_folder(study) / f"{rows['paper'].name}.uniqueness.npz")
-    patient = read_arrays(direct_folder(study) / f"{rows['patient'].name}.uniqueness.npz")
-    names = study.case.parameter_space.names
+def run(plan: Plan) -> Shown:
+    """Start LS-TRF as in the paper, and with SciPy's tolerance in the case's own scales."""
+    study, n_starts = plan.study, plan.budget.n_starts
+    paper = replace(SETTINGS["LS-TRF"], n_starts=n_starts, seed=study.profile.seed)
+    # The second tells minima from searches that stopped early.
+    rows = (paper, replace(paper, in_unit_cube=True, tolerance=None))
+    found = [(row.title, computed(study, row, plan.folder("fig8"))) for row in rows]
+    space, starts = study.case.parameter_space, found[0][1]
+    u = space.to_unit(np.array([one.theta for one in starts]))
+    best = np.argsort([one.mse for one in starts], kind="stable")[: _n_best(len(starts))]
     unit = squared(difference_unit(study.case.outputs[0].unit))
-    agreement, verdict = _verdict(found, unit)
-    local = found["patient"]["identifiability"]
-    return ItemResult(
-        agreement=agreement,
-        verdict=verdict,
-        numbers={kind: _kept(numbers) for kind, numbers in found.items()},
-        paper={"mse_mean": MEAN_PAPER, "mse_best_5_percent": BEST_PAPER, "in_3_largest_clusters": [110, 256]},
-        tables=(_starts_table(found, unit), _parameters_table(found, names)),
-        pictures=(
-            Picture(
-                "optima",
-                "The optima of the paper's starts",
-                _clusters_caption(found["paper"], unit),
-                lambda path: parallel_coordinates_figure(
-                    names, _panels(arrays, found["paper"]), path, title=_title(found["paper"], unit),
-                    footnote=study.label,
-                ),
-            ),
-            Picture(
-                "identifiability",
-                "What the data determine at the best optimum",
-                _local_caption(local),
-                lambda path: identifiability_figure(
-                    names,
-                    patient["local_correlation"],
-                    patient["local_spread"],
-                    patient["singular_values"],
-                    path,
-                    title=f"The data determine {local['n_determined_directions']} of {len(names)} "
-                    f"combinations of parameters, and {len(local['determined'])} parameters",
-                    footnote=study.label,
-                ),
-            ),
-        ),
-        n_calls={f"starts, {KINDS[kind]}": numbers["n_calls"] for kind, numbers in found.items()},
-        work_s=sum(numbers["wall_s"] for numbers in found.values()),
-        seeds={"starts and clusters": study.profile.seed},
-        settings=(
-            ("starts", str(plan.budget.max_starts)),
-            ("centroids", str(len(found["paper"]["clusters"]))),
-        ),
-        metrics={f"mse_mean/{kind}": numbers["mse_mean"] for kind, numbers in found.items()},
-        uses=tuple(f"LS-TRF, {KINDS[kind]}: {row.name}" for kind, row in rows.items()),
-    )  # fmt: skip
-
-
-def _kept(numbers: Found) -> Found:
-    return {key: part for key, part in numbers.items() if key not in ("digest", "command")}
-
-
-def _panels(arrays: dict[str, NDArray[Any]], found: Found) -> list[BundlePanel]:
-    u, labels = arrays["u"], arrays["labels"]
-    largest = tuple(
-        Bundle(f"cluster {k + 1}", u[labels == k]) for k in range(min(N_LARGEST, len(found["clusters"])))
-    )
-    n = sum(len(bundle.u) for bundle in largest)
-    best = Bundle(f"best {percent(BEST_SHARE)}", u[arrays["best"]])
-    return [
-        BundlePanel(f"(a) The {len(largest)} largest clusters, {n} of {len(u)} optima", largest),
-        BundlePanel("(b) The best optima", (best,)),
-    ]
-
-
-def _starts_table(found: dict[str, Found], unit: str) -> Table:
-    columns = (
-        Column("kind", "starts"),
-        Column("n_calls", "model calls"),
-        Column("mse_best", "best MSE", unit),
-        Column("mse_best_5_percent", "best 5 %", unit),
-        Column("mse_median", "median", unit),
-        Column("mse_mean", "mean", unit),
-        Column("n_at_best", "within 1 % of the best"),
-    )
-    keys = [column.key for column in columns[1:]]
-    rows = [(KINDS[kind], *(numbers[key] for key in keys)) for kind, numbers in found.items()]
-    rows.append(("paper", None, None, BEST_PAPER, None, MEAN_PAPER, None))
-    title = f"{count(found['paper']['n_starts'])} starts of LS-TRF"
-    return Table("starts", title, columns, tuple(rows))
-
-
-def _parameters_table(found: dict[str, Found], names: tuple[str, ...]) -> Table:
-    local = found["patient"]["identifiability"]
-    columns = (
-        Column("parameter", "parameter"),
-        Column("best", "at the best optimum"),
-        Column("spread", "standard deviation / range"),
-        Column("range_of_best", "span of the best 5 % / range"),
-        Column("determined", "determined"),
-    )
-    rows = tuple(
+    return Shown(
+        f"Fig. 8: optima of many starts; MSE [{unit}]",
+        ("starts", "calls", "best MSE", "best 5 %", "median", "mean", "within 1 % of the best"),
         (
-            name,
-            local["theta"][name],
-            local["spread"][name],
-            found["patient"]["spread_over_best"][name],
-            "yes" if name in local["determined"] else "no",
-        )
-        for name in names
-    )
-    return Table("parameters", "What the data say of each parameter, patient starts", columns, rows)
-
-
-def _title(found: Found, unit: str) -> str:
-    return (
-        f"{count(found['n_starts'])} starts end at {quantity(found['mse_best'], unit)} to a mean of "
-        f"{quantity(found['mse_mean'], unit)}"
+            *((title, *_numbers(starts)) for title, starts in found),
+            ("the paper", None, None, FIG_8_BEST, None, FIG_8_MEAN, None),
+        ),
+        lambda folder: [_picture(space.names, u, best, folder / "optima.png", study.label)],
     )
 
 
-def _clusters_caption(found: Found, unit: str) -> str:
-    largest = found["clusters"][:N_LARGEST]
-    said = [f"{one['size']} optima, median {quantity(one['mse_median'], unit)}" for one in largest]
-    return f"The largest clusters: {listed(said)}. Each line is one optimum, from lower to upper bound."
+def _n_best(n_starts: int) -> int:
+    return max(1, round(BEST_SHARE * n_starts))
 
 
-def _local_caption(local: Found) -> str:
-    pairs = [pair["in_words"] for pair in local["pairs"][:6]]
-    missing = listed(local["not_determined"]) or "none"
-    return (
-        f"At the best optimum, from the Jacobian. Pairs whose estimates compensate each other: "
-        f"{'; '.join(pairs) or 'none'}. Not determined by the data alone: {missing}."
-    )
+def _numbers(starts: Sequence[Start]) -> tuple[Cell, ...]:
+    mse = np.sort([one.mse for one in starts])
+    means = (float(mse[: _n_best(len(mse))].mean()), float(np.median(mse)), float(mse.mean()))
+    return sum(one.n_calls for one in starts), float(mse[0]), *means, int(np.sum(mse <= 1.01 * mse[0]))
 
 
-def _verdict(found: dict[str, Found], unit: str) -> tuple[Agreement, str]:
-    paper, patient = found["paper"], found["patient"]
-    best, mean = paper["mse_best_5_percent"], paper["mse_mean"]
-    good = best <= CLOSE * BEST_PAPER
-    spread = mean > 1.5 * best
-    pairs = [pair["in_words"] for pair in paper["pairs_over_optima"][:4]]
-    local = [pair["in_words"] for pair in patient["identifiability"]["pairs"][:4]]
-    n = patient["n_starts"]
-    one_minimum = patient["n_at_best"] > 0.5 * n
-    parts = [
-        f"The best 5 % of {count(paper['n_starts'])} starts end at {quantity(best, unit)} on average (paper: "
-        f"{BEST_PAPER}), all of them at {quantity(mean, unit)} (paper: {MEAN_PAPER}).",
-        f"Over the good optima these move together: {'; '.join(pairs) or 'no pair'}. The Jacobian at the "
-        f"best optimum names {'; '.join(local) or 'no pair'}: the data determine their combination alone. "
-        "The paper names cExt1 against rExt2.",
-        f"With SciPy's tolerance and the parameters' own scales {patient['n_at_best']} of {n} starts end "
-        f"within 1 % of {quantity(patient['mse_best'], unit)}",
-    ]
-    parts[-1] += (
-        ": most of what the paper reads as local minima are searches that stopped early in a long flat "
-        "valley."
-        if one_minimum
-        else ": even patient searches end at different errors, so there is more than one valley."
-    )
-    agreement: Agreement = "agrees" if good and spread else "agrees in part" if good or spread else "differs"
-    return agreement, " ".join(parts)
+def largest_clusters(u: FloatArray, n_clusters: int, seed: int = 0) -> list[FloatArray]:
+    """Group points with k-means and return the groups, the largest first.
+
+    Args:
+        u: points. Shape (n, p).
+        n_clusters: centroids; as many as there are different points at most.
+        seed: seed of the first centroids.
+    """
+    n_clusters = min(n_clusters, len(np.unique(u, axis=0)))
+    # "++" begins with centroids that lie at points, so that hardly a cluster stays empty.
+    _, labels = kmeans2(u, n_clusters, iter=100, minit="++", rng=np.random.default_rng(seed))
+    return sorted((u[labels == k] for k in range(n_clusters)), key=len, reverse=True)
+
+
+def _picture(names: Sequence[str], u: FloatArray, best: IntArray, path: Path, note: str) -> Path:
+    """Draw optima as lines over the parameters, each from its lower to its upper bound."""
+    largest = largest_clusters(u, N_CLUSTERS)[:N_LARGEST]
+    panels = {
+        "(a) The largest clusters": {f"cluster {k + 1} ({len(one)})": one for k, one in enumerate(largest)},
+        "(b) The best optima": {f"best 5 % ({len(best)})": u[best]},
+    }
+    labels = [shortened(name, 12) for name in names]
+    with drawing(path, title=f"Fig. 8: {len(u)} optima of LS-TRF", height_in=6.4, footnote=note) as figure:
+        for axes, (heading, groups) in zip(figure.subplots(2, 1), panels.items(), strict=True):
+            for (name, group), color in zip(groups.items(), SERIES, strict=False):
+                of_lines = [name, *[None] * (len(group) - 1)]
+                axes.plot(group.T, color=color, linewidth=1.0, alpha=0.4, label=of_lines)
+            axes.set_xticks(range(len(names)), labels, rotation=30, ha="right")
+            axes.set_yticks([0.0, 0.5, 1.0], ["lower bound", "", "upper bound"])
+            axes.set_title(heading)
+            legend(axes)
+    return path

@@ -1,61 +1,135 @@
 """Table 4 and Fig. 9: for every size and seed the screened point, the gap, the polish, and what it cost."""
 
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
+from simulation.case import KnownError
+from simulation.errors import InputError
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
-from studies.paper.models import Chosen, Settings, chosen_settings, settings_inputs, train_again
+from studies.calibration.recorder import History
+from studies.paper.items import Shown
+from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
-from studies.paper.result import ItemResult, item_folder
-from studies.paper.size_files import Origin, origin_of, write_sizes
-from studies.paper.table4_shown import shown
-from studies.paper.table4_sizes import SeedCalibration, SizeCalibrations, read_calibrations
+from studies.paper.published import TABLE_4, USUAL_MSE
+from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
 from studies.physical_model import open_physical_model
+from studies.report.drawing import FAINT, decimal_log, drawing, legend, mse_lines, size_colors
+from studies.report.wording import axis_label, count, squared
 from studies.stages.calibrate import calibrate_stage
 from studies.stages.pipeline import Study
 from studies.stages.results import calibration_files, read_arrays
 
-
-def inputs(plan: Plan) -> dict[str, Any]:
-    """Return all that decides the result."""
-    profile = plan.study.profile.to_dict()
-    seeds = {n: list(plan.seeds_of(n)) for n in plan.budget.n_train}
-    return {**settings_inputs(plan), "seeds": seeds, **{k: profile[k] for k in ("screening", "polish")}}
-
-
-def estimate_s(plan: Plan) -> float:
-    """Estimate how long it takes from nothing. [s]."""
-    sizes = [n for n in plan.budget.n_train for _ in plan.seeds_of(n)]
-    return plan.trainings_s(sizes) + len(sizes) * plan.screening_s()
+COLUMNS = (
+    "n_train", "seeds", "test MAE", "MSE surrogate", "MSE screened", "polish calls", "final MSE", "calls",
+    "calls, validation and test too", f"calls to {USUAL_MSE}", "lower quartile", "upper quartile",
+    "calls to the paper's final", "final MSE, squared residuals", "paper: screened", "paper: final",
+    "paper: calls",
+)  # fmt: skip
 
 
-def run(plan: Plan) -> ItemResult:
+@dataclass(frozen=True)
+class SeedCalibration:
+    """One calibration: a training design, a surrogate, a screening and two polishes from the same point.
+
+    An MSE that is None could not be simulated. [first output's unit squared]
+
+    Args:
+        seed: of the training design, the training and the screening.
+        val_mae: of the surrogate on the validation set. [output's unit]
+        test_mae: on the test set. [output's unit]
+        test_p90: 90th percentile on the test set. [output's unit]
+        training_s: duration of the training. [s]
+        mse_surrogate: at the screened point, by the surrogate.
+        mse_screened: there, by the FMU.
+        n_checks: calls that compared the screened points.
+        polish_calls: calls after the training set so far, checks included, rising.
+        polish_mse: lowest MSE after them.
+        n_polish: calls of the polish.
+        mse_polished: at its end.
+        stop_reason: why it ended.
+        squared_calls: calls of the polish as the paper writes it.
+        squared_mse: MSE at its end.
+        theta: the calibrated parameters. [per parameter]
+    """
+
+    seed: int
+    val_mae: float
+    test_mae: float
+    test_p90: float
+    training_s: float
+    mse_surrogate: float | None
+    mse_screened: float | None
+    n_checks: int
+    polish_calls: tuple[int, ...]
+    polish_mse: tuple[float, ...]
+    n_polish: int
+    mse_polished: float | None
+    stop_reason: str
+    squared_calls: int
+    squared_mse: float | None
+    theta: dict[str, float]
+
+    @property
+    def n_calls(self) -> int:
+        """Calls after the training set."""
+        return self.n_checks + self.n_polish
+
+    def calls_to(self, target: float) -> float:
+        """Return the calls after the training set until the MSE was at most a target; infinite: never."""
+        calls = History(np.array(self.polish_calls), np.array(self.polish_mse)).calls_to(target)
+        return np.inf if calls is None else calls
+
+
+@dataclass(frozen=True)
+class SizeCalibrations:
+    """All calibrations of one training-set size.
+
+    Args:
+        n_train: training-set size.
+        surrogate: form of the surrogate.
+        settings: its hyperparameters, tuned for Fig. 6.
+        tuned_on_d: first and last day of that. [d]
+        screening: settings of the screening.
+        max_calls: most calls of a polish.
+        references: known MSEs: label, MSE, whether it is a target.
+        calibrations: one per seed; the first has the seed of Fig. 6.
+    """
+
+    n_train: int
+    surrogate: str
+    settings: Settings
+    tuned_on_d: tuple[float, float]
+    screening: dict[str, float]
+    max_calls: int
+    references: tuple[tuple[str, float, bool], ...]
+    calibrations: tuple[SeedCalibration, ...]
+
+
+def run(plan: Plan) -> Shown:
     """Train the best of every size again, screen and polish; do it with more seeds for the small sizes."""
     chosen, origin = chosen_settings(plan), origin_of(plan, plan.study, "table4")
-    folder, sizes = item_folder(plan.study, "table4"), dict[int, SizeCalibrations]()
+    sizes = dict[int, SizeCalibrations]()
     # All sizes with the first seed come first, each written at once: an interruption leaves what there is.
-    for study in (plan.study, *map(plan.seed_study, plan.more_seeds)):
+    for study in plan.seed_studies():
         for n in study.profile.data.n_train:
             found = calibrated(study, n, chosen.settings[n])
             before = sizes[n].calibrations if n in sizes else ()
             sizes[n] = _size(study, chosen, n, (*before, found))
-            write_sizes(folder, origin, [sizes[n]])
-    files = write_sizes(folder, origin, list(sizes.values()))
-    return replace(shown(origin, list(sizes.values())), files=files)
+            write_size(plan.folder("table4"), origin, n, sizes[n])
+    return shown(origin, list(sizes.values()))
 
 
-def drawn_from(folder: Path) -> tuple[Origin, ItemResult]:
-    """Return the same from the files of an earlier run, without simulations and trainings.
-
-    Raises:
-        InputError: the files cannot be read, or do not belong together.
-    """
-    origin, sizes = read_calibrations(folder)
+def drawn_from(folder: Path) -> tuple[Origin, Shown]:
+    """Return the same from the files of an earlier run, without simulations and trainings."""
+    files = size_files(folder)
+    if not files:
+        raise InputError(f"{folder} holds no calibrations of Table 4; name one with files such as n0032.json")
+    origin, sizes = read_sizes(files, SizeCalibrations)
     return origin, shown(origin, sizes)
 
 
@@ -86,7 +160,7 @@ def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibratio
     numbers = calibrate_stage(study, n_train).summary
     errors, ledger = numbers["surrogate_errors"], numbers["ledger"]
     arrays = read_arrays(calibration_files(study, n_train).arrays)
-    squared = paper_polish(study, arrays["theta_screened"])
+    squared_polish = paper_polish(study, arrays["theta_screened"])
     return SeedCalibration(
         seed=study.profile.seed,
         val_mae=errors["val/mae"],
@@ -101,8 +175,8 @@ def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibratio
         n_polish=ledger["n_polish"],
         mse_polished=numbers["mse_polished"],
         stop_reason=numbers["polish_stop_reason"],
-        squared_calls=squared.n_calls,
-        squared_mse=squared.mse if np.isfinite(squared.mse) else None,
+        squared_calls=squared_polish.n_calls,
+        squared_mse=squared_polish.mse if np.isfinite(squared_polish.mse) else None,
         theta=numbers["theta"],
     )
 
@@ -125,3 +199,94 @@ def paper_polish(study: Study, screened: FloatArray) -> PolishResult:
         problem = CalibrationProblem(model, study.case.measurement)
         u = np.asarray(problem.space.to_unit(screened[None]), dtype=np.float64)
         return settings.minimize(problem, u[0], known=problem.evaluate(u))
+
+
+def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Shown:
+    """Return Table 4 and Fig. 9.
+
+    Args:
+        origin: where the calibrations come from.
+        sizes: all calibrations by size, the smallest first.
+    """
+    return Shown(
+        f"Table 4, medians over the seeds; MSE [{squared(origin.unit)}], calls of the training set included",
+        COLUMNS,
+        tuple(_row(origin, size) for size in sizes),
+        lambda folder: [_fig9(origin, sizes, folder / "fig9.png")],
+    )
+
+
+def _row(origin: Origin, size: SizeCalibrations) -> tuple[float | None, ...]:
+    n, paper = size.n_train, TABLE_4.get(size.n_train)
+
+    def all_of(value: Callable[[SeedCalibration], float | None]) -> FloatArray:
+        return np.array([_known(value(one)) for one in size.calibrations])
+
+    def middle(value: Callable[[SeedCalibration], float | None]) -> float:
+        return quartiles(all_of(value))[1]
+
+    low, to_usual, high = quartiles(all_of(lambda one: n + one.calls_to(USUAL_MSE)))
+    in_all = middle(lambda one: n + one.n_calls)
+    return (
+        n,
+        len(size.calibrations),
+        middle(lambda one: one.test_mae),
+        middle(lambda one: one.mse_surrogate),
+        middle(lambda one: one.mse_screened),
+        middle(lambda one: one.n_polish),
+        middle(lambda one: one.mse_polished),
+        in_all,
+        in_all + origin.n_validation + origin.n_test,
+        to_usual,
+        low,
+        high,
+        None if paper is None else middle(lambda one: n + one.calls_to(paper.mse_polished)),
+        middle(lambda one: one.squared_mse),
+        *((None, None, None) if paper is None else (paper.mse_screened, paper.mse_polished, paper.total)),
+    )
+
+
+def quartiles(values: FloatArray) -> list[float]:
+    """Return lower quartile, median and upper quartile; a quartile between two values is their mean.
+
+    Args:
+        values: Infinite where a target was never reached. Shape (n,).
+    """
+    # NumPy's would be NaN beside an infinite value.
+    ordered, places = np.sort(values), len(values) * np.array([0.25, 0.5, 0.75])
+    lower, upper = np.ceil(places).astype(int) - 1, np.floor(places).astype(int)
+    found: list[float] = (0.5 * (ordered[lower] + ordered[upper])).tolist()
+    return found
+
+
+def _known(value: float | None) -> float:
+    return np.inf if value is None else value
+
+
+def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations], path: Path) -> Path:
+    """Draw the gap at the screened point by size, and the MSE over the calls of the polish: one seed."""
+    colors = size_colors([size.n_train for size in sizes])
+    title, note = "Fig. 9: gap at the screened point, and polish", f"{origin.label}, seed {origin.seed}"
+    with drawing(path, title=title, height_in=4.4, footnote=note) as figure:
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.0, 1.5])
+        for axes in (left, right):
+            decimal_log(axes)
+            mse_lines(axes, [KnownError(*known) for known in sizes[0].references])
+        for place, size in enumerate(sizes):
+            color, one = colors[size.n_train], size.calibrations[0]
+            surrogate, model = _known(one.mse_surrogate), _known(one.mse_screened)
+            if np.isfinite(model):
+                left.plot([place] * 2, [surrogate, model], color=FAINT, linewidth=4, zorder=1)
+                left.plot(place, model, marker="D", markersize=6.5, color=color, zorder=4)
+            left.plot(place, surrogate, marker="o", markersize=7, color="white", markeredgecolor=color)
+            right.step(
+                one.polish_calls, one.polish_mse, where="post", color=color, linewidth=1.4, zorder=3,
+                label=f"n = {count(size.n_train)}",
+            )  # fmt: skip
+        names = [str(size.n_train) for size in sizes]
+        left.set_xticks(range(len(sizes)), names, rotation=45, ha="right")
+        left.set(title="○ surrogate   ◆ model", xlabel="training simulations")
+        left.set_ylabel(axis_label("MSE", squared(origin.unit)))
+        right.set(title="MSE during the polish", xlabel="model calls of the polish", xlim=(0.0, None))
+        legend(right)
+    return path

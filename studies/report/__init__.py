@@ -10,15 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from studies.report.data import Provenance, ReportData
-from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
-from studies.report.records_tuning import LearningCurves, TrialsRecord
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
+from studies.report.records_tuning import TrialsRecord
 
 __all__ = [
     "CalibrationRecord",
     "CoverageSet",
-    "LearningCurves",
     "MeasuredSeries",
-    "ParameterBox",
     "Provenance",
     "ReportData",
     "TrialsRecord",
@@ -31,7 +29,7 @@ def build(data: ReportData, folder: Path, *, on_progress: Callable[[int, int], N
 
     Args:
         data: What to show.
-        folder: Where to; made if missing. Files of an earlier report that it no longer has are removed.
+        folder: Where to; made if missing. Pictures and tables of an earlier report are removed.
         on_progress: Called with (files written, files to write).
 
     Returns:

@@ -9,13 +9,12 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-from simulation.foreign_file import RECORD, read_limited
 from simulation.time_unit import period_text
 from simulation.whole_file import whole_file
 from studies.report import captions
 from studies.report.contents import sections_of
 from studies.report.data import ReportData
-from studies.report.findings import residual_of
+from studies.report.findings import within_sensor
 from studies.report.page import Card, page
 from studies.report.wording import count, difference_unit, percent, quantity, significant
 
@@ -26,7 +25,7 @@ PAGE = "index.html"
 
 def build_report(data: ReportData, folder: Path, *, on_progress: OnProgress | None = None) -> Path:
     """Write the report into a folder; see `studies.report.build`."""
-    sections = sections_of(data, folder)
+    sections = sections_of(data)
     parts = [part for section in sections for part in (section, *section.folded)]
     pictures = [picture for part in parts for picture in part.pictures]
     tables = [table for part in parts for table in part.tables]
@@ -44,19 +43,18 @@ def build_report(data: ReportData, folder: Path, *, on_progress: OnProgress | No
     }
     content = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     work: list[Callable[[], object]] = [
-        *(partial(picture.draw, folder / picture.file) for picture in pictures if picture.draw),
+        *(partial(picture.draw, folder / picture.file) for picture in pictures),
         *(partial(_write, folder / f"{table.name}.csv", table.to_csv()) for table in tables),
-        lambda: _write(index, page(data, lead, cards, sections)),
+        lambda: _write(index, page(data, lead, cards, sections, folder)),
         lambda: _write(folder / SUMMARY, content),
     ]
     folder.mkdir(parents=True, exist_ok=True)
-    outdated = _files_of_earlier_report(folder) - {*files, SUMMARY, PAGE}
+    for earlier in (*folder.glob("*.png"), *folder.glob("*.csv")):
+        earlier.unlink()
     for n_done, write in enumerate(work, start=1):
         write()
         if on_progress is not None:
             on_progress(n_done, len(work))
-    for name in outdated:
-        (folder / name).unlink(missing_ok=True)
     return index
 
 
@@ -89,26 +87,11 @@ def _cards(data: ReportData) -> list[Card]:
         calls = c.calls_to(target.mse)
         what = f"MSE {quantity(target.mse, mse_unit)} ({target.label})"
         cards.append(Card(count(calls) if calls is not None else "never", f"model calls until {what}"))
-    residual = residual_of(data.measurement, c, 0)
-    if residual is not None and math.isfinite(residual.within):
+    within = within_sensor(data.measurement, c, 0)
+    if math.isfinite(within):
         sensor = f"±{float(data.measurement.uncertainty[0]):g} {unit}".strip()
-        cards.append(Card(percent(residual.within), f"of the values within the sensor's {sensor}"))
+        cards.append(Card(percent(within), f"of the values within the sensor's {sensor}"))
     return cards
-
-
-def _files_of_earlier_report(folder: Path) -> set[str]:
-    """Return what an earlier report says it wrote here; a name that points elsewhere is not believed."""
-    try:
-        names = json.loads(read_limited(folder / SUMMARY, RECORD))["files"]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return set()
-    if not isinstance(names, list):
-        return set()
-    return {
-        name
-        for name in names
-        if isinstance(name, str) and Path(name).name == name and name not in (".", "..")
-    }
 
 
 def _write(path: Path, text: str) -> None:

@@ -3,59 +3,42 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from studies.report import captions
 from studies.report.data import ReportData
-from studies.report.figures_calibration import calibration_figure, calls_figure, overview_figure
+from studies.report.figures_calibration import calibration_figure, calls_figure
 from studies.report.figures_data import coverage_figure
 from studies.report.figures_sensitivity import sensitivity_figure
-from studies.report.figures_tuning import learning_curves_figure, mae_over_n_figure
-from studies.report.figures_uncertainty import band_figure, interval_figure, pairs_figure, shown_pairs
+from studies.report.figures_tuning import mae_over_n_figure
+from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.report.page import Picture, Section
 from studies.report.records import CalibrationRecord
-from studies.report.records_tuning import LearningCurves
 from studies.report.restricted import restriction_sentences, unrestricted
 from studies.report.tables import sensitivity_table, tuning_table, validation_table
 from studies.report.tables_of_calibrations import calibrations_table, intervals_table, parameters_table
 from studies.report.uncertainty import (
     UncertaintyRecord,
-    band_caption,
-    interval_caption,
-    pairs_caption,
+    box_of,
     sentences,
 )
 from studies.report.validation import validation_caption
 from studies.report.wording import count, difference_unit, quantity
 
 
-def sections_of(data: ReportData, folder: Path) -> list[Section]:
+def sections_of(data: ReportData) -> list[Section]:
     """Decide what a report shows; what the data does not hold is left out.
 
     Args:
         data: The results.
-        folder: Where its pictures will lie.
 
     Returns:
         The parts of the page in their order.
     """
-    headline, mse_unit, foot = data.headline, captions.mse_unit(data.measurement), _foot(data)
+    headline = data.headline
     others = tuple(_calibration(data, c) for c in data.by_size if c is not headline)
-    overview: tuple[Picture, ...] = ()
-    if any(not c.is_adaptive for c in data.calibrations):
-        overview = (
-            Picture(
-                "overview",
-                "Errors and calls of all calibrations",
-                "The gap at the screened point lies between the MSE by the surrogate and by the model.",
-                lambda path: overview_figure(
-                    data.by_size, data.references, path, mse_unit=mse_unit, footnote=foot
-                ),
-            ),
-        )
     tuned, sobol = tuning_table(data), sensitivity_table(data)
     whole = (calibrations_table(data),) if data.calibrations else ()
-    sections = [
+    return [
         Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else (), is_leading=True),
         *(
             replace(_calibration(data, c), anchor="calibration", heading="Calibration")
@@ -63,13 +46,9 @@ def sections_of(data: ReportData, folder: Path) -> list[Section]:
             if c
         ),
         *(_uncertainty(data, record) for record in data.uncertainties),
-        Section("sizes", "All calibrations", overview, whole, others),
-        Section("surrogate", "All trials, and how the best ones were trained", _surrogate_pictures(data)),
+        Section("sizes", "All calibrations", (), whole, others),
+        Section("surrogate", "All trials", _surrogate_pictures(data)),
         Section("model", "The model and its parameters", _model_pictures(data), (sobol,) if sobol else ()),
-    ]
-    return [
-        replace(one, folder=folder, folded=tuple(replace(part, folder=folder) for part in one.folded))
-        for one in sections
     ]
 
 
@@ -91,7 +70,7 @@ def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
         Picture(
             f"{'convergence' if c.is_adaptive else 'polish'}-{c.name}",
             f"MSE over model calls ({c.shown_name})",
-            captions.calls_caption(c, mse_unit),
+            f"The search ended because {c.stop_reason}." if c.stop_reason else "",
             lambda path: calls_figure(c, data.references, path, mse_unit=mse_unit, footnote=foot),
         ),
     ]
@@ -122,30 +101,23 @@ def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
 
 
 def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
-    name, box, foot = record.calibration, data.parameters.of(record.names), _foot(data)
+    name, box, foot = record.calibration, box_of(data.parameters, record.names), _foot(data)
     pictures = [
         Picture(
             f"bands-{name}",
             f"Equally good parameter sets over the measurement ({name})",
-            band_caption(data.measurement, record),
+            "Dark: the simulations of equally good parameter sets. Light: measured values to be expected.",
             lambda path: band_figure(data.measurement, record, path, footnote=foot),
         ),
         Picture(
             f"intervals-{name}",
             f"What is known of each parameter ({name})",
-            interval_caption(record),
+            "Density and interval of the posterior, the linearised interval, and the calibrated value."
+            if record.is_trusted
+            else "The linearised interval and the calibrated value; too few calls to say more.",
             lambda path: interval_figure(box, record, path, footnote=foot),
         ),
     ]
-    if shown_pairs(record):
-        pictures.append(
-            Picture(
-                f"pairs-{name}",
-                f"Parameters that compensate each other ({name})",
-                pairs_caption(record),
-                lambda path: pairs_figure(box, record, path, footnote=foot),
-            )
-        )
     return Section(
         f"uncertainty-{name}",
         f"How sure the {name} calibration is",
@@ -163,20 +135,12 @@ def _surrogate_pictures(data: ReportData) -> tuple[Picture, ...]:
             Picture(
                 "mae-over-n",
                 "Error of every trial over the number of training simulations",
-                captions.trials_caption(trials),
+                "The curves of each training are in MLflow: studies ui.",
                 lambda path: mae_over_n_figure(trials, path, unit=unit, footnote=foot),
             )
         )
 
-    def learning(curves: LearningCurves) -> Picture:
-        return Picture(
-            f"learning-n{curves.n_train:04d}",
-            f"Learning curves of the best surrogate (n = {curves.n_train})",
-            captions.learning_caption(curves, unit),
-            lambda path: learning_curves_figure(curves, path, unit=unit, footnote=foot),
-        )
-
-    return (*pictures, *(learning(c) for c in sorted(data.learning_curves, key=lambda c: c.n_train)))
+    return tuple(pictures)
 
 
 def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
@@ -196,7 +160,8 @@ def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
             Picture(
                 "sensitivity",
                 "Sobol indices over time",
-                captions.sensitivity_caption(sensitivity),
+                f"From {count(sensitivity.n_calls, 'simulation')} of the FMU. What the first orders "
+                "miss to 1 are interactions.",
                 lambda path: sensitivity_figure(sensitivity, path, footnote=foot),
             )
         )

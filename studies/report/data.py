@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
-from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
+from simulation.parameters import ParameterSpace
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
+from studies.report.records_tuning import TrialsRecord, TunedSize
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 
@@ -49,7 +50,6 @@ class ReportData:
         sensitivity: Sobol indices, if they were asked for.
         tuned: The best surrogate of each training-set size.
         trials: Every trial of the studies.
-        learning_curves: One per training worth showing.
         validations: The calibrations on the validation period, one per training-set size; empty without one.
         uncertainties: How sure the calibrations are, as far as that was asked.
         references: Known MSEs.
@@ -60,13 +60,12 @@ class ReportData:
     title: str
     note: str
     measurement: MeasuredSeries
-    parameters: ParameterBox
+    parameters: ParameterSpace
     calibrations: tuple[CalibrationRecord, ...] = ()
     coverage: CoverageSet | None = None
     sensitivity: SobolIndices | None = None
     tuned: tuple[TunedSize, ...] = ()
     trials: TrialsRecord | None = None
-    learning_curves: tuple[LearningCurves, ...] = ()
     validations: tuple[ValidationRecord, ...] = ()
     uncertainties: tuple[UncertaintyRecord, ...] = ()
     references: tuple[KnownError, ...] = ()

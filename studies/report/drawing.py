@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -37,6 +38,7 @@ POLISHED = "#2a6a9e"
 TRAINING = "#dfe8ef"
 SIMULATED = "#7fa5c1"
 FAILED = "#b9566b"
+_FEW_TO_MANY = LinearSegmentedColormap.from_list("sizes", ["#e0a458", "#b5657a", "#5b4a8b", "#1d3557"])
 SERIES = ("#2a6a9e", "#d27f2b", "#3f9a8c", "#8b6bae", "#c3a23c", "#b9566b")
 
 WIDTH_IN = 8.0
@@ -122,6 +124,12 @@ def sizes_axis(axes: Axes) -> None:
     """Make the horizontal axis logarithmic to the base 2, with plain numbers."""
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def size_colors(sizes: Sequence[int]) -> dict[int, str]:
+    """Return a color per training-set size, from light for few simulations to dark for many."""
+    places = np.linspace(0.0, 1.0, max(len(sizes), 2))
+    return {size: to_hex(_FEW_TO_MANY(place)) for size, place in zip(sorted(sizes), places, strict=False)}
 
 
 def legend(axes: Axes) -> None:

@@ -169,63 +169,16 @@ def calls_figure(
     return path
 
 
-def _draw_gap(axes: Axes, places: Sequence[float], c: CalibrationRecord, *, is_named: bool = True) -> None:
+def _draw_gap(axes: Axes, places: Sequence[float], c: CalibrationRecord) -> None:
     """Mark the MSE by the surrogate and by the model, both at the screened point, and the gap between."""
     at_surrogate, at_model = places
-    surrogate, model = ("by the surrogate", "by the model, as screened") if is_named else (None, None)
     if math.isfinite(c.mse_screened):
         axes.plot(places, [c.mse_surrogate, c.mse_screened], color=FAINT, linewidth=2.5, zorder=1)
         axes.plot(
             at_model, c.mse_screened, linestyle="none", marker="D", markersize=6, color=SCREENED, zorder=5,
-            label=model,
+            label="by the model, as screened",
         )  # fmt: skip
     axes.plot(
         at_surrogate, c.mse_surrogate, linestyle="none", marker="o", markersize=7, color="white",
-        markeredgecolor=SURROGATE, zorder=5, label=surrogate,
+        markeredgecolor=SURROGATE, zorder=5, label="by the surrogate",
     )  # fmt: skip
-
-
-def overview_figure(
-    calibrations: Sequence[CalibrationRecord],
-    references: Sequence[KnownError],
-    path: Path,
-    *,
-    mse_unit: str,
-    footnote: str = "",
-) -> Path:
-    """Draw, for every calibration, the MSE by the surrogate, by the model as screened, and at its end.
-
-    Args:
-        calibrations: At least one; of a size there may be several, of all parameters and of few.
-        references: Known MSEs, drawn as lines; may be empty.
-        path: Where the PNG goes.
-        mse_unit: Unit of the MSE, e.g. "K²".
-        footnote: Small print.
-
-    Returns:
-        The path.
-    """
-    ordered = sorted(calibrations, key=lambda c: c.n_train)
-    final = "calibrated" if any(c.is_adaptive for c in ordered) else "polished"
-    title = "MSE of all calibrations: at the screened point and at the end"
-    with drawing(path, title=title, height_in=3.9, footnote=footnote) as figure:
-        axes = figure.subplots()
-        decimal_log(axes)
-        axes.set_xticks(range(len(ordered)), [_tick(c) for c in ordered])
-        axes.set_xlim(-0.6, len(ordered) - 0.4)
-        axes.grid(visible=False, axis="x")
-        mse_lines(axes, references)
-        named = next((c for c in ordered if math.isfinite(c.mse_screened)), None)
-        for place, c in enumerate(ordered):
-            _draw_gap(axes, [place, place], c, is_named=c is named)
-        finals = [c.mse_polished for c in ordered]
-        axes.plot(finals, linestyle="none", marker="o", markersize=7.5, color=POLISHED, zorder=6, label=final)
-        axes.set_xlabel("training simulations, and model calls that found the parameters")
-        axes.set_ylabel(axis_label("MSE", mse_unit))
-        legend(axes)
-    return path
-
-
-def _tick(c: CalibrationRecord) -> str:
-    few = "" if c.n_free is None else f"\n{count(c.n_free, 'parameter')}"
-    return f"{'adaptive' if c.is_adaptive else c.n_train}{few}\n{count(c.calls_paper, 'call')}"

@@ -17,12 +17,11 @@ from studies.report.drawing import (
     SURROGATE,
     decimal_log,
     drawing,
-    legend,
     sizes_axis,
 )
 from studies.report.findings import best_trials
 from studies.report.records import Floats
-from studies.report.records_tuning import ErrorLine, LearningCurves, TrialsRecord
+from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.wording import axis_label, count, significant
 
 LINES = ((SERIES[2], "-"), (SERIES[4], (0, (4, 2))))
@@ -117,34 +116,3 @@ def _beside_each_other(trials: TrialsRecord) -> Floats:
         if len(rows) > 1:
             x[rows] *= 2.0 ** np.linspace(-0.22, 0.22, len(rows))
     return x
-
-
-def learning_curves_figure(curves: LearningCurves, path: Path, *, unit: str, footnote: str = "") -> Path:
-    """Draw one training: validation error over epochs, and the terms of the training loss beside.
-
-    Args:
-        curves: History of the training.
-        path: Where the PNG goes.
-        unit: Unit of the validation error, e.g. "K".
-        footnote: Small print.
-
-    Returns:
-        The path.
-    """
-    finite = np.isfinite(curves.validation_mae)
-    title = f"Training on {count(curves.n_train, 'simulation')}"
-    with drawing(path, title=title, height_in=3.4, footnote=footnote) as figure:
-        left, right = figure.subplots(1, 2)
-        decimal_log(left)
-        left.plot(curves.epoch[finite], curves.validation_mae[finite], color=SURROGATE)
-        if finite.any():
-            left.axvline(curves.best_epoch, color=MUTED, linewidth=0.9, linestyle=(0, (5, 3)))
-        left.set(title="Error on the validation set", xlabel="epoch", ylabel=axis_label("MAE", unit))
-        decimal_log(right)
-        for (name, term), color in zip(curves.terms, (INK, *SERIES), strict=False):
-            usable = np.isfinite(term) & (term > 0)
-            axes_label = name.replace("_", " ")
-            right.plot(curves.epoch[usable], term[usable], color=color, linewidth=1.2, label=axes_label)
-        right.set(title="Training loss and its terms", xlabel="epoch", ylabel="loss [1]")
-        legend(right)
-    return path

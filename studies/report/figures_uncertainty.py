@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from simulation.parameters import ParameterSpace
 from studies.report.drawing import (
     INK,
     MEASURED,
@@ -20,7 +20,7 @@ from studies.report.drawing import (
     shortened,
     time_axis,
 )
-from studies.report.records import Floats, MeasuredSeries, ParameterBox
+from studies.report.records import MeasuredSeries
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.wording import (
     axis_label,
@@ -33,10 +33,6 @@ from studies.report.wording import (
 )
 
 N_BINS = 40
-MOST_PAIRS = 4
-N_DOTS = 1200
-LEAST_LOG_RATIO = 10.0
-"""Upper by lower end from which on a logarithmic parameter has a logarithmic axis."""
 
 
 def band_figure(
@@ -97,7 +93,9 @@ def _draw_band(
         legend(axes)
 
 
-def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, footnote: str = "") -> Path:
+def interval_figure(
+    box: ParameterSpace, record: UncertaintyRecord, path: Path, *, footnote: str = ""
+) -> Path:
     """Draw density and interval of every parameter between its bounds.
 
     Args:
@@ -139,7 +137,7 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
         axes.plot([], color=INK, linestyle="none", marker="o", markersize=4.5, label="calibrated")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
         right = axes.secondary_yaxis("right")
-        units = (shown_unit(unit) for unit in box.units)
+        units = (shown_unit(one.unit) for one in box.parameters)
         shown = record.interval if record.is_trusted else record.linear
         right.set_yticks(
             range(p),
@@ -157,68 +155,6 @@ def interval_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *,
 def _if_fixed(record: UncertaintyRecord) -> str:
     """Say on a picture, which travels without its page, that not all parameters were judged."""
     return f" ({count(record.n_fixed, 'parameter')} fixed and taken as right)" if record.n_fixed else ""
-
-
-def pairs_figure(box: ParameterBox, record: UncertaintyRecord, path: Path, *, footnote: str = "") -> Path:
-    """Draw the pairs of parameters that compensate each other most.
-
-    Args:
-        box: The parameters.
-        record: The uncertainty.
-        path: Where the PNG goes.
-        footnote: Small print.
-
-    Returns:
-        The path.
-    """
-    shown = shown_pairs(record)
-    title = f"Equally good parameter sets{_if_fixed(record)}"
-    n_columns = min(2, len(shown))
-    n_rows = -(-len(shown) // n_columns)
-    with drawing(path, title=title, height_in=0.5 + 3.1 * n_rows, footnote=footnote) as figure:
-        panels = figure.subplots(n_rows, n_columns, squeeze=False)
-        for axes, (i, j) in zip(panels.flat, shown, strict=False):
-            _draw_pair(axes, box, record, i, j)
-        for axes in panels.flat[len(shown) :]:
-            axes.set_visible(False)
-    return path
-
-
-def shown_pairs(record: UncertaintyRecord) -> list[tuple[int, int]]:
-    """Return the pairs to draw: those that compensate each other, else the most correlated one, if any."""
-    if not record.is_trusted:
-        return []
-    place = {name: i for i, name in enumerate(record.names)}
-    named = [(place[pair.first], place[pair.second]) for pair in record.pairs[:MOST_PAIRS]]
-    if named or len(record.names) < 2:
-        return named
-    upper = np.abs(np.triu(record.correlation, k=1))
-    i, j = divmod(int(np.argmax(upper)), len(record.names))
-    return [(i, j)]
-
-
-def _draw_pair(axes: Axes, box: ParameterBox, record: UncertaintyRecord, i: int, j: int) -> None:
-    every = max(1, len(record.particles) // N_DOTS)
-    dots: Floats = record.particles[::every]
-    axes.plot(
-        dots[:, i], dots[:, j], linestyle="none", marker=".", markersize=2.5, color=SIMULATED, alpha=0.5
-    )
-    sizes = 12.0 + 60.0 * record.weights / max(float(record.weights.max()), 1e-12)
-    axes.scatter(
-        record.sample[:, i], record.sample[:, j], s=sizes, color=POLISHED, edgecolors="white",
-        linewidths=0.5, zorder=3,
-    )  # fmt: skip
-    axes.plot(*record.calibrated[[i, j]], marker="x", color=SCREENED, markersize=8, mew=2, zorder=4)
-    for axis, k in ((axes.xaxis, i), (axes.yaxis, j)):
-        is_x = axis is axes.xaxis
-        if box.is_log[k] and dots[:, k].max() >= LEAST_LOG_RATIO * dots[:, k].min():
-            (axes.set_xscale if is_x else axes.set_yscale)("log")
-            axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 3.0)))
-            axis.set_minor_formatter(NullFormatter())
-        else:
-            axis.set_major_locator(MaxNLocator(4))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
-        axis.set_label_text(axis_label(shortened(box.names[k]), shortened(shown_unit(box.units[k]))))
 
 
 def _short(value: float, other: float) -> str:

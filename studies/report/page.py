@@ -6,34 +6,9 @@ import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-from studies.report.data import Provenance
+from studies.report.data import ReportData
 from studies.report.tables import Table
-
-FOOTER = (
-    "Pictures (PNG), tables (CSV) and report.json lie beside this page; the page itself needs none of them."
-)
-
-
-class Head(Protocol):
-    """What stands around the sections of a page."""
-
-    @property
-    def label(self) -> str:
-        """Which results they are."""
-
-    @property
-    def title(self) -> str:
-        """What the page is about."""
-
-    @property
-    def note(self) -> str:
-        """What a reader must know first; may be empty."""
-
-    @property
-    def provenance(self) -> Provenance:
-        """How to get the page again."""
 
 
 @dataclass(frozen=True)
@@ -46,25 +21,17 @@ class Card:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: name, heading, caption, and how it is drawn; None where its PNG is there."""
+    """A picture: name, heading, caption, and how it is drawn."""
 
     name: str
     heading: str
     caption: str
-    draw: Callable[[Path], Path] | None = None
+    draw: Callable[[Path], Path]
 
     @property
     def file(self) -> str:
         """Name of the PNG."""
         return f"{self.name}.png"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What a comparison came to: one word, and the paragraph that says why."""
-
-    word: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -76,29 +43,26 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
     folded: tuple[Section, ...] = ()
-    verdict: Verdict | None = None
     paragraphs: tuple[str, ...] = ()
-    facts: tuple[tuple[str, str], ...] = ()
     is_leading: bool = False
-    folder: Path | None = None
 
     @property
     def is_empty(self) -> bool:
         """Whether there is nothing to show."""
-        return not (self.pictures or self.tables or self.folded or self.verdict or self.paragraphs)
+        return not (self.pictures or self.tables or self.folded or self.paragraphs)
 
 
 def page(
-    head: Head, lead: str, cards: Sequence[Card], sections: Sequence[Section], *, footer: str = FOOTER
+    data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[Section], folder: Path
 ) -> str:
     """Write the page.
 
     Args:
-        head: Label, title, note and provenance.
+        data: Label, title, note and provenance.
         lead: The result in one sentence.
         cards: The headline numbers.
-        sections: What follows, each with the folder that its pictures lie in; an empty one is left out.
-        footer: What else there is.
+        sections: What follows; an empty one is left out.
+        folder: Where the pictures lie.
 
     Returns:
         A complete HTML document.
@@ -112,4 +76,4 @@ def page(
     environment.filters["encoded"] = lambda file: base64.b64encode(file.read_bytes()).decode("ascii")
     shown = [section for section in sections if not section.is_empty]
     template = environment.get_template("page.html")
-    return template.render(head=head, lead=lead, cards=cards, sections=shown, footer=footer)
+    return template.render(head=data, lead=lead, cards=cards, sections=shown, folder=folder)

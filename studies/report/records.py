@@ -76,55 +76,6 @@ class MeasuredSeries:
 
 
 @dataclass(frozen=True)
-class ParameterBox:
-    """The calibrated parameters and their bounds.
-
-    Attributes:
-        names: One name per parameter, as in the model.
-        units: One unit per parameter.
-        estimate: Declared estimates; NaN where the case has none. Shape (p,). [units]
-        lower: Lower bounds. Shape (p,). [units]
-        upper: Upper bounds. Shape (p,). [units]
-        is_log: True where the case calibrates in the logarithm. Shape (p,).
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    estimate: Floats
-    lower: Floats
-    upper: Floats
-    is_log: Booleans
-
-    def of(self, names: tuple[str, ...]) -> ParameterBox:
-        """Return the box of the parameters that are named."""
-        at = [self.names.index(name) for name in names]
-        return ParameterBox(
-            names=names,
-            units=tuple(self.units[j] for j in at),
-            estimate=self.estimate[at],
-            lower=self.lower[at],
-            upper=self.upper[at],
-            is_log=self.is_log[at],
-        )
-
-    def to_unit(self, theta: Floats) -> Floats:
-        """Map parameter sets into the unit cube, in the logarithm where the case says so.
-
-        Args:
-            theta: Shape (..., p). [units]
-
-        Returns:
-            Shape (..., p). [1]
-        """
-        unit = (theta - self.lower) / (self.upper - self.lower)
-        log = self.is_log
-        if np.any(log):
-            width = np.log(self.upper[log] / self.lower[log])
-            unit[..., log] = np.log(theta[..., log] / self.lower[log]) / width
-        return unit
-
-
-@dataclass(frozen=True)
 class RestrictionRecord:
     """Which parameters a calibration left out, and what is known of that choice.
 

@@ -114,24 +114,3 @@ class TunedSize:
     def n_all(self) -> int:
         """Trials that it has or shall have."""
         return max(self.n_planned, self.n_trials + self.n_running + self.n_waiting)
-
-
-@dataclass(frozen=True)
-class LearningCurves:
-    """How one training went; NaN at epochs without a validation.
-
-    Attributes:
-        n_train: Size of the training set.
-        epoch: Shape (e,).
-        validation_mae: Shape (e,). [output unit, differences]
-        terms: Training-loss terms by name ("loss", "kl", "reconstruction", ...), each of shape (e,). [1]
-        best_epoch: The epoch whose weights were kept.
-        stop_reason: Why the training ended, in words.
-    """
-
-    n_train: int
-    epoch: Integers
-    validation_mae: Floats
-    terms: tuple[tuple[str, Floats], ...]
-    best_epoch: int
-    stop_reason: str = ""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from simulation.parameters import ParameterSpace
 from studies.report.data import ReportData
 from studies.report.findings import at_bound
-from studies.report.records import CalibrationRecord, ParameterBox
+from studies.report.records import CalibrationRecord
 from studies.report.tables import Cell, Column, Table
-from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
+from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord, box_of
 from studies.report.wording import (
     count,
     declared,
@@ -67,8 +68,9 @@ def _two(value: float) -> str:
     return significant(value, 2)
 
 
-def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -> Table:
+def parameters_table(parameters: ParameterSpace, calibration: CalibrationRecord) -> Table:
     """Tabulate the parameters of one calibration with their bounds."""
+    units = [one.unit for one in parameters.parameters]
     screened = [] if calibration.is_adaptive else [calibration.theta_screened.tolist()]
     known = [calibration.knowledge] if calibration.knowledge else []
     shares: list[tuple[Column, list[float | None]]] = []
@@ -91,7 +93,7 @@ def parameters_table(parameters: ParameterBox, calibration: CalibrationRecord) -
         *(column for column, _ in shares),
     )
     values = zip(
-        parameters.names, map(shown_unit, parameters.units), parameters.estimate.tolist(),
+        parameters.names, map(shown_unit, units), [one.estimate for one in parameters.parameters],
         parameters.lower.tolist(), parameters.upper.tolist(), *screened,
         calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known,
         *(cells for _, cells in shares), strict=True,
@@ -105,9 +107,10 @@ def _four(value: float) -> str:
     return significant(value, 4)
 
 
-def intervals_table(box: ParameterBox, record: UncertaintyRecord) -> Table:
+def intervals_table(box: ParameterSpace, record: UncertaintyRecord) -> Table:
     """Tabulate the intervals, one row per parameter that was judged."""
-    r, box = record, box.of(record.names)
+    r, box = record, box_of(box, record.names)
+    units = [shown_unit(one.unit) for one in box.parameters]
     share = percent(r.level)
     columns = (
         Column("name", "parameter"),
@@ -123,7 +126,7 @@ def intervals_table(box: ParameterBox, record: UncertaintyRecord) -> Table:
     )
     rows = tuple(
         zip(
-            r.names, map(shown_unit, box.units), r.calibrated.tolist(), *r.interval.tolist(),
+            r.names, units, r.calibrated.tolist(), *r.interval.tolist(),
             *r.linear.tolist(), box.lower.tolist(), box.upper.tolist(), [HOW_KNOWN[k] for k in r.known],
             strict=True,
         )

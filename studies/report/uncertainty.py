@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from simulation.parameters import ParameterSpace
 from studies.calibration.doubt import doubtful_mse
-from studies.report.records import Floats, MeasuredSeries
+from studies.report.records import Floats
 from studies.report.wording import (
     count,
     difference_unit,
     digits_between,
     listed,
-    percent,
     significant,
     squared,
 )
@@ -60,9 +60,7 @@ class UncertaintyRecord:
         pairs: Which parameters compensate each other, the clearest first; none where it is not trusted.
         null_directions: Combinations that hardly change any output near the point, in words.
         particles: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
-        sample: The sample that was simulated. Shape (n, p). [per parameter]
         weights: What each counts; sum 1. Shape (n,). [1]
-        correlation: Of the particles, in the case's scales. Shape (p, p). [1]
         simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
         predictive: The same with noise. Shape (2, t, k). [per output]
         share_predictive: Share of the measured values within it, one per output. [1]
@@ -88,9 +86,7 @@ class UncertaintyRecord:
     pairs: tuple[PairNote, ...]
     null_directions: tuple[str, ...]
     particles: Floats
-    sample: Floats
     weights: Floats
-    correlation: Floats
     simulated: Floats
     predictive: Floats
     share_predictive: tuple[float, ...]
@@ -144,9 +140,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         # Results of earlier versions say only how many of the last ones they are.
         null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
         particles=arrays["particles_theta"],
-        sample=arrays["sample_theta"],
         weights=arrays["weights"],
-        correlation=arrays["posterior_correlation"],
         simulated=arrays["simulated"],
         predictive=arrays["predictive"],
         share_predictive=tuple(one["share_within_predictive"] for one in numbers["outputs"].values()),
@@ -161,6 +155,11 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         n_fixed=len(restriction["fixed"]),
         condition=restriction["in_words"],
     )
+
+
+def box_of(space: ParameterSpace, names: Sequence[str]) -> ParameterSpace:
+    """Return the box of the parameters that are named, in the order of the names."""
+    return ParameterSpace(tuple(space.parameters[space.names.index(name)] for name in names))
 
 
 def noise_sentence(noise: Mapping[str, Any], unit: str) -> str:
@@ -260,46 +259,3 @@ def sample_sentence(record: UncertaintyRecord) -> str:
             "whether a prior contradicts the data."
         )
     return worth
-
-
-def band_caption(measured: MeasuredSeries, record: UncertaintyRecord) -> str:
-    """Say what lies in the bands."""
-    parts = [
-        f"{percent(share)} of the measured values of {name}"
-        for name, share in zip(measured.output_names, record.share_predictive, strict=True)
-    ]
-    warning = "" if record.is_trusted else "Too few calls, not to be trusted yet. "
-    return (
-        f"{warning}Dark: where {percent(record.level)} of the equally good parameter sets bring the "
-        f"simulation. Light: where {percent(record.level)} of the measured values should lie, noise "
-        f"included; {listed(parts)} do{_fixed(record)}."
-    )
-
-
-def interval_caption(record: UncertaintyRecord) -> str:
-    """Say how to read the intervals."""
-    if not record.is_trusted:
-        return (
-            f"Each from its lower to its upper bound: the linearised {percent(record.level)} interval and "
-            f"the calibrated value. Too few calls to say more{_fixed(record)}."
-        )
-    parts = [f"{len(record.called(kind))} {word}" for kind, word in HOW_KNOWN.items() if record.called(kind)]
-    return (
-        f"Each from its lower to its upper bound: density and {percent(record.level)} interval of the "
-        f"posterior, the linearised interval as a thin line, the calibrated value as a mark. Of "
-        f"{count(len(record.names), 'parameter')}, {listed(parts)}{_fixed(record)}."
-    )
-
-
-def pairs_caption(record: UncertaintyRecord) -> str:
-    """Say what the pairs show."""
-    said = "; ".join(pair.sentence for pair in record.pairs[:3])
-    said = said or "No two compensate each other"
-    return f"Equally good parameter sets, in the case's scales. {said}{_fixed(record)}."
-
-
-def _fixed(record: UncertaintyRecord) -> str:
-    if not record.n_fixed:
-        return ""
-    are = "is" if record.n_fixed == 1 else "are"
-    return f"; {count(record.n_fixed, 'fixed parameter')} {are} taken as right"

@@ -29,13 +29,12 @@ from studies.stages.results import (
     coverage_set,
     measured_series,
     n_free_of,
-    parameter_box,
     stored_calibrations,
     stored_indices,
     validation_record,
 )
 from studies.stages.tracking import log_report
-from studies.stages.tuned_trials import learning_curves, trials_record, tuned_by_size, tuned_sizes
+from studies.stages.tuned_trials import trials_record, tuned_by_size, tuned_sizes
 from studies.stages.uncertainty_results import stored_posteriors
 from studies.tracking.origin import versions
 
@@ -115,7 +114,7 @@ def _report_data(study: Study) -> ReportData:
         title=case.title,
         note=case.note,
         measurement=measured_series(case),
-        parameters=parameter_box(case),
+        parameters=case.parameter_space,
         calibrations=tuple(calibration_record(stored) for stored in stored_calibrations(study)),
         coverage=coverage_set(study),
         sensitivity=stored_indices(study),
@@ -129,7 +128,6 @@ def _report_data(study: Study) -> ReportData:
         ),
         tuned=tuned_sizes(study),
         trials=trials_record(tuned),
-        learning_curves=learning_curves(study, tuned),
         references=case.references,
         provenance=_provenance(study),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simulation.case import Case
 from simulation.errors import InputError
 from studies.paths import size_name
-from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries, ParameterBox
+from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
 from studies.report.restricted import restriction_record
 from studies.report.validation import OutputFit, ValidatedPoint, ValidationRecord
 from studies.row_set import RowSet
@@ -158,19 +158,6 @@ def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
 def measured_series(case: Case) -> MeasuredSeries:
     """Return what the case is calibrated against."""
     return MeasuredSeries(case.measurement, tuple(output.unit for output in case.outputs))
-
-
-def parameter_box(case: Case) -> ParameterBox:
-    """Return what is calibrated."""
-    parameters = case.parameter_space.parameters
-    return ParameterBox(
-        names=case.parameter_space.names,
-        units=tuple(parameter.unit for parameter in parameters),
-        estimate=np.array([np.nan if p.estimate is None else p.estimate for p in parameters]),
-        lower=case.parameter_space.lower,
-        upper=case.parameter_space.upper,
-        is_log=case.parameter_space.is_log,
-    )
 
 
 def calibration_record(stored: StoredCalibration) -> CalibrationRecord:

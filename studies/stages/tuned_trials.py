@@ -3,11 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.report.records_tuning import LearningCurves, TrialsRecord, TunedSize
+from studies.report.records_tuning import TrialsRecord, TunedSize
 from studies.stages.pipeline import Study
-from studies.tracking.runs import CURVE
-from studies.tracking.stage_run import run_store
-from studies.tuning.results import TrialView, TunedStudy, latest_studies, read_studies
+from studies.tuning.results import TunedStudy, latest_studies, read_studies
 
 
 def tuned_by_size(study: Study, *, baseline: bool = False) -> dict[int, TunedStudy]:
@@ -49,32 +47,4 @@ def trials_record(studies: dict[int, TunedStudy]) -> TrialsRecord | None:
         test_mae=metric("test/mae"),
         test_p90=metric("test/p90"),
         is_best=np.array([trial is one.best for one, trial in ended]),
-    )
-
-
-def learning_curves(study: Study, studies: dict[int, TunedStudy]) -> tuple[LearningCurves, ...]:
-    """Return the learning curves of the best trial of each size, as MLflow keeps them."""
-    curves = []
-    for n_train, one in studies.items():
-        if one.best is not None and one.spec.settings["regressor"] == "network":
-            curves.append(_curves(study, n_train, one.best))
-    return tuple(curves)
-
-
-def _curves(study: Study, n_train: int, best: TrialView) -> LearningCurves:
-    client = run_store(study.paths).client
-    names = [n.removeprefix(CURVE) for n in client.get_run(best.run_id).data.metrics if n.startswith(CURVE)]
-    found = {
-        name: {point.step: point.value for point in client.get_metric_history(best.run_id, f"{CURVE}{name}")}
-        for name in names
-    }
-    epochs = sorted(found.get("validation_mae", {}))
-    of = {name: np.array([points.get(epoch, np.nan) for epoch in epochs]) for name, points in found.items()}
-    return LearningCurves(
-        n_train=n_train,
-        epoch=np.array(epochs, dtype=np.int64),
-        validation_mae=of.pop("validation_mae", np.zeros(0)),
-        terms=tuple(sorted(of.items())),
-        best_epoch=best.best_epoch,
-        stop_reason=best.reason,
     )

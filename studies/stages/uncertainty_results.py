@@ -20,7 +20,6 @@ from studies.stages.results import (
     measured_series,
     most_relevant,
     n_free_of,
-    parameter_box,
     read_arrays,
     stored_calibrations,
 )
@@ -141,15 +140,16 @@ def log_posterior(
         wall_s: Its duration. [s]
     """
     from studies.report.figures_uncertainty import band_figure, interval_figure
-    from studies.report.uncertainty import uncertainty_record
+    from studies.report.uncertainty import box_of, uncertainty_record
 
     numbers, n_free = stored.numbers, n_free_of(stored.numbers)
     record = uncertainty_record(numbers, stored.arrays)
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
         band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
-        box = parameter_box(study.case).of(record.names)
-        interval_figure(box, record, figures[1], footnote=study.label)
+        interval_figure(
+            box_of(study.case.parameter_space, record.names), record, figures[1], footnote=study.label
+        )
         log_stage(
             study.paths,
             StageRun(

@@ -23,7 +23,7 @@ from studies.report.figures_uncertainty import interval_figure
 from studies.report.tables_of_calibrations import intervals_table
 from studies.report.uncertainty import sentences, uncertainty_record
 from studies.stages.restriction import held_numbers, restriction_of
-from studies.stages.results import parameter_box, read_arrays
+from studies.stages.results import read_arrays
 from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
@@ -165,7 +165,7 @@ def test_a_sample_that_is_worth_nothing_tells_no_interval(
     assert said[0].startswith("Noise model" if is_trusted else "The sample of")
     assert np.isfinite(record.interval).all() == is_trusted
     assert (set(record.known) == {"unsure"}) != is_trusted
-    box = parameter_box(load_case(undisturbed / "fmus" / "wall"))
+    box = load_case(undisturbed / "fmus" / "wall").parameter_space
     table = intervals_table(box, record)
     assert [row["known"] == "too few calls" for row in table.records()] == [not is_trusted] * 7
     assert interval_figure(box, record, tmp_path / "intervals.png").stat().st_size > 10_000

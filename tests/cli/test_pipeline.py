@@ -9,14 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.case import Case, load_case
+from simulation.case import load_case
 from studies.console import Console
-from studies.paper.catalog import ITEMS
-from studies.paper.plan import BUDGETS, Plan
-from studies.paper.run import item_inputs
 from studies.paths import ProjectPaths, find_case, size_name
 from studies.profile import load_profile
 from studies.stages.calibrated_values import show_calibrations
+from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
 from studies.stages.report import command_of
 from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
@@ -160,16 +158,12 @@ def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinis
     ],
 )
 def test_what_no_digest_holds_is_an_input_where_it_decides(study: Study, old: str, new: str) -> None:
-    def items(case: Case) -> dict[str, Any]:
-        plan = Plan(lambda **asked: replace(study, case=case), BUDGETS["small"], "office")
-        return item_inputs(plan, ITEMS[0])
-
     file = study.case.path
     before = load_case(file)
     file.write_text(file.read_text().replace(old, new, 1))
     after = load_case(file)
     assert (after.digest, after.measurement.digest) == (before.digest, before.measurement.digest)
-    assert items(after) != items(before)
+    assert declared_inputs(after) != declared_inputs(before)
 
 
 def test_an_interrupted_stage_leaves_no_manifest(study: Study) -> None:

@@ -47,12 +47,11 @@ Reproduce = Callable[..., tuple[int, dict[str, Any]]]
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project of the office and its white box, with a toy profile."""
+    """A project of the office, with a toy profile."""
     root = tmp_path_factory.mktemp("paper") / "project"
-    for case, fmu in (("office", "Office.fmu"), ("office-whitebox-metered", "MeteredOffice.fmu")):
-        (root / "fmus" / case).mkdir(parents=True)
-        for name in (fmu, "case.toml"):
-            shutil.copy(REPOSITORY / "fmus" / case / name, root / "fmus" / case / name)
+    (root / "fmus" / "office").mkdir(parents=True)
+    for name in ("Office.fmu", "case.toml"):
+        shutil.copy(REPOSITORY / "fmus" / "office" / name, root / "fmus" / "office" / name)
     ignore = shutil.ignore_patterns("generated", "*.png", "*.py")
     shutil.copytree(REPOSITORY / "data" / "office", root / "data" / "office", ignore=ignore)
     (root / "studies.toml").write_text("schema = 1\n")

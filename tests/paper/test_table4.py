@@ -6,21 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper_study_for_tests import ORIGIN, REPOSITORY
+from paper_study_for_tests import COMMITTED, ORIGIN, REPOSITORY
 
-from studies.paper import fig7
-from studies.paper.published import published_calibration
-from studies.paper.table4_shown import shown, values_of
-from studies.paper.table4_sizes import SeedCalibration, SizeCalibrations, read_calibrations
-from studies.report.findings import quartiles
+from studies.paper import fig7, table4
+from studies.paper.published import TABLE_4
+from studies.paper.table4 import SeedCalibration, SizeCalibrations, quartiles, shown
 from studies.report.wording import count, significant
 
-COMMITTED = REPOSITORY / "data" / "paper-results"
+DOCUMENTATION = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
 
 
-def calibration(seed: int, calls: int | None, *, final: float = 0.0110) -> SeedCalibration:
+def calibration(seed: int, calls: int | None) -> SeedCalibration:
     """Return one that reached 0.0121 after so many calls behind its training set, or never."""
-    course = (0.5, 0.0121, final) if calls is not None else (0.5, 0.02, 0.015)
+    course = (0.5, 0.0121, 0.0110) if calls is not None else (0.5, 0.02, 0.015)
     return SeedCalibration(
         seed=seed, val_mae=1.0, test_mae=1.0, test_p90=2.0, training_s=3.0, mse_surrogate=0.02,
         mse_screened=0.5, n_checks=1, polish_calls=(1, calls or 200, 300), polish_mse=course, n_polish=299,
@@ -28,80 +26,69 @@ def calibration(seed: int, calls: int | None, *, final: float = 0.0110) -> SeedC
     )  # fmt: skip
 
 
-def size(n_train: int, *calibrations: SeedCalibration) -> SizeCalibrations:
-    return SizeCalibrations(
-        n_train, "refined", {"n_latent": 8}, (8.0, 16.0), {"popsize": 8}, 400, (), calibrations
+def row_of(*calibrations: SeedCalibration) -> dict[str, Any]:
+    size = SizeCalibrations(
+        32, "refined", {"n_latent": 8}, (8.0, 16.0), {"popsize": 8}, 400, (), calibrations
     )
+    result = shown(ORIGIN, [size])
+    return dict(zip(result.columns, result.rows[0], strict=True))
 
 
 def test_a_target_that_is_never_reached_makes_a_quartile_infinite_and_no_other() -> None:
-    found = values_of(ORIGIN, size(32, *(calibration(i, c) for i, c in enumerate((100, 140, 120, None)))))
-    assert quartiles(found["calls_to_usual"]).tolist() == [142.0, 162.0, np.inf]
-    assert quartiles(found["n_polish"]).tolist() == [299.0, 299.0, 299.0]
-    never = values_of(ORIGIN, size(32, calibration(0, 100), calibration(1, None), calibration(2, None)))
-    assert quartiles(never["calls_to_usual"]).tolist() == [132.0, np.inf, np.inf]
-
-
-def test_medians_stand_beside_the_paper() -> None:
-    result = shown(
-        ORIGIN, [size(32, *(calibration(i, 100 + i) for i in range(3))), size(512, calibration(0, 50))]
-    )
-    assert result.agreement == "agrees"
-    rows = result.numbers["by_size"]
-    assert rows[32]["median"]["calls_to_usual"] == 32 + 101
-    assert rows[32]["median"]["calls_to_paper"] == 32 + 101
-    assert rows[32]["median"]["total_paper"] == 32 + 1 + 299
-    assert rows[512]["n_seeds"] == 1
-    assert result.n_calls["training sets"] == 512 + 2 * 32
-    assert "0.0121 K² is reached after 133 calls (quartiles 132 and 134) at n = 32" in result.verdict
-    assert [picture.file for picture in result.pictures] == ["fig9.png", "seeds.png"]
-
-
-@pytest.mark.parametrize(("final", "agreement"), [(0.0110, "agrees"), (0.0130, "differs")])
-def test_a_final_error_above_the_papers_differs(final: float, agreement: str) -> None:
-    assert shown(ORIGIN, [size(32, calibration(0, 50, final=final))]).agreement == agreement
+    row = row_of(*(calibration(i, calls) for i, calls in enumerate((100, 140, 120, None))))
+    assert (row["lower quartile"], row["calls to 0.0121"], row["upper quartile"]) == (142.0, 162.0, np.inf)
+    assert (row["seeds"], row["calls"]) == (4, 32 + 1 + 299)
+    assert row["calls, validation and test too"] == row["calls"] + 640
 
 
 def test_what_could_not_be_simulated_is_infinite() -> None:
     failed = replace(calibration(0, None), mse_screened=None, mse_polished=None, squared_mse=None)
-    result = shown(ORIGIN, [size(32, failed), size(64, calibration(0, 50))])
-    assert result.agreement == "agrees in part"
-    assert result.numbers["by_size"][32]["median"]["mse_screened"] == np.inf
+    assert row_of(failed)["final MSE"] == np.inf
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 7, 10])
+def test_the_median_is_the_one_of_numpy(n: int) -> None:
+    values = np.random.default_rng(n).random(n)
+    wanted = np.quantile(values, [0.25, 0.5, 0.75], method="averaged_inverted_cdf")
+    assert quartiles(values) == pytest.approx(wanted, rel=1e-15)
+
+
+def test_the_papers_own_table_adds_up_without_its_screening_check() -> None:
+    assert all(row.n_train + row.n_polish == row.total for row in TABLE_4.values())
 
 
 def test_the_committed_calibrations_are_what_the_documentation_says() -> None:
-    origin, sizes = read_calibrations(COMMITTED / "table4")
-    documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
-    for n, numbers in shown(origin, sizes).numbers["by_size"].items():
-        assert documented_row(n, numbers) in documentation
+    _, result = table4.drawn_from(COMMITTED / "table4")
+    for row in result.rows:
+        assert documented_row(dict(zip(result.columns, row, strict=True))) in DOCUMENTATION
 
 
 def calls_or_never(calls: float) -> str:
     return count(calls) if np.isfinite(calls) else "never"
 
 
-def documented_row(n: int, numbers: Mapping[str, Any]) -> str:
+def documented_row(row: Mapping[str, Any]) -> str:
     """Return a row of the table in docs/paper.md."""
-    row, paper = numbers["median"], published_calibration(n)
-    assert paper is not None
     cells = [
-        f"{count(n)} ({numbers['n_seeds']})",
-        *(significant(row[key]) for key in ("test_mae", "mse_surrogate", "mse_screened")),
-        count(row["n_polish"]),
-        significant(row["mse_polished"]),
-        count(row["total_paper"]),
-        *(calls_or_never(row[key]) for key in ("calls_to_usual", "calls_to_paper")),
-        significant(row["squared_mse"]),
-        *map(significant, (paper.mse_screened, paper.mse_polished)),
-        count(paper.total),
+        f"{count(row['n_train'])} ({row['seeds']})",
+        *(significant(row[key]) for key in ("test MAE", "MSE surrogate", "MSE screened")),
+        count(row["polish calls"]),
+        significant(row["final MSE"]),
+        count(row["calls"]),
+        *(calls_or_never(row[key]) for key in ("calls to 0.0121", "calls to the paper's final")),
+        *(
+            significant(row[key])
+            for key in ("final MSE, squared residuals", "paper: screened", "paper: final")
+        ),
+        count(row["paper: calls"]),
     ]
     return f"| {' | '.join(cells)} |"
 
 
 def test_the_committed_errors_of_fig_7_are_what_the_documentation_says() -> None:
     _, result = fig7.drawn_from(COMMITTED / "fig7")
-    documentation = (REPOSITORY / "docs" / "paper.md").read_text(encoding="utf-8")
-    for n, mae in result.numbers["mae"]["all"].items():
-        important = result.numbers["mae"]["important"][n]
+    found = {(kind, n): mae for kind, n, *mae in result.rows}
+    for n in (n for kind, n in found if kind == "all"):
+        important, mae = found["important", n], found["all", n]
         cells = [count(n), *map(significant, (mae[-1], important[8], important[2], mae[8], mae[2], mae[0]))]
-        assert f"| {' | '.join(cells)} |" in documentation
+        assert f"| {' | '.join(cells)} |" in DOCUMENTATION

@@ -6,19 +6,18 @@ import numpy as np
 
 from simulation.case import KnownError
 from simulation.measurement import Measurement
+from simulation.parameters import Parameter, ParameterSpace
 from studies.report import (
     CalibrationRecord,
     CoverageSet,
-    LearningCurves,
     MeasuredSeries,
-    ParameterBox,
     Provenance,
     ReportData,
     TrialsRecord,
 )
 from studies.report.records import RestrictionRecord
 from studies.report.records_tuning import TunedSize
-from studies.report.uncertainty import UncertaintyRecord
+from studies.report.uncertainty import UncertaintyRecord, box_of
 from studies.sensitivity import SobolIndices
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
@@ -48,13 +47,17 @@ def measured(n_outputs: int = 1, n_steps: int = 480) -> MeasuredSeries:
     return MeasuredSeries(measurement, ("degC",) * n_outputs)
 
 
-def parameter_box(p: int = 14) -> ParameterBox:
+def parameter_box(p: int = 14) -> ParameterSpace:
     estimate = ESTIMATE[:p]
     lower, upper = estimate / 5, estimate * 5
     if p > 1:
         lower[1], upper[1] = 293.15, 306.15
-    is_log = np.arange(p) != 1
-    return ParameterBox(NAMES[:p], UNITS[:p], estimate.copy(), lower, upper, is_log)
+    return ParameterSpace(
+        tuple(
+            Parameter(NAMES[j], lower[j], upper[j], estimate[j], UNITS[j], "linear" if j == 1 else "log")
+            for j in range(p)
+        )
+    )
 
 
 def calibration(
@@ -107,7 +110,7 @@ def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
 
 def uncertainty(names: tuple[str, ...] = NAMES[:3], *, calibration: str = "adaptive") -> UncertaintyRecord:
     """Return how sure a calibration of some parameters is, the others of the box fixed."""
-    box, rng = parameter_box().of(names), np.random.default_rng(5)
+    box, rng = box_of(parameter_box(), names), np.random.default_rng(5)
     p, t = len(names), len(time_axis())
     low, high = box.lower + 0.3 * (box.upper - box.lower), box.lower + 0.6 * (box.upper - box.lower)
     ends = np.stack([low, high])
@@ -119,8 +122,8 @@ def uncertainty(names: tuple[str, ...] = NAMES[:3], *, calibration: str = "adapt
     return UncertaintyRecord(
         calibration=calibration, level=0.9, noise=noise, names=names, linear=ends,
         calibrated=ends.mean(axis=0), interval=ends, known=("narrowed",) * p, pairs=(), null_directions=(),
-        sensor=0.5, has_prior=False, particles=particles, sample=particles[:20], weights=np.full(20, 0.05),
-        correlation=np.eye(p), simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
+        sensor=0.5, has_prior=False, particles=particles, weights=np.full(20, 0.05),
+        simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
         share_predictive=(0.9,), n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
         n_fixed=n_fixed, condition="All this holds only if what was fixed is right." if n_fixed else "",
     )  # fmt: skip
@@ -208,18 +211,6 @@ def tuned(every: TrialsRecord) -> tuple[TunedSize, ...]:
     return tuple(found)
 
 
-def learning_curves(n_train: int = 64) -> LearningCurves:
-    epoch = np.arange(1, 801)
-    validation = 0.6 + 2.0 * np.exp(-epoch / 90) + 0.0002 * np.clip(epoch - 500, 0, None)
-    validation[epoch % 5 != 0] = np.nan
-    reconstruction = 60 * np.exp(-epoch / 60) + 2.0
-    kl = 20 + 10 * np.exp(-epoch / 200)
-    mean, scale = 1.2 * np.exp(-epoch / 150) + 0.02, 0.5 * np.exp(-epoch / 90) + 0.03
-    terms = (("loss", reconstruction + kl + mean + scale), ("reconstruction", reconstruction), ("kl", kl),
-             ("regression_mean", mean), ("regression_scale", scale))  # fmt: skip
-    return LearningCurves(n_train, epoch, validation, terms, 500, "no better for 300 epochs")
-
-
 def report_data(**changes: object) -> ReportData:
     fields: dict[str, object] = {
         "label": "office-quick",
@@ -232,7 +223,6 @@ def report_data(**changes: object) -> ReportData:
         "sensitivity": sensitivity(),
         "trials": trials(),
         "tuned": tuned(trials()),
-        "learning_curves": (learning_curves(64),),
         "references": (
             KnownError("best known", 0.0103, is_target=False),
             KnownError("target", 0.0125, is_target=True),

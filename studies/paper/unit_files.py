@@ -1,0 +1,132 @@
+"""One JSON file per finished unit (a training-set size, a row of Table 3), from which an item is drawn."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from simulation.errors import InputError
+from studies.paper.plan import Plan
+from studies.paths import size_name
+from studies.report.wording import difference_unit
+from studies.stages.pipeline import Study, read_json, write_json
+from studies.tracking.origin import versions
+
+SCHEMA = 1
+Unit = TypeVar("Unit")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the sizes come from; the same for all of them.
+
+    Args:
+        command: the command that makes them.
+        case: name of the case.
+        case_sha256: digest of the case.
+        label: what the results are named after.
+        note: what a reader of the case must know.
+        budget: the budget of the command.
+        profile: name of the profile.
+        seed: seed of the studies.
+        window_d: first and last day. [d]
+        unit: unit of the errors.
+        n_validation: simulations that choose.
+        n_test: simulations that only judge.
+        versions: of the programs, by name.
+    """
+
+    command: str
+    case: str
+    case_sha256: str
+    label: str
+    note: str
+    budget: str
+    profile: str
+    seed: int
+    window_d: tuple[float, float]
+    unit: str
+    n_validation: int
+    n_test: int
+    versions: dict[str, str]
+
+
+def origin_of(plan: Plan, study: Study, item: str) -> Origin:
+    """Return where the sizes of an item come from.
+
+    Args:
+        plan: what is repeated.
+        study: the study that was tuned or calibrated.
+        item: name of the item.
+    """
+    data, case = study.profile.data, study.case
+    return Origin(
+        command=plan.command(item),
+        case=case.name,
+        case_sha256=case.digest,
+        label=plan.study.label,
+        note=case.note,
+        budget=plan.budget.name,
+        profile=study.profile.name,
+        seed=study.profile.seed,
+        window_d=case.window_d,
+        unit=difference_unit(case.outputs[0].unit),
+        n_validation=data.n_validation,
+        n_test=data.n_test,
+        versions=versions(),
+    )
+
+
+def write_size(folder: Path, origin: Origin, n_train: int, size: Any) -> None:
+    """Write what was found of one training-set size, a dataclass of JSON values."""
+    content = {"schema": SCHEMA, "origin": asdict(origin), "size": asdict(size)}
+    write_json(folder / f"{size_name(n_train)}.json", content)
+
+
+def size_files(folder: Path) -> list[Path]:
+    """Return the files of a folder, the smallest size first."""
+    return sorted(folder.glob("n[0-9]*.json"))
+
+
+def read_sizes(files: Sequence[Path], kind: type[Unit]) -> tuple[Origin, tuple[Unit, ...]]:
+    """Read what was found of all sizes, in their order.
+
+    Args:
+        files: at least one.
+        kind: the dataclass that one file holds.
+
+    Raises:
+        InputError: a file cannot be read, or they belong to different studies.
+    """
+    found = [_read(file, kind) for file in files]
+    first = found[0][0]
+    for file, (origin, _) in zip(files, found, strict=True):
+        if origin != first:
+            raise InputError(f"{file} belongs to other studies than {files[0].name}; remove one of them")
+    return first, tuple(size for _, size in found)
+
+
+def first_origin(folder: Path) -> Origin | None:
+    """Return where the sizes of a folder come from, None where it holds none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    files = size_files(folder)
+    return _read(files[0], dict[str, Any])[0] if files else None
+
+
+def _read(file: Path, kind: type[Unit]) -> tuple[Origin, Unit]:
+    content = read_json(file)
+    if content is None or content.get("schema") != SCHEMA:
+        raise InputError(f"{file} holds no results of this item as this version writes them")
+    try:
+        origin = TypeAdapter(Origin).validate_python(content.get("origin"))
+        return origin, TypeAdapter(kind).validate_python(content.get("size"))
+    except ValidationError as error:
+        where = ".".join(map(str, error.errors()[0]["loc"]))
+        raise InputError(
+            f"{file} holds no results of this item as this version writes them: {where}"
+        ) from None
