@@ -26,11 +26,6 @@ def test_a_spread_design_keeps_its_distance_from_the_middle(spread: float, seed:
     assert (distance[:, 1:] <= spread + 1e-12).all()
 
 
-def test_spread_one_is_the_uniform_design_and_spread_zero_the_middle():
-    assert np.array_equal(spread_design(SPACE, 9, 1.0, 5), uniform_design(SPACE, 9, 5))
-    assert np.array_equal(spread_design(SPACE, 2, 0.0, 5), np.tile((SPACE.lower + SPACE.upper) / 2, (2, 1)))
-
-
 def test_parameters_left_out_of_the_spread_fill_their_bounds():
     rows = spread_design(SPACE, 4000, 0.1, 1, columns=["R"])
     assert np.ptp(rows[:, 1]) > 0.99 * np.ptp([SPACE.lower[1], SPACE.upper[1]])
