@@ -1,7 +1,6 @@
 """What the model's answers say: estimates, box, influence of every parameter and of every input."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,19 +31,6 @@ _REMEDIES = {
 }
 """What to do, by a sign in the reason of a failure."""
 _GENERAL_REMEDY = "try the FMU in another tool; correct the estimates, or have its exporter corrected"
-
-
-@dataclass(frozen=True)
-class Estimates:
-    """The point that everything is compared with.
-
-    Attributes:
-        theta: The estimates, the middle of the bounds where there is none. Shape (p,). [per parameter]
-        nominal: The model's answer there, one row.
-    """
-
-    theta: FloatArray
-    nominal: Trajectories
 
 
 def with_unit(unit: str) -> str:
@@ -127,18 +113,18 @@ def moved_points(case: Case, base: FloatArray) -> FloatArray:
     return theta
 
 
-def influence(case: Case, estimates: Estimates, answer: Trajectories) -> FloatArray:
+def influence(case: Case, nominal: Trajectories, answer: Trajectories) -> FloatArray:
     """Return how far each parameter moves an output.
 
     Args:
         case: the case.
-        estimates: what the answers are compared with.
+        nominal: the answer that they are compared with, one row.
         answer: the answers to `moved_points`, or to the first of them.
 
     Returns:
         Largest change, NaN where both bounds failed. Shape (p,). [uncertainties]
     """
-    moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=1) / case.measurement.uncertainty
+    moved = np.abs(answer.y - nominal.y[0]).max(axis=1) / case.measurement.uncertainty
     return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(-1, 2), axis=1))
 
 
@@ -167,15 +153,15 @@ def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | Non
     return finding("effect", "warn" if weak else "ok", **values)
 
 
-def look_at_inputs(names: tuple[str, ...], estimates: Estimates, answer: Trajectories) -> Finding:
+def look_at_inputs(names: tuple[str, ...], nominal: Trajectories, answer: Trajectories) -> Finding:
     """Say whether every input moves an output.
 
     Args:
         names: inputs that were changed, one per row of the answer.
-        estimates: what the answers are compared with.
+        nominal: the answer that they are compared with, one row.
         answer: answers to the estimates, each with one input changed.
     """
-    moved = np.abs(answer.y - estimates.nominal.y[0]).max(axis=(1, 2))
+    moved = np.abs(answer.y - nominal.y[0]).max(axis=(1, 2))
     if dead := [name for name, most in zip(names, moved, strict=True) if most <= SAME]:
         return finding("inputs-no-effect", names=", ".join(dead))
     failed = [f"{name}: {reason}" for name, reason in zip(names, answer.failures, strict=True) if reason]

@@ -134,16 +134,8 @@ def _fmu(case: Case) -> Finding:
     if interface.needs_execution_tool:
         return finding("fmu-needs-its-tool", said=said)
     if fmu.complaint:
-        return finding("fmu-breaks-the-standard", said=said, complaint=_first(fmu.complaint))
+        return finding("fmu-breaks-the-standard", said=said, complaint=" ".join(fmu.complaint.split())[:200])
     return finding("fmu", "ok", said=said)
-
-
-def _first(complaint: str) -> str:
-    """Return the first of several complaints, and how many there are."""
-    each = complaint.removeprefix("Failed to validate modelDescription.xml:").split(" - ")
-    each = [one.strip(" -.") for one in each if one.strip(" -.")]
-    more = f" (and {len(each) - 1} more)" if len(each) > 1 else ""
-    return (each[0] if each else complaint)[:200] + more
 
 
 def _partly_covered(case: Case) -> Iterator[str]:

@@ -1,9 +1,9 @@
 """The whole examination, in the order in which things can go wrong; slow models get a short one."""
 
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,86 +11,61 @@ import studies.doctor.answers as answers
 import studies.doctor.cost as cost
 import studies.doctor.repeats as repeats
 from simulation.arrays import FloatArray
-from simulation.case import Case
+from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
 from studies.circumstances import RestartModel
-from studies.console import Console
-from studies.doctor.answers import Estimates
 from studies.doctor.declared import base_point, look_at_data, look_at_declaration
 from studies.doctor.finding import Diagnosis, Finding, named
 from studies.doctor.keeping import KeepingModel
 from studies.doctor.patience import Patience
 from studies.doctor.region import N_HALVINGS, look_at_bounds
 from studies.doctor.variants import circumstances, look_at_halving
-from studies.profile import Profile
+from studies.physical_model import open_physical_model
+from studies.stages.pipeline import Study
 
 N_STEPS = 8
 PIECE = 8
 """Simulations of each worker between two looks at the clock."""
-OpenModel = Callable[[ExecutionPolicy], AbstractContextManager[KeepingModel]]
-"""Opens the case's model for batches, with all workers; what it is asked is stored."""
 
 
-@dataclass(frozen=True)
-class Surgery:
-    """What an examination needs.
-
-    Attributes:
-        case: the case.
-        halved: the same case at half the communication step.
-        profile: the budget whose cost is said.
-        open_model: opens the model for batches.
-        n_workers: processes that simulate at once.
-        command: what was typed, to ask for a thorough examination.
-        console: shows how far the examination is.
-    """
-
-    case: Case
-    halved: Case
-    profile: Profile
-    open_model: OpenModel
-    n_workers: int
-    command: str
-    console: Console
-
-
-def examine(surgery: Surgery, *, is_thorough: bool = False) -> Diagnosis:
-    """Examine a case.
+def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
+    """Examine the case of a study.
 
     Args:
-        surgery: the case, and what it is examined with.
+        study: the case, the profile whose cost is said, and how many processes simulate at once.
         is_thorough: whether nothing is left out, however long it takes.
     """
-    case = surgery.case
-    examination = _Examination(surgery, is_thorough=is_thorough)
+    case = study.case
+    examination = _Examination(study, is_thorough=is_thorough)
     findings = [*look_at_declaration(case), *look_at_data(case)]
     with (
-        surgery.console.progress("examinations", N_STEPS) as advance,
+        study.console.progress("examinations", N_STEPS) as advance,
         closing(examination.simulated()) as simulated,
     ):
         for step, found in enumerate(simulated, start=1):
             findings += found
             advance(min(step, N_STEPS), N_STEPS)
-    planned = cost.planned_simulations(case, surgery.profile)
+    planned = cost.planned_simulations(case, study.profile)
     return Diagnosis(tuple(findings), examination.patience.simulation_s, planned)
 
 
 class _Examination:
     """What is simulated and judged, and how long that may take."""
 
-    def __init__(self, surgery: Surgery, *, is_thorough: bool) -> None:
-        self._surgery, self._case = surgery, surgery.case
-        self._space, self._base = self._case.parameter_space, base_point(surgery.case.parameter_space)
-        self.patience = Patience(surgery.n_workers, is_thorough, self._case.policy.timeout_s)
+    def __init__(self, study: Study, *, is_thorough: bool) -> None:
+        self._study, self._case, self._space = study, study.case, study.case.parameter_space
+        self._base, policy = base_point(self._space), study.case.policy
+        n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
+        self.patience = Patience(n_workers, is_thorough, policy.timeout_s)
 
     def simulated(self) -> Generator[list[Finding]]:
         """Simulate, and judge what comes; ends early where the estimates fail."""
         case, base, patience = self._case, self._base, self.patience
-        policy, warn = self._policy(patience.first_timeout_s), self._surgery.console.warn
+        policy, warn = self._policy(patience.first_timeout_s), self._study.console.warn
         with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
             try:
                 nominal, patience.opening_s = _timed(alone, base)
@@ -102,7 +77,7 @@ class _Examination:
             yield list(answers.look_at_estimates(case, nominal))
             if nominal.failed[0]:
                 return
-            estimates, again = Estimates(base, nominal), []
+            again = []
             if patience.rows("a repetition", 3, at_once=False):
                 # Without opening the FMU; and after a row that is not the estimates.
                 answer, patience.simulation_s = _timed(alone, base)
@@ -111,8 +86,8 @@ class _Examination:
                 again = [answer, after.take([1])]
                 if patience.rows("starting the FMU over", 4, at_once=False):
                     yield self._restart(after.take([0]))
-            yield from self._in_the_box(estimates)
-            yield self._in_other_processes(estimates, again)
+            yield from self._in_the_box(nominal)
+            yield self._in_other_processes(nominal, again)
             yield [*self._memory(alone)]
         yield [*self._costs()]
 
@@ -125,13 +100,14 @@ class _Examination:
         first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
         return [repeats.look_at_order(later, first), *repeats.look_at_restart(answer)]
 
-    def _in_the_box(self, estimates: Estimates) -> Iterator[list[Finding]]:
+    def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
         case, patience = self._case, self.patience
-        with self._surgery.open_model(self._policy(patience.row_timeout_s)) as model:
-            model.keep(estimates.nominal)
+        with open_physical_model(self._study, policy=self._policy(patience.row_timeout_s)) as stored:
+            model = KeepingModel(stored)
+            model.keep(nominal)
             if n := patience.rows("influence of the parameters", 2 * self._space.n_parameters, 2):
-                yield list(self._influence(model, estimates, n - n % 2))
+                yield list(self._influence(model, nominal, n - n % 2))
             what = "corners of the box"
             if n := patience.rows(what, len(answers.corner_points(case, answers.N_CORNERS)), 2):
                 answer = self._in_pieces(model, answers.corner_points(case, n), what)
@@ -152,26 +128,25 @@ class _Examination:
             parts.append(model.simulate(theta[start : start + size]))
         return Trajectories.concatenate(parts)
 
-    def _influence(self, model: ForwardModel, estimates: Estimates, n: int) -> Iterator[Finding]:
+    def _influence(self, model: ForwardModel, nominal: Trajectories, n: int) -> Iterator[Finding]:
         """Move every parameter; where one does nothing, once more from another point."""
         case = self._case
         answer = model.simulate(answers.moved_points(case, self._base)[:n])
-        share, elsewhere = answers.influence(case, estimates, answer), None
+        share, elsewhere = answers.influence(case, nominal, answer), None
         if not (share > answers.SAME).all():
             other = answers.coverage_points(case, 1)[0]
             moved = model.simulate(np.vstack([other, answers.moved_points(case, other)[:n]]))
             if not moved.failed[0]:
-                there = Estimates(other, moved.take([0]))
-                elsewhere = answers.influence(case, there, moved.take(np.arange(1, n + 1)))
+                elsewhere = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
         yield answers.look_at_influence(case, share, elsewhere)
         n_rows = N_HALVINGS * int(answer.failed.sum())
         is_traced = n_rows > 0 and self.patience.rows("from where on bounds fail", n_rows, n_rows) > 0
         yield from look_at_bounds(case, self._base, answer, model if is_traced else None)
 
-    def _in_other_processes(self, estimates: Estimates, again: list[Trajectories]) -> list[Finding]:
+    def _in_other_processes(self, nominal: Trajectories, again: list[Trajectories]) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
-        case, halved, patience = self._case, self._surgery.halved, self.patience
-        names = case.scenario.input_names
+        case, patience, names = self._case, self.patience, self._case.scenario.input_names
+        halved = load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0)
         model = circumstances(case, halved, self._base)
         policy = self._policy(patience.with_opening(patience.row_timeout_s))
         with PoolModel(model.open, min(patience.n_workers, 2 + len(names)), policy=policy) as other:
@@ -179,12 +154,12 @@ class _Examination:
             if not n:
                 return []
             answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
-        nominal, asked = estimates.nominal, names[: n - 3]
+        asked = names[: n - 3]
         findings = [repeats.look_at_repeats(nominal, again, answer.take([0]))] if again else []
-        findings.append(look_at_halving(case, halved, estimates, answer.take([1])))
+        findings.append(look_at_halving(case, halved, nominal, answer.take([1])))
         if asked:
             changed = answer.take(np.arange(2, 2 + len(asked)))
-            findings.append(answers.look_at_inputs(asked, estimates, changed))
+            findings.append(answers.look_at_inputs(asked, nominal, changed))
         return findings
 
     def _memory(self, model: ForwardModel) -> Iterator[Finding]:
@@ -199,15 +174,15 @@ class _Examination:
         model.simulate(np.tile(self._base, (n, 1)))
         # Of many rows, handing over one has no weight.
         patience.simulation_s = (time.perf_counter() - started) / n
-        total = sum(cost.planned_simulations(self._case, self._surgery.profile).values())
+        total = sum(cost.planned_simulations(self._case, self._study.profile).values())
         yield repeats.look_at_memory(repeats.memory_in_use() - before, n, total)
 
     def _costs(self) -> Iterator[Finding]:
-        surgery, patience = self._surgery, self.patience
-        yield cost.look_at_timeout(surgery.case, patience.simulation_s)
-        yield cost.look_at_cost(surgery.case, surgery.profile, patience.simulation_s, surgery.n_workers)
-        each = cost.duration(patience.simulation_s)
-        yield from named("left-out", patience.left_out, "; ", each=each, command=surgery.command)
+        study, patience = self._study, self.patience
+        yield cost.look_at_timeout(study.case, patience.simulation_s)
+        yield cost.look_at_cost(study.case, study.profile, patience.simulation_s, patience.n_workers)
+        values = {"each": cost.duration(patience.simulation_s), "command": study.command}
+        yield from named("left-out", patience.left_out, "; ", **values)
 
     def _policy(self, timeout_s: float | None) -> ExecutionPolicy:
         """Return the case's policy with this time-out and without an end when many fail."""

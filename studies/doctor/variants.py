@@ -9,7 +9,7 @@ from simulation.case import Case
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 from simulation.trajectories import Trajectories
 from studies.circumstances import CircumstanceModel
-from studies.doctor.answers import Estimates, with_unit
+from studies.doctor.answers import with_unit
 from studies.doctor.finding import Finding, finding
 
 STEP_SHARE = 0.2
@@ -36,12 +36,12 @@ def circumstances(case: Case, halved: Case, row: FloatArray) -> CircumstanceMode
     return CircumstanceModel((case.settings, halved.settings, *changed), row)
 
 
-def look_at_halving(case: Case, halved: Case, estimates: Estimates, answer: Trajectories) -> Finding:
+def look_at_halving(case: Case, halved: Case, nominal: Trajectories, answer: Trajectories) -> Finding:
     """Say what half the communication step changes."""
     step_s = halved.communication_step_s
     if answer.failed[0]:
         return finding("half-step-fails", step_s=step_s, reason=answer.failures[0])
-    change = np.abs(answer.y[0] - estimates.nominal.y[0]).max(axis=0)
+    change = np.abs(answer.y[0] - nominal.y[0]).max(axis=0)
     shares = change / case.measurement.uncertainty
     worst = int(np.argmax(shares))
     output, share = case.outputs[worst], shares[worst]

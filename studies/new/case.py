@@ -137,9 +137,8 @@ def describe(fmu_file: Path) -> FmuDescription:
     Raises:
         InputError: There is no such file, or it is no FMU that can run here.
     """
-    if not fmu_file.is_file():
-        is_what = "is a folder" if fmu_file.is_dir() else "no such file"
-        raise InputError(f"{fmu_file}: {is_what}; give the path of an .fmu file")
+    if not fmu_file.exists():
+        raise InputError(f"{fmu_file}: no such file; give the path of an .fmu file")
     return read_description(fmu_file)
 
 

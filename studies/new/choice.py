@@ -100,15 +100,13 @@ def choose_parameters(fmu: FmuDescription, patterns: Sequence[str]) -> Choice:
             values show their order of magnitude. One that matches no parameter may match inputs.
     """
     candidates, inputs = parameter_candidates(fmu), [v for v in inputs_of(fmu) if _is_number(v)]
-    if patterns and inputs:
-        return _matching(fmu, candidates, patterns, "parameter", beside=inputs)
-    if not candidates:
+    if not candidates and not (patterns and inputs):
         raise InputError(
             f"{fmu.path}: has no real parameter that can be set; export it with parameters that are neither "
             "constant nor evaluated"
         )
     if patterns:
-        return _matching(fmu, candidates, patterns, "parameter")
+        return _matching(fmu, candidates, patterns, "parameter", beside=inputs)
     plain = [v for v in candidates if not (v.is_start_value or is_internal(v)) and not bounds_for(v).is_guess]
     top = [v for v in plain if "." not in v.name] or plain or candidates
     shown = [v for v in candidates if not is_internal(v)] or candidates
@@ -167,14 +165,17 @@ def bounds_for(variable: FmuVariable) -> Bounds:
     if start == 0.0:
         return Bounds(-1.0, 1.0, "linear", "the start value is 0: write what is plausible", True)
     if _is_temperature(variable):
-        bounds = Bounds(
-            start - TEMPERATURE_SPAN_K, start + TEMPERATURE_SPAN_K, "linear", "start value +- 10 K"
-        )
-    elif start > 0.0:
-        bounds = Bounds(start / FACTOR, start * FACTOR, "log", "1/5 to 5 times the start value")
+        lower, upper, why = start - TEMPERATURE_SPAN_K, start + TEMPERATURE_SPAN_K, "start value +- 10 K"
     else:
-        bounds = Bounds(start * FACTOR, start / FACTOR, "linear", "5 to 1/5 times the start value")
-    return _clipped(bounds, start, low, high)
+        lower, upper = sorted((start / FACTOR, start * FACTOR))
+        why = "1/5 to 5 times the start value"
+    lower, upper = float(f"{lower:.6g}"), float(f"{upper:.6g}")
+    if low is not None and low > lower:
+        lower, why = low, f"{why}, not below the FMU's min"
+    if high is not None and high < upper:
+        upper, why = high, f"{why}, not above the FMU's max"
+    is_log = lower > 0.0 and not _is_temperature(variable)
+    return Bounds(lower, upper, "log" if is_log else "linear", why)
 
 
 def choose_interface(fmu: FmuDescription, wanted: str | None) -> str:
@@ -261,21 +262,6 @@ def _is_temperature(variable: FmuVariable) -> bool:
     start = variable.start or 0.0
     is_named = unit == "" and start < 400.0 and re.match(r"T(?![a-z])|[Tt]emp", variable.name) is not None
     return (start > 200.0 and (unit == "K" or is_named)) or unit in ("degC", "°C")
-
-
-def _clipped(bounds: Bounds, start: float, low: float | None, high: float | None) -> Bounds:
-    """Keep proposed bounds inside the FMU's."""
-    lower, upper, why = _short(bounds.lower), _short(bounds.upper), bounds.why
-    if low is not None and lower < low <= start < upper:
-        lower, why = low, f"{why}, not below the FMU's min"
-    if high is not None and lower < start <= high < upper:
-        upper, why = high, f"{why}, not above the FMU's max"
-    scale = "linear" if lower <= 0.0 else bounds.scale
-    return Bounds(lower, upper, scale, why)
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 def _round_step(seconds: float) -> float:

@@ -58,28 +58,28 @@ def new_case(options: argparse.Namespace, paths: ProjectPaths, console: Console)
 def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Console) -> int:
     """Show what an FMU can be given and asked."""
     fmu = describe(Path(options.fmu).expanduser())
-    kinds = [*["output"] * bool(fmu.names("output")), "input", "parameter", "local"]
-    groups = {what: [fmu.variables[n] for n in fmu.names(what)] for what in kinds}
     named = options.parameter or ()
     is_any = named or parameter_candidates(fmu)
     active = {v.name for v in choose_parameters(fmu, named).used} if is_any else set()
-    for what, variables in groups.items():
+    document: dict[str, Any] = {"command": "new"}
+
+    def marked(variable: FmuVariable) -> str:
+        return variable.name + " *" * (variable.name in active)
+
+    for what in (*["output"] * bool(fmu.names("output")), "input", "parameter", "local"):
+        found = [fmu.variables[name] for name in fmu.names(what)]
+        document[f"{what}s"] = [_as_json(v, active) for v in found]
         console.table(
-            f"{fmu.path.name}: {count(len(variables), what)}",
+            f"{fmu.path.name}: {count(len(found), what)}",
             [Column(what), Column("type"), *_NUMBERS, Column("unit"), Column("meaning")],
             [
-                [f"{v.name} *" if v.name in active else v.name, v.kind, *_numbers(v), v.unit, v.description]
-                for v in variables
+                [v.name + " *" * (v.name in active), v.kind, *_numbers(v), v.unit, v.description]
+                for v in found
             ],
         )
     if active:
         console.result("* calibrated" + ("" if named else " unless you name others with --parameter"))
-    console.document(
-        {
-            "command": "new",
-            **{f"{what}s": [_as_json(v, active) for v in found] for what, found in groups.items()},
-        }
-    )
+    console.document(document)
     return OK
 
 
@@ -101,12 +101,6 @@ def _of(used: tuple[FmuVariable, ...], others: tuple[FmuVariable, ...]) -> str:
     return f" of {len(used) + len(others)}" if others else ""
 
 
-def _numbers(variable: FmuVariable) -> list[str]:
-    start = variable.start_text if variable.start is None else f"{variable.start:g}"
-    ends = ["" if end is None else f"{end:g}" for end in (variable.minimum, variable.maximum)]
-    return [start, *ends]
-
-
 def _as_json(variable: FmuVariable, active: set[str]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "name": variable.name,
@@ -118,11 +112,13 @@ def _as_json(variable: FmuVariable, active: set[str]) -> dict[str, Any]:
         "description": variable.description,
     }
     if variable.causality == "parameter" and variable.kind in REAL_KINDS:
-        bounds = bounds_for(variable)
-        found |= {
-            "lower": bounds.lower,
-            "upper": bounds.upper,
-            "scale": bounds.scale,
-            "calibrated": variable.name in active,
-        }
+        box = bounds_for(variable)
+        found |= {"lower": box.lower, "upper": box.upper, "scale": box.scale}
+        found["calibrated"] = variable.name in active
     return found
+
+
+def _numbers(variable: FmuVariable) -> list[str]:
+    values = (variable.start, variable.minimum, variable.maximum)
+    start, *ends = ("" if value is None else f"{value:g}" for value in values)
+    return [start or variable.start_text, *ends]

@@ -1,39 +1,11 @@
 """The doctor as a stage: examined once per case and profile, unless asked for."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-from simulation.case import load_case
-from simulation.pool.execution import ExecutionPolicy
 from studies.doctor import Diagnosis, Finding, examine
-from studies.doctor.examination import Surgery
-from studies.doctor.keeping import KeepingModel
-from studies.physical_model import open_physical_model
 from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Study, Summary, read_json, run_stage
-
-
-def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
-    """Examine the study's case now."""
-    case = study.case
-
-    @contextmanager
-    def open_model(policy: ExecutionPolicy) -> Iterator[KeepingModel]:
-        with open_physical_model(study, policy=policy) as model:
-            yield KeepingModel(model)
-
-    surgery = Surgery(
-        case=case,
-        halved=load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0),
-        profile=study.profile,
-        open_model=open_model,
-        n_workers=min(study.n_jobs, case.policy.max_workers or study.n_jobs),
-        command=f"studies check {study.command}",
-        console=study.console,
-    )
-    return examine(surgery, is_thorough=is_thorough)
 
 
 def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> tuple[Outcome, Diagnosis]:
@@ -46,7 +18,7 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
     }
 
     def work() -> tuple[Summary, list[Path]]:
-        return diagnose(study, is_thorough=is_thorough).to_dict(), []
+        return examine(study, is_thorough=is_thorough).to_dict(), []
 
     outcome = run_stage(
         study,

@@ -1,6 +1,5 @@
 """What a person sees who opens the addresses that `studies ui` prints: runs, best trials, curves, models."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ from studies.tuning.results import TunedStudy, read_studies
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-SHOTS = os.environ.get("STUDIES_SCREENSHOTS")
 SLOW_MS = 90_000
 ALL = "All runs of office-small"
 BEST = "Best trial per training-set size of office-small"
@@ -57,7 +55,6 @@ def test_the_first_screen_names_the_best_of_each_size_above_the_runs(
         errors = [study.best.metrics[name] for name in ("test/mae", "test/p90")]
         said = f"{' / '.join(map(setting, chosen))} → {', '.join(map(significant, errors))}"
         assert f"{study.spec.n_train}: {said}" in note.inner_text()
-    shot(page, "runs")
 
 
 def test_the_best_trials_are_filtered_from_the_others(
@@ -68,7 +65,6 @@ def test_the_best_trials_are_filtered_from_the_others(
     for study in tuned:
         assert study.best is not None
         cells.filter(has_text=f"n{study.spec.n_train:04d} trial {study.best.number:03d}").first.wait_for()
-    shot(page, "best")
     assert cells.filter(has_text=" trial 0").count() == len(tuned)
     assert cells.filter(has_text="PCA + GP").count() == 0
     assert cells.filter(has_text="calibration").count() == 0
@@ -85,22 +81,13 @@ def test_a_trial_shows_its_hyperparameters_errors_and_curves(
         page.get_by_text(word, exact=True).first.wait_for()
     for value in (best.metrics["test/mae"], best.metrics["test/p90"], best.params["n_latent"]):
         page.get_by_text(str(value), exact=True).first.wait_for()
-    shot(page, "trial")
     page.goto(f"{run}/model-metrics")
     page.get_by_text(f"n0016 trial {best.number:03d} (curve/validation_mae)").first.wait_for()
-    shot(page, "curves")
 
 
 def test_the_best_model_is_in_the_registry_under_its_alias(page: "Page", addresses: dict[str, str]) -> None:
     page.goto(addresses[MODELS])
     page.get_by_role("link", name="office-small-n0016").first.wait_for()
     page.get_by_role("link", name="office-small-n0024").first.wait_for()
-    shot(page, "models")
     page.goto(addresses[MODELS].replace("#/models", "#/models/office-small-n0024"))
     page.get_by_text("champion").first.wait_for()
-    shot(page, "model")
-
-
-def shot(page: "Page", name: str) -> None:
-    if SHOTS:
-        page.screenshot(path=Path(SHOTS) / f"test_{name}.png")

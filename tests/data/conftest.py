@@ -1,5 +1,5 @@
 import pytest
-from fmpy.fmi2 import FMU2Model, FMU2Slave
+from fmpy.fmi2 import FMU2Model
 from white_box_for_tests import CAMPAIGN, WhiteBox, is_installed
 
 
@@ -17,12 +17,5 @@ def generator(monkeypatch):
 @pytest.fixture
 def exchange(tmp_path):
     box = WhiteBox(tmp_path / "exchange", FMU2Model)
-    yield box
-    box.fmu.freeInstance()
-
-
-@pytest.fixture
-def slave(tmp_path):
-    box = WhiteBox(tmp_path / "slave", FMU2Slave)
     yield box
     box.fmu.freeInstance()

@@ -163,7 +163,7 @@ def test_an_fmu_that_hangs_when_it_is_opened_takes_its_time_out(behaviour, bad_f
     began = time.monotonic()
     with pytest.raises(InputError, match=r"did not open within 0\.5 s and was stopped; raise simulation"):
         simulated(bad_fmu(behaviour), make_theta(3, []), timeout_s=TIMEOUT_S)
-    assert time.monotonic() - began < 15.0, "0.5 s, and the start of a process on a busy machine"
+    assert time.monotonic() - began < 60.0, "0.5 s, and the start of a process on a busy machine"
 
 
 def daemons():

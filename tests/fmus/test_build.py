@@ -1,7 +1,5 @@
 """Building: the same sources give the same file, which compiles anywhere."""
 
-import errno
-import os
 import shutil
 import subprocess
 import sys
@@ -11,8 +9,6 @@ import pytest
 from fmpy import extract, simulate_fmu
 from fmpy.build import build_platform_binary
 from fmu_for_tests import REPOSITORY
-
-from fmus.compiler.__main__ import main
 
 FOLDER = REPOSITORY / "fmus" / "office"
 
@@ -50,19 +46,6 @@ def test_the_command_says_in_one_line_what_is_wrong(compiler, tmp_path):
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
-
-
-def test_a_full_disk_is_one_line_and_leaves_nothing(compiler, tmp_path, monkeypatch, capsys):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
-    assert main([str(FOLDER), "--output", str(tmp_path / "O.fmu")]) == 2
-    assert "O.fmu: cannot be written (No space left on device); " in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(compiler, "_compile", full)
-    assert main([str(FOLDER), "--output", str(tmp_path / "O.fmu")]) == 2
-    assert capsys.readouterr().err == "error: [Errno 28] No space left on device\n"
 
 
 @pytest.mark.parametrize(

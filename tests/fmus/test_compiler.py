@@ -136,27 +136,3 @@ def test_units_resolve_into_base_units(compiler, unit, powers, factor):
     base = parse_unit(unit)
     assert base.powers == powers
     assert base.factor == pytest.approx(factor, rel=1e-15)
-
-
-@pytest.mark.parametrize(
-    "unit",
-    [
-        "",
-        "W/m2.K",
-        "furlong",
-    ],
-)
-def test_malformed_units_are_refused(compiler, unit):
-    from fmus.compiler.errors import CompileError
-    from fmus.compiler.units import parse_unit
-
-    with pytest.raises(CompileError, match="unit"):
-        parse_unit(unit)
-
-
-@pytest.mark.parametrize(("unit", "expected"), [("W/m2", "W/(m2.s)"), ("1", "1/s")])
-def test_units_of_time_derivatives(compiler, unit, expected):
-    from fmus.compiler.units import derivative_unit, parse_unit
-
-    assert derivative_unit(unit) == expected
-    assert parse_unit(expected).powers["s"] == parse_unit(unit).powers.get("s", 0) - 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fmpy import read_model_description, simulate_fmu
+from fmpy import simulate_fmu
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from fmu_for_tests import Driver
@@ -73,35 +73,6 @@ def test_a_ball_bounces_where_its_parabolas_say(build, version, kind, step):
     np.testing.assert_array_equal(count, n)
 
 
-KINKED = """
-model M "Grows by its own rule until it saturates"
-  parameter Real limit(unit="1") = 1 "Where it bends";
-  Real x(unit="1", start=0, fixed=true) "State";
-  output Real y(unit="1") "Output";
-equation
-  der(x) = RULE;
-  y = 2*x;
-end M;
-"""
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_condition_changes_at_its_crossing_and_not_at_the_next_step(build, version, kind):
-    fmu = build(KINKED.replace("RULE", "if x < limit then 1 else 0.25"), EVENTS + version)
-    description = read_model_description(str(fmu))
-    assert description.numberOfEventIndicators == 1 or len(description.eventIndicators) == 1
-    time, (y,) = run(fmu, kind, 0.3, output=["y"])
-    expected = 2 * np.where(time < 1, time, 1 + 0.25 * (time - 1))
-    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
-
-
-def test_a_condition_within_no_event_makes_none(build):
-    for rule in ("noEvent(if x < limit then 1 else 0.25)", "smooth(0, if x < limit then 1 else 0.25)"):
-        fmu = build(KINKED.replace("RULE", rule), EVENTS, folder=rule[:2])
-        assert read_model_description(str(fmu)).numberOfEventIndicators == 0
-
-
 def test_conditions_that_depend_on_time_inputs_and_each_other(build, tmp_path):
     source = """
 model M "Test"
@@ -145,29 +116,6 @@ equation
   der(x) = d;
   y = x;
 """
-WRONG = {
-    "sample": ("when sample(0, 1) then d = 2; end when;", r"sample\(\) is not understood"),
-    "no pre": ("when x > 1 then d = d + 1; end when;", r"write pre\(d\)"),
-    "reinit of none": ("when x > 1 then reinit(y, 0); d = 1; end when;", "reinit of y, which is no state"),
-    "set twice": ("when x > 1 then d = 1; d = 2; end when;", "sets d twice"),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_an_event_that_is_not_understood_is_one_clear_line(build, name):
-    from fmus.compiler.errors import CompileError
-
-    when, message = WRONG[name]
-    with pytest.raises(CompileError, match=message) as caught:
-        build(f"{HEAD}  {when}\nend M;", EVENTS)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_when_asks_for_events(build):
-    from fmus.compiler.errors import CompileError
-
-    with pytest.raises(CompileError, match="events = true"):
-        build(BALL, 'model = "M"\n')
 
 
 def test_whens_that_set_each_other_off_are_an_error_and_no_endless_loop(build, tmp_path):

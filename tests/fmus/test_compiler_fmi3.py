@@ -5,7 +5,6 @@ import shutil
 import numpy as np
 import pytest
 from fmpy import extract, read_model_description, simulate_fmu
-from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 from fmpy.validation import validate_fmu
 from fmu_for_tests import OFFICE, REPOSITORY
@@ -114,30 +113,6 @@ def test_directional_derivatives_match_finite_differences(tmp_path, known):
     driver.close()
     np.testing.assert_allclose(given, expected, rtol=1e-6, atol=1e-5 * np.abs(expected).max())
     assert np.any(given)
-
-
-def test_what_cannot_be_is_an_error_with_a_message(wall):
-    with pytest.raises(FMICallException):
-        wall.initialize(C1=float("nan"))
-    assert wall.messages.pop() == "parameter C1 = nan is not finite"
-    wall.initialize()
-    with pytest.raises(FMICallException):
-        wall.set(C1=1e5)
-    assert "C1 is fixed" in wall.messages.pop()
-    with pytest.raises(FMICallException):
-        wall.set(TMasonry=300.0)
-    assert "neither input nor parameter" in wall.messages.pop()
-    with pytest.raises(FMICallException):
-        wall.fmu.getInt32([0])
-    assert "no variables of type Int32" in wall.messages.pop()
-    with pytest.raises(FMICallException):
-        wall.fmu.doStep(600.0, 600.0)
-    assert "asked to step from 600, but the time is 0" in wall.messages.pop()
-    with pytest.raises(FMICallException):
-        wall.fmu.doStep(0.0, 600.0)
-    assert "not allowed now" in wall.messages.pop()
-    wall.initialize()
-    wall.fmu.doStep(0.0, 600.0)
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])

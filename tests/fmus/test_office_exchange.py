@@ -72,20 +72,6 @@ def test_directional_derivatives_match_finite_differences(office_exchange, known
         assert np.any(np.array(given) != 0.0)
 
 
-def test_during_the_initialization_states_follow_their_start_parameters(office):
-    office.fmu.setupExperiment(startTime=0.0)
-    office.fmu.enterInitializationMode()
-    unknowns = office.refer(["air.T", "masses.T", "ceiling.T", "TAir"])
-    given = office.fmu.getDirectionalDerivative(unknowns, office.refer(["TAirInit"]), [1.0])
-    assert given == [1.0, 1.0, 0.0, 1.0]
-    before = office.get("der(wall.T)")[0]
-    office.set(TAirInit=297.15)
-    (slope,) = office.fmu.getDirectionalDerivative(
-        office.refer(["der(wall.T)"]), office.refer(["TAirInit"]), [1.0]
-    )
-    assert office.get("der(wall.T)")[0] - before == pytest.approx(slope, rel=1e-9)
-
-
 def test_a_saved_state_goes_back_and_through_bytes(office):
     inputs = reference.varied_inputs(6, 2)
     office.initialize()

@@ -37,14 +37,6 @@ def test_after_a_failure_a_reset_instance_is_as_new(office):
     assert office.get("TAir") == expected
 
 
-def test_an_input_that_is_not_finite_ends_the_run_by_name(office):
-    office.initialize()
-    office.set(TSupMV=math.nan)
-    with pytest.raises(FMICallException, match="fmi2DoStep"):
-        office.fmu.doStep(0.0, 600.0)
-    assert "TSupMV" in office.messages[-1]
-
-
 @pytest.mark.parametrize(
     ("t", "h", "message"),
     [(600.0, 600.0, "but the time is"), (0.0, -1.0, "not a duration"), (0.0, math.nan, "not a duration")],

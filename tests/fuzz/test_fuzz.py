@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis.errors import HypothesisWarning
 from inputs_for_tests import KINDS, Input, Outcomes, inputs, project, tried
 
-LONGEST_S = 12.0
+LONGEST_S = 25.0
 N_INPUTS = 200
 
 

@@ -2,7 +2,6 @@
 
 import os
 import platform
-import sys
 from pathlib import Path
 
 import pytest
@@ -56,15 +55,6 @@ def test_a_marker_of_another_version_is_refused(folder: Path, text: str, told: s
         find_project(None)
 
 
-def test_the_marker_is_made_once_and_the_folder_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    mark_project(folder, Console())
-    assert capsys.readouterr().err == f"project: {folder} (studies.toml made)\n"
-    mark_project(folder, Console())
-    assert capsys.readouterr().err == ""
-
-
 def test_a_folder_that_cannot_be_written_is_one_line(folder: Path) -> None:
     file = folder / "file"
     file.touch()
@@ -108,42 +98,14 @@ def test_a_recorded_name_is_the_projects_own_file_first(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "place",
-    [
-        *(
-            "../x",
-            "fmus/../../x",
-            "fmus/..",
-            "/etc/passwd",
-            "/proc/kcore",
-            "//etc/passwd",
-            "~/x",
-            "a\0b",
-            "a\nb",
-        ),
-        *(
-            "\x1b[2J",
-            "\u202ea",
-            "",
-            "x" * 5000,
-            "pipe",
-            "link",
-            3,
-            None,
-            ["studies.toml"],
-            {"a": 1},
-            "\ud800",
-        ),
-    ],
+    "place", ["../x", "fmus/../../x", "/etc/passwd", "~/x", "a\0b", "x" * 5000, "pipe", 3]
 )
 def test_a_record_leads_nowhere_else(folder: Path, place: object) -> None:
     project = folder / "project"
     project.mkdir()
     (folder / "x").touch()
     os.mkfifo(project / "pipe")
-    (project / "link").symlink_to(project / "link")
-    found = ProjectPaths(project).located(place)
-    assert found is None or (place == "" and found == project)
+    assert ProjectPaths(project).located(place) is None
 
 
 def test_results_of_a_checkout_are_not_taken_for_the_projects(
@@ -196,23 +158,12 @@ def test_compiled_loops_go_to_the_project_where_the_package_cannot_be_written(
     assert os.environ["NUMBA_CACHE_DIR"] == str(folder / "mlruns" / "compiled")
 
 
-@pytest.mark.parametrize(
-    ("system", "machine", "told"),
-    [
-        ("linux", "aarch64", "on aarch64"),
-    ],
-)
 def test_another_machine_is_told_what_is_missing(
-    system: str,
-    machine: str,
-    told: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "platform", system)
-    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
     assert entry.main(["status"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "Linux on x86-64 is missing" in said
-    assert told in said
+    assert "on aarch64" in said

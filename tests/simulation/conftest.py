@@ -11,70 +11,9 @@ import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 
-DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="Decay" guid="decay-1" numberOfEventIndicators="0">
-<CoSimulation modelIdentifier="decay" canHandleVariableCommunicationStepSize="true"/>
-<UnitDefinitions><Unit name="K"/><Unit name="1/s"/><Unit name="K/s"/></UnitDefinitions>
-<ModelVariables>
-<ScalarVariable name="k" valueReference="0" causality="parameter" variability="tunable">
-<Real start="1e-4" unit="1/s"/></ScalarVariable>
-<ScalarVariable name="x0" valueReference="1" causality="parameter" variability="tunable">
-<Real start="300" unit="K"/></ScalarVariable>
-<ScalarVariable name="mode" valueReference="2" causality="parameter" variability="tunable">
-<Real start="0"/></ScalarVariable>
-<ScalarVariable name="u" valueReference="3" causality="input" variability="continuous">
-<Real start="0" unit="K/s"/></ScalarVariable>
-<ScalarVariable name="y" valueReference="4" causality="output" variability="continuous">
-<Real unit="K"/></ScalarVariable>
-</ModelVariables>
-<ModelStructure><Outputs><Unknown index="5"/></Outputs></ModelStructure>
-</fmiModelDescription>
-"""
+DESCRIPTION = Path(__file__).with_name("decay.xml").read_text()
 
-CASE = """
-schema = 1
-name = "decay"
-title = "One state"
-fmu = "decay.fmu"
-interface = "co-simulation"
-data = "data"
-
-[time]
-window_d = [0.25, 0.75]
-communication_step_s = 600
-output_step_s = 1800
-
-[[inputs]]
-name = "u"
-file = "recording.csv"
-column = "heating"
-unit = "K/s"
-interpolation = "linear"
-
-[[outputs]]
-name = "y"
-unit = "degC"
-file = "recording.csv"
-column = "T_degC"
-uncertainty = 0.5
-
-[[parameters]]
-name = "k"
-estimate = 1e-4
-lower = 2e-5
-upper = 5e-4
-unit = "1/s"
-scale = "log"
-description = "rate"
-
-[[parameters]]
-name = "mode"
-lower = 0
-upper = 6
-
-[fixed]
-x0 = { first_measured = "y" }
-"""
+CASE = Path(__file__).with_name("decay.toml").read_text()
 
 
 @pytest.fixture(scope="session")

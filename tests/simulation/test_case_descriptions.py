@@ -97,9 +97,7 @@ def test_any_unit_is_taken_where_the_fmu_has_none(decay_case: Path):
     ("line", "value"),
     [
         ("n = 5", 5),
-        ("on = false", False),
         ('file = "b.txt"', "b.txt"),
-        ("kind = 4", 4),
         ('kind = "wrapped"', 4),
     ],
 )
@@ -132,12 +130,3 @@ def test_a_wrong_fixed_value_of_another_kind_is_one_line(decay_case: Path, line:
     with pytest.raises(InputError, match=message) as caught:
         load_case(decay_case)
     assert "\n" not in str(caught.value)
-
-
-def test_a_whole_number_cannot_be_calibrated(decay_case: Path):
-    describe(decay_case, (b"</ModelVariables>", OTHERS), (b"<ModelVariables>", TYPES))
-    edit(decay_case, ('name = "mode"', 'name = "n"'))
-    with pytest.raises(
-        InputError, match=r"parameters\[n\]: n is of type Integer; .* hold it under \[fixed\]"
-    ):
-        load_case(decay_case)

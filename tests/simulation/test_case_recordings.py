@@ -1,7 +1,6 @@
 """Recordings as loggers write them: own times, gaps, other separators, timestamps, clocks set back."""
 
 import re
-import unicodedata
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -218,14 +217,6 @@ def test_times_may_count_other_units_than_seconds(tmp_path: Path, unit: str, len
         found = read_recording(file, ["T"], time_column=name)
         np.testing.assert_allclose(found.time, np.array([0.5, 1.5, 2.5]) * length_s)
         assert found.clock == "seconds"
-
-
-def test_an_umlaut_may_be_one_character_or_two(decay_case: Path):
-    before = load_case(decay_case)
-    path = decay_case / "data" / "recording.csv"
-    path.write_text(path.read_text().replace("T_degC", unicodedata.normalize("NFD", "Wärme")))
-    edit(decay_case, ('column = "T_degC"', f'column = "{unicodedata.normalize("NFC", "Wärme")}"'))
-    assert load_case(decay_case).measurement.digest == before.measurement.digest
 
 
 def test_a_time_column_of_another_name(decay_case: Path):

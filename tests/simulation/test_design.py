@@ -1,6 +1,7 @@
 """Designs: inside the box, uniform in physical units, nested."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,11 +27,6 @@ def test_a_spread_design_keeps_its_distance_from_the_middle(spread: float, seed:
     assert (distance[:, 1:] <= spread + 1e-12).all()
 
 
-def test_spread_one_is_the_uniform_design_and_spread_zero_the_middle():
-    assert np.array_equal(spread_design(SPACE, 9, 1.0, 5), uniform_design(SPACE, 9, 5))
-    assert np.array_equal(spread_design(SPACE, 2, 0.0, 5), np.tile((SPACE.lower + SPACE.upper) / 2, (2, 1)))
-
-
 def test_parameters_left_out_of_the_spread_fill_their_bounds():
     rows = spread_design(SPACE, 4000, 0.1, 1, columns=["R"])
     assert np.ptp(rows[:, 1]) > 0.99 * np.ptp([SPACE.lower[1], SPACE.upper[1]])
@@ -42,3 +38,16 @@ def test_the_draw_is_uniform_in_physical_units_also_where_the_scale_is_logarithm
     n = 4000
     rows = np.sort((uniform_design(SPACE, n, 0) - SPACE.lower) / (SPACE.upper - SPACE.lower), axis=0)
     assert np.abs(rows - (np.arange(n)[:, None] + 0.5) / n).max() < 1.63 / np.sqrt(n)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n": -1}, "-1 rows"),
+        ({"spread": 1.5}, "spread is 1.5"),
+        ({"columns": ["X"]}, "no parameter is named 'X'; there are R, C, T"),
+    ],
+)
+def test_misuse_is_refused(arguments: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        spread_design(SPACE, **{"n": 3, "spread": 0.5, "seed": 0, **arguments})

@@ -8,56 +8,7 @@ import pytest
 
 from simulation import InputError, load_case
 
-CASE = """
-schema = 1
-name = "kinds"
-fmu = "{fmu}"
-
-[time]
-window_d = [0.25, 0.5]
-start_d = 0
-{shared}
-communication_step_s = 600
-output_step_s = 1800
-
-[[inputs]]
-name = "u"
-file = "recording.csv"
-column = "u"
-unit = "1"
-interpolation = "linear"
-
-[[inputs]]
-name = "on"
-file = "recording.csv"
-column = "on"
-unit = "1"
-interpolation = "held"
-
-[[inputs]]
-name = "level"
-file = "recording.csv"
-column = "level"
-unit = "1"
-interpolation = "held"
-
-[[outputs]]
-name = "{output}"
-unit = "1"
-file = "recording.csv"
-column = "y"
-uncertainty = 1
-
-[[parameters]]
-name = "k"
-estimate = 0.72
-lower = 0.036
-upper = 3.6
-unit = "1/h"
-
-[fixed]
-word = "warm"
-"""
+CASE = Path(__file__).with_name("kinds.toml").read_text()
 ROWS_PER_H = np.array([[0.36], [1.44], [0.36]])
 
 

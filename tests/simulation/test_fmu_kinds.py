@@ -14,7 +14,6 @@ import pytest
 from simulation import InputError
 from simulation.fmi.description import read_description
 from simulation.fmi.fmu import FmuSettings
-from simulation.fmi.loop import step_through
 
 FIXED = {"n": 3, "b": True, "c": "high", "s": "four"}
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
@@ -49,14 +48,6 @@ def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Pa
         expected = kinds_fmu.closed_form(settings, *row) + 3 + 7 + 4 + 1000 + 2
         # The same formula in the same order; exp differs by an ulp between C and NumPy.
         np.testing.assert_allclose(y, expected, rtol=1e-13)
-
-
-def test_the_first_row_waits_for_no_compiler(fmu: Path):
-    with kinds_fmu.kinds_settings(fmu).open() as model:
-        ready = set(step_through.signatures)
-        model.simulate(ROWS)
-    assert len(ready) == 1
-    assert set(step_through.signatures) == ready
 
 
 def _driven(settings: FmuSettings, **signals: np.ndarray) -> FmuSettings:
@@ -116,25 +107,6 @@ def test_a_float32_parameter_is_calibrated(fmu_3: Path):
     expected = [1.5 * kinds_fmu.closed_form(settings, 1e-4, 300.0) + 2]
     expected += [0.75 * kinds_fmu.closed_form(settings, 2e-4, 300.0) + 2]
     np.testing.assert_allclose(y, expected, rtol=1e-13)
-
-
-def test_an_alias_is_a_variable_like_any_other(fmu_3: Path):
-    settings = dataclasses.replace(kinds_fmu.kinds_settings(fmu_3), output_names=("also y",))
-    with settings.open() as model:
-        assert model.simulate(ROWS).failures == ("", "", "")
-
-
-@pytest.mark.parametrize(
-    ("fixed", "message"),
-    [
-        ({"n": 1.5}, r"fixed\.n = 1\.5: n is of type Int.*; give a whole number from -\d+ to"),
-        ({"c": "medium"}, r"fixed\.c = 'medium': c has no such item; choose one of: low, high"),
-    ],
-)
-def test_a_fixed_value_that_does_not_fit_is_refused_in_one_line(fmu: Path, fixed: dict, message: str):
-    with pytest.raises(InputError, match=message) as error:
-        kinds_fmu.kinds_settings(fmu, fixed=fixed).open()
-    assert "\n" not in str(error.value)
 
 
 def test_an_inverse_display_unit_is_none_of_the_units_that_a_factor_converts(tmp_path: Path):

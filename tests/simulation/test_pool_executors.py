@@ -130,10 +130,3 @@ def test_the_fmu_travels_by_its_content(cluster: Any, decay_case: Path):
         shutil.move(case.fmu.path, case.fmu.path.with_suffix(".away"))
         assert model.simulate(rows).digest == expected.digest
         assert model.simulate(rows[::-1]).digest == expected.take(np.arange(30)[::-1]).digest
-
-
-def test_an_address_without_a_scheduler_is_an_error_of_the_user(monkeypatch: pytest.MonkeyPatch):
-    dask_executor = pytest.importorskip("simulation.pool.dask_executor")
-    monkeypatch.setattr(dask_executor, "_CONNECT_S", 0.5)
-    with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:9: no Dask scheduler answers there"):
-        dask_executor.DaskExecutor("tcp://127.0.0.1:9")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 
-from simulation.scenario import Scenario, covers, values_at_edges, values_over_steps
+from simulation.scenario import covers, values_at_edges, values_over_steps
 
 TIME = np.arange(9) * 1800.0
 VALUES = np.array([0.0, 1.0, 1.0, 4.0, 3.0, 3.5, -2.0, 0.0, 1.0])
@@ -92,15 +92,3 @@ def test_nothing_is_extended_silently():
     for interpolation in ("held", "linear", "smooth"):
         with pytest.raises(ValueError, match="does not cover"):
             values_over_steps(TIME, VALUES, _edges(0, 600, 30), interpolation=interpolation)
-
-
-def test_outputs_lie_on_every_so_manyth_edge():
-    scenario = Scenario(_edges(100, 600, 6), np.zeros((6, 1)), ("u",), 3)
-    assert scenario.time.tolist() == [100, 1900, 3700]
-
-
-def test_a_scenario_that_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match="expected"):
-        Scenario(_edges(0, 600, 6), np.zeros((5, 1)), ("u",), 3)
-    with pytest.raises(ValueError, match="every 4"):
-        Scenario(_edges(0, 600, 6), np.zeros((6, 1)), ("u",), 4)

@@ -96,14 +96,6 @@ def test_pandas_reads_a_store_as_the_page_and_the_help_say(store: SimulationStor
     assert all(line in MORE for line in re.findall(r"(?:pandas.read_sql|numpy.stack).*\)", shown)[:2])
 
 
-def test_names_may_differ_by_case_or_hold_quotes_or_be_those_of_outputs(file: Path) -> None:
-    for i, names in enumerate((("c", "C"), ("T", "t"), ("_theta", "_Theta"), ('wall "a", b', "x'"))):
-        rows = replace(ANSWER, parameter_names=names)
-        with open_store(file.with_name(f"{i}.db"), rows=rows) as store:
-            store.append(rows)
-            assert store.read(rows.theta).digest == rows.digest
-
-
 def test_a_good_row_takes_the_place_of_a_failed_one_and_stays(store: SimulationStore) -> None:
     good = ANSWER.take(np.flatnonzero(~ANSWER.failed)[:3])
     for rows in (

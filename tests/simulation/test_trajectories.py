@@ -1,7 +1,6 @@
 """Trajectories: shapes, failures, selection."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -59,12 +58,3 @@ def test_the_digest_sees_every_change():
     other = _trajectories(np.zeros((1, 2)), np.nextafter(np.zeros((1, 3, 2)), 1))
     failed = _trajectories(np.zeros((1, 2)), np.zeros((1, 3, 2)), ["x"])
     assert len({base.digest, other.digest, failed.digest}) == 3
-
-
-def test_different_models_do_not_stack():
-    base = _trajectories(np.zeros((1, 2)), np.zeros((1, 3, 2)))
-    other = Trajectories(base.theta, base.y, base.time + 1, ("a", "b"), ("T", "q"), ("",))
-    with pytest.raises(ValueError, match="different models or time grids"):
-        Trajectories.concatenate([base, other])
-    with pytest.raises(ValueError, match="nothing"):
-        Trajectories.concatenate([])

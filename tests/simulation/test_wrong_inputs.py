@@ -103,6 +103,60 @@ WRONG: dict[str, tuple[Change, str]] = {
         csv(r"(?s)\A.*", "time_s;T_degC;heating\n0;1,5;0\n1800;1.5;0\n"),
         r"column T_degC has a comma in '1,5' \(line 2\) and there is a point in '1.5' \(line 3\)",
     ),
+    "a key that needs quotes": (
+        toml("schema = 1", "schema = 1\ntank[2].h = 0.5  # [m]"),
+        r'case\.toml: not valid TOML: .*line .*needs quotes; write "tank\[2\]\.h" = \.\.\.$',
+    ),
+    "time column that no file has": (
+        toml("schema = 1", 'schema = 1\ntime_column = "Zeit"'),
+        r'case\.toml: time_column = "Zeit" is in none of recording\.csv, whose times stand in time_s;',
+    ),
+    "missing key": (toml('unit = "K/s"\n', ""), r"key inputs\[u\]\.unit is missing; add it"),
+    "window reversed": (
+        toml("[0.25, 0.75]", "[0.75, 0.25]"),
+        r"window_d = \[0\.75, 0\.25\]: the end must lie after",
+    ),
+    "window of odd length": (
+        toml("[0.25, 0.75]", "[0.25, 0.76]"),
+        r"not a whole number of output steps of 1800 s",
+    ),
+    "header alone": (
+        lambda folder: (folder / "data" / "recording.csv").write_text("time_s,T_degC,heating\n"),  # type: ignore[dict-item]
+        r"recording\.csv: no row of data",
+    ),
+    "workbook": (
+        csv(r"\Atime_s", "PK\x03\x04"),
+        r"recording\.csv: is a workbook, no CSV file; save its sheet as CSV",
+    ),
+    "time left out": (csv(r"^3600,", ","), r"line 4, column time_s: the time is missing"),
+    "text cell": (
+        csv(r"^3600,[^,]*,", "3600,warm,"),
+        r"line 4, column T_degC: 'warm' is not a number; correct it, or",
+    ),
+    "number that only Python reads": (
+        csv(r"^3600,[^,]*,", "3600,2_0,"),
+        r"line 4, column T_degC: '2_0' is not a number; correct it, or",
+    ),
+    "start in days beside a window in seconds": (
+        toml("window_d = [0.25, 0.75]", "window_s = [21600, 64800]\nstart_d = 0"),
+        r"time: start_d beside window_s; write start_s",
+    ),
+    "validation before the start": (
+        toml("[time]", "[time]\nvalidation_d = [0.0, 0.25]"),
+        r"validation_d = \[0, 0\.25\] begins before the simulation, day 0\.25",
+    ),
+    "accepted band that holds nothing": (
+        toml("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [21.0, 19.0]"),
+        r"outputs\[y\]: accepted = \[21, 19\] holds nothing; give the lower value first",
+    ),
+    "zero of seconds": (
+        toml("[time]", '[time]\nzero = "2018-01-01"'),
+        r"the recordings count seconds, which have a zero; drop the key",
+    ),
+    "prior without a width": (
+        toml('scale = "log"', 'scale = "log"\nprior = { about = 1e-4 }'),
+        r"prior does not fit scale = \"log\"; write within_factor",
+    ),
     "newer schema": (toml("schema = 1", "schema = 2"), r"case\.toml: schema = 2: .*1"),
     "misspelt key of a table": (
         toml("output_step_s", "output_steps"),

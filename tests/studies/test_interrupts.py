@@ -91,28 +91,6 @@ assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
     assert said_by(script) == ["ended"]
 
 
-def test_who_waits_for_the_timer_keeps_it() -> None:
-    script = """
-signal.signal(signal.SIGALRM, lambda number, frame: print("rang"))
-signal.setitimer(signal.ITIMER_REAL, 0.3)
-with interrupts_kept():
-    pass
-work(0.6)
-"""
-    assert said_by(script) == ["rang"]
-
-
-def test_where_it_is_ignored_it_stays_ignored() -> None:
-    script = """
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-with interrupts_kept():
-    signal.raise_signal(signal.SIGINT)
-    work(0.6)
-print("ended")
-"""
-    assert said_by(script) == ["ended"]
-
-
 def fail_while_interrupted() -> None:
     try:
         raise KeyboardInterrupt

@@ -20,10 +20,9 @@ from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.assess import Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.findings import compensations, knowledge
-from studies.uncertainty.identifiability import difference_rows, identifiability, judged
+from studies.uncertainty.identifiability import difference_rows, judged
 from studies.uncertainty.noise import noise_of
 from studies.uncertainty.sample import Sampling
-from studies.uncertainty.weights import effective_size, normalized, quantiles
 
 TIME = np.linspace(0.0, 1.0, 60)
 SIGMA = 0.05
@@ -357,35 +356,6 @@ def test_regions_far_apart_keep_their_shares(narrow):
     assert np.mean(found.u[:, 0] < 0.5) == pytest.approx(0.3, abs=0.1)
 
 
-def test_a_sample_is_the_seeds_and_stays_inside():
-    def log_density(u):
-        assert np.all((u >= 0.0) & (u <= 1.0))
-        return -3.0 * np.sum(u, axis=1)
-
-    reference = Reference(np.array([[0.0, 0.5]]), 0.3 * np.eye(2)[None])
-    first, again, other = (
-        sample_density(log_density, reference, seed=s, n_particles=1000) for s in (1, 1, 2)
-    )
-    assert np.array_equal(first.u, again.u)
-    assert not np.array_equal(first.u, other.u)
-    # The mean of exp(-3 u) between 0 and 1, whatever the particles began with.
-    assert first.u.mean(axis=0) == pytest.approx(1.0 / 3.0 - 1.0 / np.expm1(3.0), abs=0.03)
-
-
-def test_weights_and_bands():
-    weights = normalized(np.array([0.0, np.log(3.0), -np.inf]))
-    assert weights == pytest.approx([0.25, 0.75, 0.0])
-    assert effective_size(weights) == pytest.approx(1.6)
-    # A row that failed counts for nothing; where all did, all count the same.
-    assert normalized(np.full(4, -np.inf)) == pytest.approx(0.25)
-    values = np.random.default_rng(0).standard_normal((4000, 1))
-    even = np.full(4000, 1 / 4000)
-    assert quantiles(values, even, np.array([0.05, 0.95]))[:, 0] == pytest.approx([-1.645, 1.645], abs=0.08)
-    # Half of a sample of two clouds, weighed so that only one counts.
-    tilted = np.where(values[:, 0] > 0.0, 1.0, 0.0)
-    assert quantiles(values, tilted / tilted.sum(), np.array([0.01]))[0, 0] > 0.0
-
-
 def test_the_predictive_band_holds_the_measured_values():
     rng = np.random.default_rng(2)
     n, t = 400, 500
@@ -426,18 +396,6 @@ def test_what_was_known_before_is_no_merit_of_the_data():
     assert knowledge(space, u, prior) == {"a": "prior", "b": "determined", "c": "prior", "d": "determined"}
 
 
-def test_a_prior_alone_determines_nothing():
-    problem = posed(line(), [0.3, -0.4])
-    best, _ = least_squares(problem)
-    u = problem.space.to_unit(best)
-    answer = problem.evaluate(difference_rows(u, 1e-3))
-    known = Prior(u, np.array([np.inf, 1e-4]), SIGMA**2, 1)
-    found = [judged(problem.space.names, answer, SIGMA, 1.0, 1e-3, prior=prior) for prior in (None, known)]
-    assert found[0].determined == problem.space.names
-    assert found[1].determined == problem.space.names[:1]
-    assert found[1].spread[1] == pytest.approx(found[1].before[1], rel=0.01)
-
-
 def around(model, theta):
     """What the residuals around a point determine."""
     problem = posed(model, theta)
@@ -460,13 +418,6 @@ def test_a_parameter_that_fails_on_both_sides_is_not_said_to_change_nothing():
     assert found.is_unknown.tolist() == [True, False]
     assert found.n_null_directions == 0
     assert found.to_dict()["null_directions"] == []
-
-
-def test_around_a_point_that_fails_nothing_is_known():
-    model = line()
-    broken = replace(model, f=lambda theta, t: np.nan * (theta[0] + t))
-    with pytest.raises(InputError, match="nothing is known of the model around a point that fails"):
-        identifiability(broken, posed(model, [0.3, -0.4]).measurement, np.array([0.3, -0.4]))
 
 
 def test_where_simulations_fail_few_are_asked():

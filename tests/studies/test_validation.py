@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -78,18 +77,6 @@ def test_points_are_compared_on_both_periods(case: Case) -> None:
     assert validation.y.shape == (2, len(validation.time), 1)
     assert validation.time[0] >= 10 * 86400
     json.dumps(validation.to_dict(), allow_nan=False)
-
-
-def test_shares_of_the_mean_are_given_where_the_unit_has_a_zero(case: Case) -> None:
-    assert case.validation is not None
-    watts = replace(case, outputs=(replace(case.outputs[0], unit="W"),))
-    middle = case.parameter_space.from_unit(np.full(14, 0.5))
-    with case.validation.open_model() as model:
-        fit = validate(watts, model, {"middle": middle}).points["middle"].outputs["TAir"]
-    values = case.validation.measurement.samples[0].values
-    more = len(values) / (len(values) - 1)
-    assert fit.cv_rmse == pytest.approx(fit.rmse / values.mean() * np.sqrt(more))
-    assert fit.nmbe == pytest.approx(fit.bias / values.mean() * more)
 
 
 def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from simulation.case import load_case
 from simulation.counting import CountingModel
 from simulation.design import uniform_design
 from simulation.forward_model import ForwardModel, WrappedModel
-from simulation.parameters import ParameterSpace
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from simulation.trajectories import Trajectories
@@ -101,16 +100,6 @@ def opens(tmp_path: Path) -> Iterator[Opens]:
         yield opens
 
 
-class NeverOpened(WrappedModel):
-    """A model that may not even be asked what it looks like: its only licence is taken."""
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        raise AssertionError("it was opened")
-
-    output_names = time = parameter_space  # type: ignore[assignment]
-
-
 def rows(n: int, *, fail: bool = False) -> FloatArray:
     theta = uniform_design(TOY.parameter_space, 200, 0)
     return theta[TOY.simulate(theta).failed == fail][:n]
@@ -132,15 +121,6 @@ def test_what_it_answers_is_everybodys_and_asked_once(opens: Opens) -> None:
     assert plain.n_simulated == 0
 
 
-def test_only_the_model_that_answers_is_opened(opens: Opens) -> None:
-    plain = StoredModel(NeverOpened(TOY), opens.stored(TOY, "plain").store)
-    model = StoredWatchedModel(plain, opens.stored(ShowsStates(can_be_read=True), "watched"), SIGNALS)
-    assert model.parameter_space == TOY.parameter_space
-    assert model.output_names == TOY.output_names
-    assert model.simulate(rows(3)).digest == TOY.simulate(rows(3)).digest
-    assert model.known(rows(3), model.watched(rows(3))).n == 3
-
-
 def test_states_that_cannot_be_read_cost_two_rows(opens: Opens) -> None:
     theta = np.concatenate([rows(1, fail=True), rows(6)])
     opened = opens(can_be_read=False)
@@ -154,18 +134,6 @@ def test_states_that_cannot_be_read_cost_two_rows(opens: Opens) -> None:
     again = opens(can_be_read=False)
     assert again.model.simulate(theta).digest == TOY.simulate(theta).digest
     assert (again.watched.n_calls, again.plain.n_calls, again.model.n_asked_twice) == (0, 0, 3)
-
-
-def test_known_rows_are_read_with_states_where_they_have_some(opens: Opens) -> None:
-    theta = rows(6)
-    opens().model.simulate(theta[:4])
-    opens.stored(TOY, "plain").simulate(theta[4:])
-    opened = opens()
-    watched = opened.model.watched(theta)
-    assert watched.tolist() == [True] * 4 + [False] * 2
-    assert opened.model.known(theta, watched).digest == TOY.simulate(theta).digest
-    assert np.isfinite(opened.model.seen(theta).x[:, 0, 0]).tolist() == watched.tolist()
-    assert (opened.watched.n_calls, opened.plain.n_calls) == (0, 0)
 
 
 def test_what_is_watched_alone_fails_no_row() -> None:

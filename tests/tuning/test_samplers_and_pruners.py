@@ -14,8 +14,6 @@ from studies.tuning.sampler import CatchUpPruner, least_until, make_pruner, make
 from studies.tuning.tune import tune
 from studies.tuning.worker import Worker
 
-NESTED = {"name": "PatientPruner", "wrapped_pruner": {"name": "MedianPruner"}, "patience": 2}
-
 
 @pytest.mark.parametrize("name", ["GPSampler", "QMCSampler"])
 def test_a_study_runs_with_any_sampler(project: ProjectPaths, name: str) -> None:
@@ -31,14 +29,6 @@ def test_a_study_runs_with_any_sampler(project: ProjectPaths, name: str) -> None
     usual = {"RandomSampler": [None] * 4, "GPSampler": [None] + ["GPSampler"] * 3}
     assert proposed[0] == "default"
     assert name == "QMCSampler" or proposed[1:] == usual[name]
-
-
-@pytest.mark.parametrize(
-    "declared",
-    [{"name": "MedianPruner", "n_startup_trials": 2}, {"name": "CatchUpPruner", "caution": 2.0}, NESTED],
-)
-def test_a_pruner_is_made_by_its_name(declared: dict[str, Any]) -> None:
-    assert type(make_pruner(declared)).__name__ == declared["name"]
 
 
 @pytest.mark.parametrize(

@@ -18,27 +18,7 @@ BASE_K = 290.0
 PARAMETERS = ("k", "x0", "trouble")
 COUNT_VARIABLE = "BAD_FMU_COUNT"
 
-DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="Bad" guid="bad-1" numberOfEventIndicators="0">
-<CoSimulation modelIdentifier="bad" canHandleVariableCommunicationStepSize="true"{once}/>
-<UnitDefinitions><Unit name="K"><BaseUnit K="1"/></Unit>
-<Unit name="1/s"><BaseUnit s="-1"/></Unit></UnitDefinitions>
-<DefaultExperiment startTime="0" stopTime="36000" stepSize="3600"/>
-<ModelVariables>
-<ScalarVariable name="k" valueReference="0" causality="parameter" variability="fixed">
-<Real start="1e-4" unit="1/s"/></ScalarVariable>
-<ScalarVariable name="x0" valueReference="1" causality="parameter" variability="fixed">
-<Real start="300" unit="K"/></ScalarVariable>
-<ScalarVariable name="trouble" valueReference="2" causality="parameter" variability="fixed">
-<Real start="0"/></ScalarVariable>
-<ScalarVariable name="y" valueReference="3" causality="output" variability="continuous" initial="calculated">
-<Real unit="K"/></ScalarVariable>
-</ModelVariables>
-<ModelStructure>
-<Outputs><Unknown index="4"/></Outputs><InitialUnknowns><Unknown index="4"/></InitialUnknowns>
-</ModelStructure>
-</fmiModelDescription>
-"""
+DESCRIPTION = SOURCE.with_name("bad.xml").read_text()
 
 
 def build_bad_fmu(behaviour: str, folder: Path) -> Path:
