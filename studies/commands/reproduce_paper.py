@@ -1,21 +1,6 @@
-"""`studies reproduce-paper`: make the paper's tables and figures again, and say where we agree."""
+"""Repeat the tables and figures of the paper and compare them.
 
-import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from simulation.errors import InputError
-from studies.commands import options, values
-from studies.commands.study import OK, open_study
-from studies.console import Column, Console, format_seconds
-
-if TYPE_CHECKING:
-    from studies.paper.plan import Plan
-    from studies.stages.pipeline import Study
-
-HELP = "repeat the tables and figures of the paper and compare them"
-MORE = """\
-what happens: each table and figure of the paper is a stage of its own. The stages share simulations,
+What happens: each table and figure of the paper is a stage of its own. The stages share simulations,
 trainings and calibrations with the other commands. Finished items are skipped; an interrupted item goes on
 where it stopped. Each item shows the value of the paper and whether both agree. The page is
 mlruns/reports/<label>/paper/index.html. Numbers (JSON), tables (CSV, Markdown) and pictures (PNG) are in
@@ -32,7 +17,7 @@ these from the trials of an earlier Fig. 6, so that nothing is tuned.
 trained, and the recording is not needed. A clone of the repository has such files in data/paper-results.
 There --only fig6 without other options draws from them, unless it was made there. --budget makes it anew.
 
-examples:
+Examples:
   studies reproduce-paper --dry-run                         the plan and its duration
   studies reproduce-paper --only fig5 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
@@ -41,6 +26,20 @@ examples:
   studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
   studies reproduce-paper office-recorded --export data/paper-results/office-recorded.json
 """
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simulation.errors import InputError
+from studies.commands import options, values
+from studies.commands.study import OK, open_study
+from studies.console import Column, Console, format_seconds
+
+if TYPE_CHECKING:
+    from studies.paper.plan import Plan
+    from studies.stages.pipeline import Study
+
 
 PROFILE = "thorough"
 BUDGET = "small"
@@ -51,13 +50,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
     from studies.paper.catalog import ITEMS
 
     names = ", ".join(item.words for item in ITEMS)
-    command.add_argument(
-        "case",
-        nargs="?",
-        default="office",
-        metavar="CASE",
-        help="name, file or folder of a case; default: office",
-    )
+    options.add_name(command)
+    options.add_trials(command)
     command.add_argument("--only", nargs="+", metavar="ITEM", help=f"only these items: {names}")
     command.add_argument("--row", metavar="NAME", help="with --only table3: only this row")
     command.add_argument("--budget", metavar="NAME", help="small (default) or full")
@@ -65,21 +59,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"
     )
     command.add_argument(
-        "--trials", type=values.whole(1), metavar="N", help="trials per size; default: the profile's"
-    )
-    command.add_argument(
-        "--seed", type=values.whole(0, 2**32 - 1), metavar="N", help="seed of all random numbers"
-    )
-    command.add_argument(
         "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of the robust statistics"
     )
-    command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
-    )
     command.add_argument("--again", action="store_true", help="repeat the items from their finished stages")
-    command.add_argument(
-        "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
-    )
     command.add_argument(
         "--export", type=Path, metavar="FILE", help="also write the numbers of all items to one JSON file"
     )

@@ -1,13 +1,11 @@
 """Stages with a memory: a stage whose inputs have a known digest and whose files exist is finished.
 
-Each stage leaves a manifest beside the results: digest, case file, inputs, files, versions, wall time, host,
-seeds. It is written last and in one step, so that an interruption leaves a finished stage or none.
+Each stage leaves a manifest beside the results: digest, case file, inputs, files, seed, environment, wall
+time. It is written last and in one step, so that an interruption leaves a finished stage or none.
 """
 
 import hashlib
 import json
-import platform
-import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,16 +17,15 @@ from simulation.foreign_file import RECORD, read_limited
 from simulation.whole_file import whole_file
 from studies.console import Console
 from studies.paths import ProjectPaths
-from studies.profile import Profile, changed_words
-from studies.recipe import Recipe
-from studies.tracking.origin import environment, versions
+from studies.profile import Profile
+from studies.tracking.origin import environment
 
 if TYPE_CHECKING:
     from simulation.case import Case
 
 Summary = dict[str, Any]
 
-_PLACES = frozenset({"champion", "file", "files", "folder", "index", "store"})
+_PLACES = ("file", "files", "folder", "index", "store")
 """Keys of a summary that name files of the project."""
 
 
@@ -47,11 +44,11 @@ class Study:
         console: tells the user.
         n_jobs: processes for simulations and trainings.
         label: what a user sees of case, profile, window and seed.
-        command: the end of the command line that names this study, for messages and the report.
+        command: the end of the command line that names this study, for messages.
+        typed: the whole command line, as records and the report give it.
         retry_failed: whether simulations that failed before are asked again.
         dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
         max_hours: no trial begins later than this after the tuning did; None sets no limit. [h]
-        own_profile: the profile as its file has it, None where nothing changed it.
     """
 
     case: "Case"
@@ -61,14 +58,10 @@ class Study:
     n_jobs: int
     label: str
     command: str
+    typed: str = ""
     retry_failed: bool = False
     dask: str | None = None
     max_hours: float | None = None
-    own_profile: Profile | None = None
-
-    def words(self, *parts: str) -> str:
-        """Return the words that name this study and what was changed in some parts of its profile."""
-        return self.command + changed_words(self.own_profile or self.profile, self.profile.to_dict(), parts)
 
     @property
     def results(self) -> Path:
@@ -96,26 +89,17 @@ class Outcome:
 
     def to_dict(self, paths: ProjectPaths) -> dict[str, Any]:
         """Return the outcome as JSON values whose paths hold in the working folder."""
-        return {
-            "stage": self.stage,
-            "digest": self.digest,
-            "finished_before": self.reused,
-            "wall_s": round(self.wall_s, 3),
-            **_with_shown_places(self.summary, paths),
-        }
+        head = {"stage": self.stage, "digest": self.digest, "finished_before": self.reused}
+        places = {name: _shown(self.summary[name], paths) for name in _PLACES if name in self.summary}
+        return {**head, "wall_s": round(self.wall_s, 3), **self.summary, **places}
 
 
-def _with_shown_places(value: Any, paths: ProjectPaths, *, is_place: bool = False) -> Any:
-    """Return a summary with the paths in it as the user would type them; what is no file stays."""
-    if isinstance(value, Mapping):
-        return {
-            key: _with_shown_places(one, paths, is_place=is_place or key in _PLACES)
-            for key, one in value.items()
-        }
-    if isinstance(value, list):
-        return [_with_shown_places(one, paths, is_place=is_place) for one in value]
-    file = paths.located(value) if is_place else None
-    return value if file is None else paths.show(file)
+def _shown(recorded: Any, paths: ProjectPaths) -> Any:
+    """Return the recorded place of a file, or several by name, as the user would type it."""
+    if isinstance(recorded, Mapping):
+        return {name: _shown(one, paths) for name, one in recorded.items()}
+    file = paths.located(recorded)
+    return recorded if file is None else paths.show(file)
 
 
 def digest_of(inputs: Mapping[str, Any]) -> str:
@@ -133,7 +117,6 @@ def run_stage(
     work: Callable[[], tuple[Summary, Sequence[Path]]],
     reuse_note: Callable[[Summary], str],
     keep: Callable[[Summary], bool] = lambda summary: True,
-    recipe: Recipe | None = None,
     again: bool = False,
 ) -> Outcome:
     """Do a stage's work unless it is finished.
@@ -146,7 +129,6 @@ def run_stage(
         work: does it; returns the summary and the files that must exist for the stage to count as finished.
         reuse_note: what to tell of a finished stage.
         keep: whether the stage counts as finished with this result.
-        recipe: what rebuilds it, kept in the manifest where no other file of the stage has it.
         again: do it though it is finished; until it is done again it counts as unfinished.
     """
     digest = digest_of(inputs)
@@ -175,13 +157,10 @@ def run_stage(
             "inputs": inputs,
             "summary": summary,
             "files": {study.paths.relative(made): made.stat().st_size for made in files},
-            "versions": versions(),
-            "host": socket.gethostname(),
-            "platform": platform.platform(),
             "seed": study.profile.seed,
             "wall_s": wall_s,
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            **({} if recipe is None else {"recipe": recipe, "environment": environment()}),
+            "environment": environment(),
         },
     )
     return Outcome(stage, digest, summary, False, wall_s)

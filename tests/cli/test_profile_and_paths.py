@@ -1,6 +1,5 @@
 """Profiles are budgets checked at the edge; paths find the project and its cases."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,7 @@ from project_for_tests import make_project
 from simulation.errors import InputError
 from studies.commands.values import window
 from studies.paths import ProjectPaths, find_case, find_project
-from studies.profile import changed_words, load_profile, profile_names
+from studies.profile import load_profile, profile_names
 
 
 def test_all_shipped_profiles_are_read_under_their_own_name() -> None:
@@ -31,19 +30,6 @@ def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
     file.write_text('name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 1\n', encoding="utf-8")
     profile = load_profile(str(file))
     assert (profile.name, profile.data.n_train, profile.tuning.n_trials, profile.seed) == ("mine", (8,), 1, 0)
-
-
-def test_options_that_changed_a_profile_are_told() -> None:
-    quick = load_profile("quick")
-    assert changed_words(quick, quick.to_dict()) == ""
-    changed = json.loads(json.dumps(quick.to_dict()))
-    changed["data"]["n_train"] = [64, 128]
-    changed["tuning"] |= {"n_trials": 8, "n_parallel": 4}
-    changed["polish"] = {"max_calls": 100}
-    del changed["screening"]  # as in a recipe of another version
-    tuned = " --n-train 64 128 --trials 8 --parallel 4"
-    assert changed_words(quick, changed) == f"{tuned} --max-calls 100"
-    assert changed_words(quick, changed, ("data", "tuning")) == tuned
 
 
 @pytest.mark.parametrize(

@@ -62,41 +62,26 @@ def files_below(root: Path) -> dict[str, int]:
     return {str(file): file.stat().st_mtime_ns for file in files if not file.name.startswith(".")}
 
 
-def test_the_best_trial_is_made_again_to_the_last_digit(copied: Path, studies: Run) -> None:
+def test_what_mlflow_recorded_is_made_again_to_the_last_digit(copied: Path, studies: Run) -> None:
     (size,) = studies("best", "--json").document["sizes"]
-    before = files_below(copied)
-    answer = studies("reproduce", size["run_id"], "--json")
-    assert answer.code == 0, answer.out + answer.err
-    assert answer.document["equal"]
-    rows = {row["name"]: row for row in answer.document["numbers"]}
-    assert rows["test/mae"]["recorded"] == rows["test/mae"]["now"] == repr(size["mae"])
-    assert rows["test/p90"]["recorded"] == rows["test/p90"]["now"] == repr(size["p90"])
-    assert "curve/validation_mae" in rows
-    assert files_below(copied) == before
-
-
-@pytest.mark.parametrize("what", ["n0016", "adaptive"])
-def test_a_calibration_is_made_again_to_the_last_digit(copied: Path, studies: Run, what: str) -> None:
-    before = files_below(copied)
-    answer = studies("reproduce", f"{LABEL}/{what}", "--json")
-    assert answer.code == 0, answer.out + answer.err
-    assert len(answer.document["numbers"]) > 20
-    assert {"theta.UWin", "ledger.total_honest"} <= {row["name"] for row in answer.document["numbers"]}
-    assert files_below(copied) == before
-    assert answer.document["run"] in runs_of(copied, "calibration")
-
-
-def test_what_mlflow_recorded_is_enough_where_everything_else_is_lost(copied: Path, studies: Run) -> None:
+    # What else the project holds is not needed.
     shutil.rmtree(copied / "mlruns" / "results")
     shutil.rmtree(copied / "data" / "office" / "generated")
     (copied / "mlruns" / "optuna.db").unlink()
     (copied / "tiny.toml").unlink()
-    runs = runs_of(copied, "calibration")
-    assert len(runs) == 2
-    for run in (*runs, runs_of(copied, "trial")[0]):
-        answer = studies("reproduce", run)
+    for what in (f"{LABEL}/n0016", f"{LABEL}/adaptive", size["run_id"]):
+        before = files_below(copied)
+        answer = studies("reproduce", what, "--json")
         assert answer.code == 0, answer.out + answer.err
-        assert "rows to the last digit" in answer.out
+        assert answer.document["equal"]
+        rows = {row["name"]: row for row in answer.document["numbers"]}
+        if what == size["run_id"]:
+            assert rows["test/mae"]["recorded"] == rows["test/mae"]["now"] == repr(size["mae"])
+            assert "curve/validation_mae" in rows
+        else:
+            assert {"theta.UWin", "ledger.total_honest"} <= rows.keys()
+            assert files_below(copied) == before
+            assert answer.document["run"] in runs_of(copied, "calibration")
 
 
 def test_a_number_that_is_not_what_was_recorded_is_shown(copied: Path, studies: Run) -> None:
@@ -143,13 +128,10 @@ def lost_fmu(root: Path) -> None:
         (lost_fmu, "Office.fmu"),
     ],
 )
-@pytest.mark.parametrize("what", ["n0016", "adaptive"])
-def test_what_was_changed_since_is_one_line(
-    copied: Path, studies: Run, change: Any, said: str, what: str
-) -> None:
+def test_what_was_changed_since_is_one_line(copied: Path, studies: Run, change: Any, said: str) -> None:
     change(copied)
     before = files_below(copied)
-    answer = studies("reproduce", f"{LABEL}/{what}", "--json")
+    answer = studies("reproduce", f"{LABEL}/adaptive", "--json")
     assert answer.code == 2
     assert said in answer.document["error"]
     assert files_below(copied) == before
