@@ -1,6 +1,5 @@
 """Run one item of the paper as a stage: finished ones are read, new ones written, told to the tracker."""
 
-import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +12,7 @@ from studies.paper.size_files import Origin
 from studies.paper.telling import tell_item
 from studies.paths import ProjectPaths
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Summary, digest_of, read_manifest, run_stage
+from studies.stages.pipeline import Outcome, Stage, Summary, digest_of, read_manifest
 
 
 def item_inputs(plan: Plan, item: Item) -> dict[str, Any]:
@@ -95,11 +94,12 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
         item: which one.
         again: make it though it is finished; its stages are not repeated.
     """
-    study, stage = plan.study, f"paper/{item.name}"
-    inputs = item_inputs(plan, item)
-
-    def work() -> tuple[Summary, list[Path]]:
-        started_s = time.time()
+    study = plan.study
+    stage = Stage(study, f"paper/{item.name}", item.what, item_inputs(plan, item))
+    before = stage.finished(lambda summary: str(summary["agreement"]), again=again)
+    if before is not None:
+        return before
+    with stage.work() as work:
         result = item_module(item).run(plan)
         case, budget, profile = study.case, plan.budget.name, study.profile.name
         head = _head(item, plan.command(item.name), case.name, study.label, case.note, budget, profile)
@@ -108,10 +108,10 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
         tell_item(
             study.paths,
             files,
-            digest_of(inputs),
+            stage.digest,
             case_digest=study.case.digest,
-            started_s=started_s,
-            wall_s=time.time() - started_s,
+            started_s=work.started_s,
+            wall_s=work.wall_s,
         )
         summary: Summary = {
             "agreement": result.agreement,
@@ -120,14 +120,4 @@ def run_item(plan: Plan, item: Item, *, again: bool = False) -> Outcome:
             "work_s": round(result.work_s, 1),
             "folder": study.paths.recorded(folder),
         }
-        return summary, files
-
-    return run_stage(
-        study,
-        stage,
-        what=item.what,
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: summary["agreement"],
-        again=again,
-    )
+        return work.keep(summary, files)

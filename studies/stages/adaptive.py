@@ -24,7 +24,7 @@ from studies.stages.determined import determined_numbers
 from studies.stages.guided import asked_twice, guide_of, guided_numbers
 from studies.stages.knowledge import case_inputs, prior_numbers, prior_of
 from studies.stages.known_rows import ChooseRows, KnownRows, stored_in_box
-from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
+from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
 from studies.stages.results import ADAPTIVE, Arrays, Numbers, ResultFiles, keep_result
 from studies.stages.tracking import log_calibration
 from studies.stages.validation import validate_calibration, validation_inputs
@@ -116,28 +116,28 @@ def adaptive_stage(
         is_finished = (study.results / f"{STAGE}.json").is_file()
         known_rows = KnownRows(files.rows, digest_of(question), best_and_far, anew=again and is_finished)
 
-    def calculate() -> tuple[Numbers, Arrays, Summary]:
+    equations = "state equations or " if state_equations else ""
+    what = (
+        f"{equations}a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most"
+    )
+    stage = Stage(study, STAGE, what, inputs)
+    before = stage.finished(lambda summary: f"final MSE {mse_text(summary['mse'])}", again=again)
+    if before is not None:
+        return before
+    with stage.work() as work:
         numbers, arrays, n_simulated = calibrate_adaptively(
             study, settings, known_rows, state_equations=state_equations
         )
-        return numbers, arrays, {"n_simulated": n_simulated}
-
-    return keep_result(
-        study,
-        STAGE,
-        files,
-        what=(
-            f"{'state equations or ' if state_equations else ''}a Gaussian process of the residuals, "
-            f"{count(settings.max_calls, 'simulation')} at most"
-        ),
-        inputs=inputs,
-        recipe={"kind": "adaptive", "settings": asdict(settings)},
-        calculate=calculate,
-        log=log_calibration,
-        reuse_note=lambda summary: f"final MSE {mse_text(summary['mse'])}",
-        more_files=[files.rows] if from_stored else [],
-        again=again,
-    )
+        return keep_result(
+            work,
+            files,
+            numbers,
+            arrays,
+            this_time={"n_simulated": n_simulated},
+            recipe={"kind": "adaptive", "settings": asdict(settings)},
+            log=log_calibration,
+            more_files=[files.rows] if from_stored else [],
+        )
 
 
 def calibrate_adaptively(

@@ -10,7 +10,7 @@ from studies.physical_model import failed_numbers, open_physical_model, say_reus
 from studies.report.wording import mse_text
 from studies.stages.determined import determined_numbers
 from studies.stages.knowledge import case_inputs, prior_numbers, prior_of
-from studies.stages.pipeline import Outcome, Study, Summary
+from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.results import Arrays, Numbers, calibration_files, keep_result
 from studies.stages.results import write_arrays as write_arrays
 from studies.stages.simulate import datasets_of
@@ -82,33 +82,33 @@ def calibrate_stage(study: Study, n_train: int, *, again: bool = False) -> Outco
         **validation_inputs(study.case),
     }
 
-    def calculate() -> tuple[Numbers, Arrays, Summary]:
+    what = "differential evolution on the surrogate, then LS-TRF on the FMU"
+    stage = Stage(study, f"calibrate-{size_name(n_train)}", what, inputs)
+    before = stage.finished(lambda summary: f"final MSE {mse_text(summary['mse_polished'])}", again=again)
+    if before is not None:
+        return before
+    with stage.work() as work:
         numbers, arrays = calibrate(study, best_surrogate(study, n_train)[0], n_train)
         wall = {name: numbers.pop(name) for name in list(numbers) if name.startswith("wall")}
-        head = {
+        numbers |= {
             "n_train": n_train,
             "surrogate_errors": dict(best.metrics),
             "surrogate": {**surrogate, "params": dict(best.params), "sha256": best.weights_sha256},
         }
-        return head | numbers, arrays, {"wall": wall}
-
-    return keep_result(
-        study,
-        f"calibrate-{size_name(n_train)}",
-        calibration_files(study, n_train),
-        what="differential evolution on the surrogate, then LS-TRF on the FMU",
-        inputs=inputs,
-        recipe={
-            "kind": "calibration",
-            "n_train": n_train,
-            "datasets": datasets_of(profile, n_train, tuned.spec.digests),
-            "surrogate": surrogate,
-        },
-        calculate=calculate,
-        log=log_calibration,
-        reuse_note=lambda summary: f"final MSE {mse_text(summary['mse_polished'])}",
-        again=again,
-    )
+        return keep_result(
+            work,
+            calibration_files(study, n_train),
+            numbers,
+            arrays,
+            this_time={"wall": wall},
+            recipe={
+                "kind": "calibration",
+                "n_train": n_train,
+                "datasets": datasets_of(profile, n_train, tuned.spec.digests),
+                "surrogate": surrogate,
+            },
+            log=log_calibration,
+        )
 
 
 def calibrate(study: Study, surrogate: "Surrogate", n_train: int) -> tuple[Numbers, Arrays]:

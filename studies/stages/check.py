@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from simulation.case import load_case
 from simulation.pool.execution import ExecutionPolicy
@@ -13,7 +12,7 @@ from studies.doctor.variants import HALVING
 from studies.physical_model import open_physical_model
 from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Study, Summary, read_json, run_stage
+from studies.stages.pipeline import Outcome, Stage, Study, Summary, read_json
 
 
 def diagnose(study: Study, *, is_thorough: bool = False) -> Diagnosis:
@@ -46,19 +45,12 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
         "profile": study.profile.to_dict(),
     }
 
-    def work() -> tuple[Summary, list[Path]]:
-        return diagnose(study, is_thorough=is_thorough).to_dict(), []
-
-    outcome = run_stage(
-        study,
-        "check",
-        what=f"examining {study.label}",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: count(len(summary["findings"]), "finding"),
-        keep=lambda summary: bool(summary["sound"]),
-        again=again,
-    )
+    stage = Stage(study, "check", f"examining {study.label}", inputs)
+    outcome = stage.finished(lambda summary: count(len(summary["findings"]), "finding"), again=again)
+    if outcome is None:
+        with stage.work() as work:
+            found = diagnose(study, is_thorough=is_thorough)
+            outcome = work.keep(found.to_dict(), is_finished=found.is_sound)
     return outcome, _diagnosis(outcome.summary)
 
 

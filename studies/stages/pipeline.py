@@ -7,7 +7,8 @@ time. It is written last and in one step, so that an interruption leaves a finis
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -108,62 +109,100 @@ def digest_of(inputs: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def run_stage(
-    study: Study,
-    stage: str,
-    *,
-    what: str,
-    inputs: Mapping[str, Any],
-    work: Callable[[], tuple[Summary, Sequence[Path]]],
-    reuse_note: Callable[[Summary], str],
-    keep: Callable[[Summary], bool] = lambda summary: True,
-    again: bool = False,
-) -> Outcome:
-    """Do a stage's work unless it is finished.
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a study, which is finished once its manifest `<name>.json` lies in the results folder.
 
     Args:
         study: the study.
-        stage: the stage's name; the manifest is `<stage>.json` in the results folder.
+        name: the stage's name.
         what: what is done, for the user.
         inputs: all that decides the result, as JSON values.
-        work: does it; returns the summary and the files that must exist for the stage to count as finished.
-        reuse_note: what to tell of a finished stage.
-        keep: whether the stage counts as finished with this result.
-        again: do it though it is finished; until it is done again it counts as unfinished.
     """
-    digest = digest_of(inputs)
-    file = study.results / f"{stage}.json"
-    if again:
-        file.unlink(missing_ok=True)
-    finished = read_manifest(study.paths, file, digest)
-    if finished is not None and study.retry_failed and has_failed(finished["summary"]):
-        file.unlink(missing_ok=True)
-        finished = None
-    if finished is not None:
-        study.console.say(f"{stage}: finished before, {reuse_note(finished['summary'])}")
-        return Outcome(stage, digest, finished["summary"], True, float(finished["wall_s"]))
-    started = time.perf_counter()
-    with study.console.stage(stage, what):
-        summary, files = work()
-    wall_s = time.perf_counter() - started
-    if not keep(summary):
-        return Outcome(stage, digest, summary, False, wall_s)
-    write_json(
-        file,
-        {
-            "stage": stage,
-            "digest": digest,
-            "case_file": study.paths.recorded(study.case.path),
-            "inputs": inputs,
-            "summary": summary,
-            "files": {study.paths.relative(made): made.stat().st_size for made in files},
-            "seed": study.profile.seed,
-            "wall_s": wall_s,
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            "environment": environment(),
-        },
-    )
-    return Outcome(stage, digest, summary, False, wall_s)
+
+    study: Study
+    name: str
+    what: str
+    inputs: Mapping[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """Digest of the inputs."""
+        return digest_of(self.inputs)
+
+    def finished(self, note: Callable[[Summary], str], *, again: bool = False) -> Outcome | None:
+        """Return what the stage came to before, and say so; None where it has to be done.
+
+        Args:
+            note: what to say of a finished stage.
+            again: do it though it is finished; until it is done again it counts as unfinished.
+        """
+        study, file = self.study, self._manifest
+        if again:
+            file.unlink(missing_ok=True)
+        manifest = read_manifest(study.paths, file, self.digest)
+        if manifest is not None and study.retry_failed and has_failed(manifest["summary"]):
+            file.unlink(missing_ok=True)
+            manifest = None
+        if manifest is None:
+            return None
+        study.console.say(f"{self.name}: finished before, {note(manifest['summary'])}")
+        return Outcome(self.name, self.digest, manifest["summary"], True, float(manifest["wall_s"]))
+
+    @contextmanager
+    def work(self) -> Iterator["Work"]:
+        """Say when the work of the stage begins and when it has ended."""
+        with self.study.console.stage(self.name, self.what):
+            yield Work(self, time.time(), time.perf_counter())
+
+    @property
+    def _manifest(self) -> Path:
+        return self.study.results / f"{self.name}.json"
+
+
+@dataclass(frozen=True)
+class Work:
+    """The work of a stage that goes on.
+
+    Args:
+        stage: the stage.
+        started_s: when it began. [s since 1970, UTC]
+        counted_from: the same by a clock that nobody sets. [s]
+    """
+
+    stage: Stage
+    started_s: float
+    counted_from: float
+
+    @property
+    def wall_s(self) -> float:
+        """How long it has taken so far. [s]."""
+        return time.perf_counter() - self.counted_from
+
+    def keep(self, summary: Summary, files: Sequence[Path] = (), *, is_finished: bool = True) -> Outcome:
+        """Write the manifest, last of all and in one step, and return what the stage came to.
+
+        Args:
+            summary: its results as JSON values.
+            files: must exist as they are for the stage to count as finished.
+            is_finished: whether it counts as finished with this result.
+        """
+        stage, study, wall_s = self.stage, self.stage.study, self.wall_s
+        if is_finished:
+            manifest = {
+                "stage": stage.name,
+                "digest": stage.digest,
+                "case_file": study.paths.recorded(study.case.path),
+                "inputs": stage.inputs,
+                "summary": summary,
+                "files": {study.paths.relative(made): made.stat().st_size for made in files},
+                "seed": study.profile.seed,
+                "wall_s": wall_s,
+                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+                "environment": environment(),
+            }
+            write_json(stage._manifest, manifest)
+        return Outcome(stage.name, stage.digest, summary, False, wall_s)
 
 
 def has_failed(summary: Summary) -> bool:

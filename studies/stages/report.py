@@ -1,6 +1,5 @@
 """The last stage: everything that lies on disk on one page."""
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,7 @@ from simulation.time_unit import period_text
 from studies.recipe import file_digest
 from studies.report import Provenance, ReportData, build
 from studies.report.uncertainty import uncertainty_record
-from studies.stages.pipeline import (
-    Outcome,
-    Study,
-    Summary,
-    digest_of,
-    run_stage,
-)
+from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.results import (
     calibration_record,
     coverage_set,
@@ -59,33 +52,17 @@ def report_stage(study: Study) -> Outcome:
     }
 
     index = folder / "index.html"
-
-    def work() -> tuple[Summary, list[Path]]:
-        started_s = time.time()
+    stage = Stage(study, "report", f"tables and figures of {study.label}", inputs)
+    before = stage.finished(lambda summary: f"{study.paths.show(index)} is up to date")
+    if before is not None:
+        return before
+    with stage.work() as work:
         with study.console.progress("tables and figures", 1) as advance:
             build(_report_data(study), folder, on_progress=advance)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
-        log_run(
-            study,
-            "report",
-            digest_of(inputs),
-            name="report",
-            figures=sorted(folder.glob("*.png")),
-            artifacts=[index],
-            started_s=started_s,
-            wall_s=time.time() - started_s,
-        )
+        log_run(work, figures=sorted(folder.glob("*.png")), artifacts=[index])
         summary = {"index": study.paths.recorded(index), "n_files": sum(1 for _ in folder.iterdir())}
-        return summary, [index]
-
-    return run_stage(
-        study,
-        "report",
-        what=f"tables and figures of {study.label}",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: f"{study.paths.show(index)} is up to date",
-    )
+        return work.keep(summary, [index])
 
 
 def show_report(study: Study, outcome: Outcome) -> None:

@@ -1,7 +1,6 @@
 """What the stages left on disk, read back as the records that figures and tables are made of."""
 
 import math
-import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,7 +25,7 @@ from studies.sensitivity import SobolIndices
 from studies.stages.determined import open_in_words
 from studies.stages.guided import equations_in_words
 from studies.stages.knowledge import is_of_this_density, known_before
-from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
+from studies.stages.pipeline import Outcome, Study, Summary, Work, read_json, write_json
 from studies.tracking.origin import environment
 
 ADAPTIVE = "adaptive"
@@ -117,55 +116,43 @@ def calibration_files(study: Study, n_train: int) -> ResultFiles:
 
 
 def keep_result(
-    study: Study,
-    stage: str,
+    work: Work,
     files: ResultFiles,
+    found: Numbers,
+    arrays: Arrays,
     *,
-    what: str,
-    inputs: Mapping[str, Any],
+    this_time: Summary,
     recipe: Mapping[str, Any],
-    calculate: Callable[[], tuple[Numbers, Arrays, Summary]],
     log: Callable[[Study, StoredResult, str], None],
-    reuse_note: Callable[[Summary], str],
     more_files: Sequence[Path] = (),
-    again: bool = False,
 ) -> Outcome:
-    """Run a stage that leaves numbers, arrays and a run in MLflow, unless it is finished.
+    """Write the result of a stage into its files and MLflow, and return what the stage came to.
 
     Args:
-        study: the study.
-        stage: the stage's name.
-        files: where its result goes.
-        what: what is done, for the user.
-        inputs: all that decides the result.
+        work: the stage's work, at its end.
+        files: where the result goes.
+        found: its numbers.
+        arrays: its arrays.
+        this_time: what the summary says of this time alone.
         recipe: what makes it again beyond case, profile and seed; `kind` says what it is.
-        calculate: returns the numbers, the arrays, and what belongs to the summary of this time alone.
-        log: writes the result to MLflow; called with the digest of the inputs.
-        reuse_note: what to say of a finished one.
-        more_files: files beside the result without which it is unfinished.
-        again: do it though it is finished.
+        log: writes it to MLflow; called with the digest of the stage's inputs.
+        more_files: files beside it without which the stage is unfinished.
     """
-
-    def work() -> tuple[Summary, list[Path]]:
-        started_s = time.time()
-        found, arrays, this_time = calculate()
-        numbers = {
-            "label": study.label,
-            "note": study.case.note,
-            "case_sha256": study.case.digest,
-            "measurement_sha256": study.case.measurement.digest,
-            **found,
-        }
-        shown = {name: value for name, value in numbers.items() if not name.endswith("_history")}
-        summary = {**shown, **this_time, "file": study.paths.recorded(files.numbers)}
-        numbers |= {"recipe": recipe_of(study, **recipe), "environment": environment()}
-        write_arrays(files.arrays, arrays)
-        write_json(files.numbers, numbers)
-        stored = StoredResult(files, numbers, arrays, started_s, time.time() - started_s)
-        log(study, stored, digest_of(inputs))
-        return summary, [files.numbers, files.arrays, *more_files]
-
-    return run_stage(study, stage, what=what, inputs=inputs, work=work, reuse_note=reuse_note, again=again)
+    study = work.stage.study
+    numbers = {
+        "label": study.label,
+        "note": study.case.note,
+        "case_sha256": study.case.digest,
+        "measurement_sha256": study.case.measurement.digest,
+        **found,
+    }
+    shown = {name: value for name, value in numbers.items() if not name.endswith("_history")}
+    numbers |= {"recipe": recipe_of(study, **recipe), "environment": environment()}
+    write_arrays(files.arrays, arrays)
+    write_json(files.numbers, numbers)
+    log(study, StoredResult(files, numbers, arrays, work.started_s, work.wall_s), work.stage.digest)
+    summary = {**shown, **this_time, "file": study.paths.recorded(files.numbers)}
+    return work.keep(summary, [files.numbers, files.arrays, *more_files])
 
 
 def stored_calibrations(study: Study) -> Iterator[StoredResult]:

@@ -1,6 +1,5 @@
 """Stages that ask the physical model for data: the simulated sets and the Sobol indices."""
 
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from studies.profile import Profile
 from studies.recipe import recipe_of
 from studies.report.wording import count
 from studies.row_set import RowSet, SetContent, content_of
-from studies.stages.pipeline import Outcome, Study, Summary, digest_of, run_stage
+from studies.stages.pipeline import Outcome, Stage, Study, Summary, Work, digest_of
 from studies.tracking.origin import environment
 
 if TYPE_CHECKING:
@@ -89,7 +88,14 @@ def simulate_stage(study: Study) -> Outcome:
         "design": "uniform",
     }
 
-    def work() -> tuple[Summary, list[Path]]:
+    if missing_rows(study)[0]:
+        (study.results / "simulate.json").unlink(missing_ok=True)
+    what = f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})"
+    stage = Stage(study, "simulate", what, inputs)
+    before = stage.finished(lambda summary: f"{count(summary['n_simulations'], 'simulation')} reused")
+    if before is not None:
+        return before
+    with stage.work() as work:
         sets, contents, n_done = dict[str, RowSet](), dict[str, SetContent](), 0
         with (
             open_physical_model(study) as model,
@@ -108,18 +114,7 @@ def simulate_stage(study: Study) -> Outcome:
             study.console.warn(
                 f"{count(n_failed, 'simulation')} failed, left out: {reasons} (--retry-failed repeats them)"
             )
-        return summary, [rows.file for rows in sets.values()]
-
-    if missing_rows(study)[0]:
-        (study.results / "simulate.json").unlink(missing_ok=True)
-    return run_stage(
-        study,
-        "simulate",
-        what=f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: f"{count(summary['n_simulations'], 'simulation')} reused",
-    )
+        return work.keep(summary, [rows.file for rows in sets.values()])
 
 
 def missing_rows(study: Study) -> tuple[int, int]:
@@ -189,10 +184,13 @@ def sensitivity_stage(study: Study) -> Outcome:
     }
     file = study.results / "sensitivity.npz"
 
-    def work() -> tuple[Summary, list[Path]]:
-        from studies.sensitivity import sobol_indices
+    stage = Stage(study, "sensitivity", f"Sobol indices from {n_rows} simulations", inputs)
+    before = stage.finished(lambda summary: f"{summary['n_calls']} simulations reused")
+    if before is not None:
+        return before
+    from studies.sensitivity import sobol_indices
 
-        started_s = time.time()
+    with stage.work() as work:
         with open_physical_model(study) as model, study.console.progress("simulations", n_rows) as advance:
             indices = sobol_indices(
                 model,
@@ -213,23 +211,15 @@ def sensitivity_stage(study: Study) -> Outcome:
         for name, values in mean.items():
             plain = [float(value) if np.isfinite(value) else None for value in values]
             summary[f"mean_{name}"] = {indices.names[i]: plain[i] for i in indices.order()}
-        _log_sensitivity(study, summary, digest_of(inputs), file, started_s)
-        return summary, [file]
-
-    return run_stage(
-        study,
-        "sensitivity",
-        what=f"Sobol indices from {n_rows} simulations",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: f"{summary['n_calls']} simulations reused",
-    )
+        _log_sensitivity(work, summary, file)
+        return work.keep(summary, [file])
 
 
-def _log_sensitivity(study: Study, summary: Summary, digest: str, file: Path, started_s: float) -> None:
+def _log_sensitivity(work: Work, summary: Summary, file: Path) -> None:
     """Write the indices to MLflow."""
     from studies.stages.tracking import log_run
 
+    study = work.stage.study
     if not study.paths.tracking_database.is_file():
         study.console.say("sensitivity: making MLflow's store, once")
     metrics = {
@@ -238,19 +228,13 @@ def _log_sensitivity(study: Study, summary: Summary, digest: str, file: Path, st
         for name, value in summary[f"mean_{order}"].items()
         if value is not None
     }
-    recipe = recipe_of(study, "sensitivity")
-    log_run(
-        study,
-        "sensitivity",
-        digest,
-        name="sensitivity",
-        params={"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed},
-        metrics=metrics,
-        artifacts=[file],
-        started_s=started_s,
-        wall_s=time.time() - started_s,
-        record={"recipe": recipe, "environment": environment(), "numbers": summary},
-    )
+    record = {
+        "recipe": recipe_of(study, "sensitivity"),
+        "environment": environment(),
+        "numbers": summary,
+    }
+    params = {"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed}
+    log_run(work, params=params, metrics=metrics, artifacts=[file], record=record)
 
 
 def show_sensitivity(study: Study, outcome: Outcome) -> None:

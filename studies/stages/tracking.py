@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from studies.report.wording import difference_unit, squared
-from studies.stages.pipeline import Study
+from studies.stages.pipeline import Study, Work
 from studies.stages.results import StoredResult, calibration_record, measured_series, parameter_box
 from studies.tracking.stage_run import StageRun, log_stage
 
@@ -111,32 +111,35 @@ def log_posterior(study: Study, stored: StoredResult, digest: str) -> None:
 
 def _log_result(study: Study, stored: StoredResult, digest: str, *, kind: str, **more: Any) -> None:
     """Log what every stored result has, and more."""
-    log_run(
-        study,
-        kind,
-        digest,
-        name=f"{stored.name} {kind}",
-        started_s=stored.started_s,
-        wall_s=stored.wall_s,
-        artifacts=[stored.files.numbers, stored.files.arrays],
-        record={"recipe": stored.numbers["recipe"], "environment": stored.numbers["environment"]},
-        **more,
+    log_stage(
+        study.paths,
+        _run(
+            study,
+            kind,
+            digest,
+            name=f"{stored.name} {kind}",
+            started_s=stored.started_s,
+            wall_s=stored.wall_s,
+            artifacts=[stored.files.numbers, stored.files.arrays],
+            record={"recipe": stored.numbers["recipe"], "environment": stored.numbers["environment"]},
+            **more,
+        ),
     )
 
 
-def log_run(
-    study: Study, kind: str, digest: str, *, name: str, tags: dict[str, Any] | None = None, **more: Any
-) -> None:
-    """Log a stage's run with what every run of a study has.
+def log_run(work: Work, **more: Any) -> None:
+    """Log the run of a stage, called as the stage, at its end.
 
     Args:
-        study: the study.
-        kind: what it is.
-        digest: digest of the stage's inputs.
-        name: what a user reads.
-        tags: tags beside case and digest.
+        work: the stage's work.
         more: what else a `StageRun` takes.
     """
+    study, more = work.stage.study, {**more, "started_s": work.started_s, "wall_s": work.wall_s}
+    log_stage(study.paths, _run(study, work.stage.name, work.stage.digest, name=work.stage.name, **more))
+
+
+def _run(
+    study: Study, kind: str, digest: str, *, name: str, tags: dict[str, Any] | None = None, **more: Any
+) -> StageRun:
     about = {"case": study.case.name, "case_sha256": study.case.digest, **(tags or {})}
-    run = StageRun(study.label, kind, name, digest, tags=about, note=study.case.note, **more)
-    log_stage(study.paths, run)
+    return StageRun(study.label, kind, name, digest, tags=about, note=study.case.note, **more)

@@ -18,7 +18,7 @@ from studies.report.wording import count, listed
 from studies.stages.guided import guide_of
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
 from studies.stages.known_rows import KnownRows
-from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
+from studies.stages.pipeline import Outcome, Stage, StageError, Study
 from studies.stages.results import (
     ADAPTIVE,
     Arrays,
@@ -119,27 +119,31 @@ def uncertainty_stage(
     }
     files = ResultFiles.of(study, "posterior", name)
 
-    def calculate() -> tuple[Numbers, Arrays, Summary]:
-        return _judge(study, calibration, settings, KnownRows(files.rows, digest_of(inputs)))
-
-    return keep_result(
-        study,
-        f"uncertainty-{name}",
-        files,
-        what=f"differences and a posterior sample, {count(settings.max_calls, 'simulation')} at most",
-        inputs=inputs,
-        recipe={"kind": "uncertainty", "settings": asdict(settings), "calibration": name},
-        calculate=calculate,
-        log=log_posterior,
-        reuse_note=lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets",
-        more_files=[files.rows],
-        again=again,
+    what = f"differences and a posterior sample, {count(settings.max_calls, 'simulation')} at most"
+    stage = Stage(study, f"uncertainty-{name}", what, inputs)
+    before = stage.finished(
+        lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets", again=again
     )
+    if before is not None:
+        return before
+    with stage.work() as work:
+        known_rows = KnownRows(files.rows, stage.digest)
+        numbers, arrays, n_simulated = _judge(study, calibration, settings, known_rows)
+        return keep_result(
+            work,
+            files,
+            numbers,
+            arrays,
+            this_time={"n_simulated": n_simulated},
+            recipe={"kind": "uncertainty", "settings": asdict(settings), "calibration": name},
+            log=log_posterior,
+            more_files=[files.rows],
+        )
 
 
 def _judge(
     study: Study, calibration: StoredResult, settings: UncertaintySettings, known_rows: KnownRows
-) -> tuple[Numbers, Arrays, Summary]:
+) -> tuple[Numbers, Arrays, int]:
     """Say how sure a calibrated point is, and keep nothing but the simulations."""
     case, theta, prior = study.case, calibration.arrays["theta"], prior_of(study.case)
     measurement, n_parameters = case.measurement, case.parameter_space.n_parameters
@@ -180,7 +184,7 @@ def _judge(
     numbers, arrays = _results(study, problem, found)
     numbers |= {"calibration": calibration.name, "settings": asdict(settings), **failed_numbers(physical)}
     numbers["ledger"] |= {"n_known": known.n}
-    return numbers, arrays | rows.arrays, {"n_simulated": physical.n_simulated}
+    return numbers, arrays | rows.arrays, physical.n_simulated
 
 
 def _results(study: Study, problem: CalibrationProblem, assessed: Assessment) -> tuple[Numbers, Arrays]:

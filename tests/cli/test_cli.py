@@ -4,10 +4,8 @@ import json
 import os
 import re
 import shlex
-import sqlite3
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -141,22 +139,6 @@ def test_ui_refuses_a_label_that_nobody_worked_on(project: Path, studies: Run) -
     assert "MLflow has no experiment 'office-quik'; there are: none" in answer.err
 
 
-def test_ui_says_which_database_is_locked(project: Path) -> None:
-    # In a process of its own: MLflow keeps the connections of this one.
-    with closing(sqlite3.connect(project / "mlruns" / "mlflow.db", isolation_level=None)) as busy:
-        busy.execute("begin exclusive")
-        done = subprocess.run(
-            [sys.executable, "-m", "studies", "ui", "office-quik"],
-            capture_output=True,
-            text=True,
-            env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
-            check=False,
-        )
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "MLflow cannot open mlruns/mlflow.db" in done.stderr
-    assert "database is locked" in done.stderr
-
-
 def test_a_plan_says_what_is_to_do_and_writes_nothing(new_project: Path, studies: Run) -> None:
     before = sorted(new_project.rglob("*"))
     document = studies("run", "--profile", "smoke", "--dry-run", "--json").document
@@ -217,10 +199,8 @@ def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "code", "err"),
     [
-        ("--json >/dev/full", 1, "studies: error: No space left on device; free some space"),
         (">/dev/full", 1, "studies: error: No space left on device; free some space"),
         (">&-", 0, ""),
-        ("2>&-", 0, ""),
         ("| tail -n 1", 0, ""),
     ],
 )
@@ -239,7 +219,7 @@ def test_where_nothing_can_be_written_there_is_no_traceback(
         check=False,
     )
     assert done.returncode == code
-    assert ("B?ro yet" in done.stdout) == (how in ("2>&-", "| tail -n 1"))
+    assert ("B?ro yet" in done.stdout) == (how == "| tail -n 1")
     said = [line for line in done.stderr.splitlines() if line.startswith("studies: error")]
     assert "\n".join(said).startswith(err)
     assert bool(said) == bool(err)

@@ -129,20 +129,6 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4
 
 
-def test_it_says_how_it_does_on_days_that_it_did_not_see(project: Path, studies: Run) -> None:
-    case = project / "fmus" / "office" / "case.toml"
-    text = case.read_text().replace("start_d = 0 ", "validation_d = [10, 14]\nstart_d = 0 ")
-    case.write_text(text.replace("uncertainty = 0.5", "uncertainty = 0.02"))
-    answer = studies(*ADAPTIVE, "--max-calls", "15")
-    assert answer.code == 0, answer.err
-    assert "validation on days 10 to 14" in answer.out
-    assert "more than 2 times the sensor's uncertainty" in answer.out
-    points = results_of(project)["validation"]["points"]
-    assert list(points) == ["estimate", "calibrated"]
-    assert studies("report").code == 0
-    assert (project / "mlruns" / "reports" / "office-quick" / "validation-adaptive.png").is_file()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -29,16 +29,6 @@ def accept(project: Path, low: float, high: float) -> None:
     case.write_text(text.replace("uncertainty =", f"accepted = [{low}, {high}]\nuncertainty ="))
 
 
-def test_a_stage_that_is_done_again_simulates_nothing(project: Path, studies: Run) -> None:
-    studies("sensitivity", "--profile", "smoke", "--json")
-    n_sobol = len(rows_of(project))
-    assert n_sobol > 100
-    (project / "mlruns" / "results" / "office-smoke" / "sensitivity.json").unlink()
-    again = studies("sensitivity", "--profile", "smoke", "--json")
-    assert f"sensitivity: {n_sobol} of {n_sobol} simulations reused" in again.err
-    assert len(rows_of(project)) == n_sobol
-
-
 def test_failed_simulations_are_asked_again_on_request_alone(project: Path, studies: Run) -> None:
     accept(project, 0.0, 26.0)
     first = studies(*SIMULATE)

@@ -198,17 +198,3 @@ def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run)
     answer = studies("uncertainty", "office")
     assert answer.code == 2
     assert "no calibration of any kind; type: studies calibrate office" in answer.err
-
-
-def test_a_calibration_from_a_surrogate_says_what_judges_it(
-    finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy_of(finished, tmp_path / "project", monkeypatch)
-    (line,) = [
-        line
-        for line in studies("calibrate", "--profile", "tiny.toml", "--method", "paper").out.splitlines()
-        if line.startswith("How sure it is: studies ")
-    ]
-    words = line.removeprefix("How sure it is: studies ").split()
-    assert words == ["uncertainty", "office", "--profile", "tiny.toml", "--n-train", "16"]
-    assert studies(*words, "--max-calls", "45", "--json").stage["calibration"] == "n0016"

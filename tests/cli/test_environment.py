@@ -24,18 +24,6 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(project: Path, studies: Run
     assert "move away the file" in answer.document["error"]
 
 
-def test_a_disk_without_locks_is_no_wrong_input(
-    project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    answer = studies("simulate", "--profile", "smoke", "--json", "--quiet")
-    assert (answer.code, len(answer.err.splitlines())) == (1, 1)
-    assert "this file system has no locks" in answer.document["error"]
-
-
 @pytest.mark.parametrize(
     ("error", "fragments"),
     [

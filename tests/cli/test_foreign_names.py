@@ -67,15 +67,6 @@ def test_no_text_of_a_case_file_holds_control_signs(project: Path, studies: Run,
         assert f"{key} = " in refusal(studies("check"))
 
 
-@pytest.mark.parametrize("words", [("report",), ("show",), ("calibrate", "--profile")])
-@pytest.mark.parametrize("name", ["../../x", "a\x1b[2J", LONG])
-def test_what_is_typed_is_no_way_out(project: Path, studies: Run, words: tuple[str, ...], name: str) -> None:
-    answer = studies(*words, name)
-    assert answer.code == 2
-    assert len(answer.err.splitlines()) == 1
-    assert "\x1b" not in answer.err
-
-
 @pytest.mark.parametrize(
     "content",
     [

@@ -14,9 +14,9 @@ from studies.console import Console
 from studies.paper.catalog import ITEMS
 from studies.paper.plan import BUDGETS, Plan
 from studies.paper.run import item_inputs
-from studies.paths import ProjectPaths, find_case, size_name
+from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile
-from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
+from studies.stages.pipeline import Outcome, Stage, Study, Summary, digest_of, read_json, write_json
 from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
 
 
@@ -39,25 +39,21 @@ class Worker:
 
     def __init__(self, study: Study, summary: Summary | None = None) -> None:
         self.study, self.n_done = study, 0
-        self.summary = summary or {"n": 7}
+        self.summary, self.is_interrupted = summary or {"n": 7}, False
         self.file = study.results / "result.txt"
 
     def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome:
-        return run_stage(
-            self.study,
-            "work",
-            what="working",
-            inputs=inputs,
-            work=self._work,
-            reuse_note=lambda summary: f"{summary['n']} reused",
-            keep=lambda summary: keep,
-        )
-
-    def _work(self) -> tuple[Summary, list[Path]]:
-        self.n_done += 1
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        self.file.write_text("result")
-        return self.summary, [self.file]
+        stage = Stage(self.study, "work", "working", inputs)
+        before = stage.finished(lambda summary: f"{summary['n']} reused")
+        if before is not None:
+            return before
+        with stage.work() as work:
+            self.n_done += 1
+            if self.is_interrupted:
+                raise KeyboardInterrupt
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self.file.write_text("result")
+            return work.keep(self.summary, [self.file], is_finished=keep)
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,14 +115,12 @@ def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
 
 
 def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(study: Study) -> None:
-    def work() -> tuple[Summary, list[Path]]:
-        raise KeyboardInterrupt
-
     worker = Worker(study, {"n": 7, "n_failed": 1})
     worker.run({})
-    patient = replace(study, retry_failed=True)
+    patient = Worker(replace(study, retry_failed=True))
+    patient.is_interrupted = True
     with pytest.raises(KeyboardInterrupt):
-        run_stage(patient, "work", what="", inputs={}, work=work, reuse_note=lambda summary: "")
+        patient.run({})
     worker.run({})
     assert worker.n_done == 2
 
@@ -151,15 +145,6 @@ def test_what_no_digest_holds_is_an_input_where_it_decides(study: Study, old: st
     after = load_case(file)
     assert (after.digest, after.measurement.digest) == (before.digest, before.measurement.digest)
     assert items(after) != items(before)
-
-
-def test_an_interrupted_stage_leaves_no_manifest(study: Study) -> None:
-    def work() -> tuple[Summary, list[Path]]:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_stage(study, "work", what="", inputs={}, work=work, reuse_note=lambda summary: "")
-    assert not (study.results / "work.json").exists()
 
 
 def test_a_manifest_says_what_made_it(study: Study) -> None:
@@ -195,8 +180,3 @@ def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         write_json(file, {("a", "b"): 1})  # type: ignore[dict-item]
     assert read_json(file) == {"a": 1}
     assert [found.name for found in file.parent.iterdir()] == ["content.json"]
-
-
-def test_sizes_sort_by_name_as_by_number() -> None:
-    sizes = [32, 64, 128, 1024, 4096]
-    assert sorted(map(size_name, sizes)) == [size_name(n) for n in sizes]

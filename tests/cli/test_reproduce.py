@@ -2,8 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Iterator
-from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +9,9 @@ import numpy as np
 import pytest
 from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
 
-from simulation.errors import InputError
-from simulation.foreign_text import has_control
 from studies.cli import main
 from studies.comparison import compare
 from studies.paths import ProjectPaths
-from studies.provenance import provenance_of
 from studies.tracking.quiet_mlflow import connect
 
 STUDY = ("office", "--profile", "tiny.toml", "--quiet")
@@ -159,41 +154,6 @@ def test_what_cannot_be_made_again_is_one_line(copied: Path, studies: Run, role:
     answer = studies("reproduce", runs_of(copied, role)[0], "--json")
     assert answer.code == 2
     assert said in answer.document["error"]
-
-
-ODD = (None, True, -1, 1e308, "", "../../x", "\x1b[2J", [], {}, [[]], {"a": {}}, 10**400, "9" * 5000)
-
-
-def spoilt(content: Any, odd: Iterator[Any]) -> Iterator[None]:
-    """Put three odd values, then nothing, in the place of each value of a record in turn."""
-    for key, value in list(content.items() if isinstance(content, dict) else enumerate(content)):
-        for other in islice(odd, 3):
-            content[key] = other
-            yield
-        content[key] = value
-        if isinstance(value, dict | list):
-            yield from spoilt(value, odd)
-        if isinstance(content, dict):
-            del content[key]
-            yield
-            content[key] = value
-
-
-@pytest.mark.parametrize("role", ["trial", "calibration"])
-def test_a_damaged_record_is_one_line_or_is_followed(made: Path, role: str) -> None:
-    for run in runs_of(made, role)[:2]:
-        (file,) = made.glob(f"mlruns/artifacts/*/{run}/artifacts/provenance.json")
-        record = json.loads(file.read_text(encoding="utf-8"))
-        assert provenance_of(record, "run").recipe.label == LABEL
-        said = []
-        for _ in spoilt(record, cycle(ODD)):
-            try:
-                provenance_of(record, "run")
-            except InputError as error:
-                said.append(str(error))
-        assert len(said) > 200
-        assert not [line for line in said if len(line) > 1000 or has_control(line)]
-        assert provenance_of(record, "run").recipe.label == LABEL
 
 
 def test_a_damaged_record_of_a_run_is_one_line_at_the_terminal(copied: Path, studies: Run) -> None:

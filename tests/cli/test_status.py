@@ -9,7 +9,6 @@ import subprocess
 import sys
 import termios
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import optuna
@@ -22,7 +21,6 @@ from studies_for_tests import (
     WALL_S,
     declared,
     declared_baseline,
-    ended_trial,
     write_calibration,
     write_study,
 )
@@ -102,17 +100,6 @@ def test_trials_and_studies_of_others_are_counted_or_let_be(project: Path, studi
     assert (size["trial"], size["n_trials"]) == (best.number, 4)
 
 
-def test_a_retried_trial_is_one_trial(project: Path, studies: Run) -> None:
-    study = write_study(project, declared("office-quick", 64), n_trials=3, n_planned=4)
-    lost = optuna.create_trial(state=TrialState.FAIL, params={}, distributions={})
-    study.add_trial(lost)
-    again = ended_trial(declared("office-quick", 64), 3, 0.1)
-    again.system_attrs = {"failed_trial": 3, "retry_history": [3]}
-    study.add_trial(again)
-    (found,) = studies("status", "--json").document["studies"]
-    assert (found["n_complete"], found["n_failed"], found["trial"]) == (4, 0, 4)
-
-
 def test_twins_have_their_whole_names_and_best_takes_the_latest(project: Path, studies: Run) -> None:
     specs = [declared("office-quick", 64, seed=seed) for seed in (1, 2)]
     twins = [write_study(project, spec, n_trials=4) for spec in specs]
@@ -179,17 +166,6 @@ def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(
     assert f'optuna.load_study(study_name="{spec.name}", storage="sqlite:///' in shown
     (of_status,) = (line for line in studies("status").out.splitlines() if "office-quick/n0064" in line)
     assert f" {beside.user_attrs['test/mae']:.3f} " in of_status
-
-
-def test_best_tells_a_small_gain_from_none(project: Path, studies: Run) -> None:
-    spec = declared("office-quick", 64)
-    study = write_study(project, spec, n_trials=1)
-    study.add_trial(ended_trial(spec, 1, 0.996 * study.best_value))
-    shown = studies("best").out
-    assert " -0.4 % " in shown
-    assert "by 0.4 % of its validation error" in shown
-    write_study(project, replace(spec, n_train=128), n_trials=1)
-    assert " ±0 % " in studies("best", "--n-train", "128").out
 
 
 def test_best_shows_the_parameters_of_the_best_calibration(project: Path, studies: Run) -> None:
