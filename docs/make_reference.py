@@ -23,7 +23,7 @@ if __name__ == "__main__":
 from simulation import case_file  # noqa: E402
 from studies import finished, profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
-from studies.cli import COMMANDS, EPILOG, build_parser, command_module  # noqa: E402
+from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.report.records_tuning import TunedSize  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
@@ -77,12 +77,12 @@ def _commands() -> Iterator[str]:
     parser = build_parser()
     (commands,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
     for name in COMMANDS:
-        words = command_module(name)
-        yield f"\n## studies {name}\n\n{words.HELP[0].upper()}{words.HELP[1:]}.\n"
+        summary, more = help_of(name)
+        yield f"\n## studies {name}\n\n{summary}\n"
         yield "\n" + _row("option", "meaning") + _row("---", "---")
         for action in commands.choices[name]._actions:
             yield _row(_option(action), str(action.help).replace("%%", "%"))
-        yield from _prose(words.MORE)
+        yield from _prose(more)
     yield "\n## Files and exit codes\n"
     yield from _prose(EPILOG.partition("\n\n")[2])
 

@@ -88,11 +88,8 @@ def _calibration(one: Calibration) -> list[Block]:
     how = count(one.n_calls_paper, "model call")
     how += " in the paper's count" if one.n_calls_paper != one.n_calls_all else ""
     how += f", begun with {count(one.n_known, 'stored simulation')}" if one.n_known else ""
-    rows = [
-        [name, shown_unit(one.units.get(name, "")), f"{value:.6g}", "fixed" if name in one.fixed else ""]
-        for name, value in one.theta.items()
-    ]
-    columns = [Column("parameter"), Column("unit"), Column("calibrated", True), Column("", spare=1)]
+    rows = [[k, shown_unit(one.units.get(k, "")), f"{value:.6g}"] for k, value in one.theta.items()]
+    columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     return [
         Said(f"{one.case}: best calibration: MSE {quantity(one.error, one.unit, 4)}, {how}"),
         *([Said(f"made before {listed(one.changed_since)} changed", "warn")] if one.changed_since else []),

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
+import studies.commands
 from simulation.errors import InputError, MachineError
 from simulation.foreign_text import escaped, shortened
 from simulation.pool.safe_start import start_safely
@@ -31,6 +32,10 @@ OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
 """Characters of the line of an error: what it quotes may be a stranger's."""
 WIDEST = 110  # columns of help
+OF_THE_MOMENT = ("--again", "--json", "-q", "--quiet")
+"""Options that change no result: records leave them out of the command that made it."""
+DESCRIPTION, EXAMPLES, EPILOG = str(studies.commands.__doc__).partition("\nExamples:\n")
+EPILOG = f"{EXAMPLES.lstrip()}{EPILOG}"
 COMMANDS = (
     "new",
     "import-recording",
@@ -48,54 +53,6 @@ COMMANDS = (
     "reproduce",
     "reproduce-paper",
 )
-
-DESCRIPTION = """\
-Calibrate a simulation model (an FMU) with a PELS-VAE surrogate.
-
-A study combines a case and a profile. The case declares the FMU, the parameters with their bounds, the
-inputs, the measurement and the window. The profile sets the budget and the search space. `studies run` does
-all stages in order:
-
-  check         test the case and the speed of a simulation
-  simulate      training, validation and test simulations
-  sensitivity   Sobol indices per time step
-  tune          Optuna chooses latent dimension, hidden width and beta of a PELS-VAE, one study per
-                training-set size; each trial is an MLflow run that shows its curves during training
-  calibrate     screen the box on the surrogate, polish on the FMU
-  report        tables and figures on one page
-
-`studies calibrate` alone needs no surrogate and the fewest simulations. After both, `studies uncertainty`
-shows how sure the calibration is.
-"""
-EPILOG = """\
-examples:
-  studies new Room.fmu                     a case file for your own FMU; then check, then calibrate
-  studies calibrate                        the office, in fewest FMU calls, without a surrogate
-  studies run                              the office with surrogates, quick profile: minutes on two cores
-  studies run office-recorded --window 8-16
-  studies check office                     what is wrong with a case, and what to do
-  studies tune --n-train 64 --trials 40    more trials for one size; finished trials are kept
-  studies calibrate --n-train 64 --json    one calibration from the stored surrogate
-  studies status --live                    running trials, progress, time to go
-  studies ui                               compare the runs in MLflow
-
-The project is the nearest folder with a file studies.toml, from the working folder upwards. Without such a
-file it is the working folder, and the first command that writes makes the file.
-
-files of the project (label = <case>-<profile>):
-  data/<case>/generated/    simulations          mlruns/reports/<label>/index.html    the report
-  mlruns/results/<label>/   numbers              mlruns/artifacts/                    weights, pictures
-  mlruns/mlflow.db          MLflow (studies ui)  mlruns/optuna.db                     Optuna
-
-Finished work is not repeated. Interrupt any command, type it again, and it goes on.
-
-exit codes:
-  0    success
-  1    a check or a stage failed, or the machine did (disk, memory)
-  2    the input is wrong
-  130  interrupted
-  141  the reader of the output closed it
-"""
 
 
 class _UsageError(Exception):
@@ -121,9 +78,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as done:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
+    chosen.typed = _typed([word for word in arguments if word not in OF_THE_MOMENT])
     with interrupts_kept():
         try:
-            check_surroundings(arguments)
+            check_surroundings()
             if argv is None:
                 from studies.command_folder import give_temporary_folder
 
@@ -132,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return answer
         except (Exception, KeyboardInterrupt) as error:
             if is_interrupt(error):
-                return _interrupted(console, arguments)
+                return _interrupted(console, _typed(arguments))
             try:
                 return _report(console, error)
             except OSError:
@@ -193,24 +151,30 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
     for name in COMMANDS:
-        words = command_module(name)
+        summary, more = help_of(name)
         command = commands.add_parser(
             name,
-            help=words.HELP,
-            description=f"{words.HELP[0].upper()}{words.HELP[1:]}.",
-            epilog=words.MORE,
+            help=f"{summary[0].lower()}{summary[1:].rstrip('.')}",
+            description=summary,
+            epilog=more,
             formatter_class=_Paragraphs,
             allow_abbrev=False,
         )
-        words.add_options(command)
+        command_module(name).add_options(command)
         options.add_storage(command)
         options.add_output(command)
     return parser
 
 
 def command_module(name: str) -> ModuleType:
-    """Return the module behind a command: its HELP, MORE, `add_options` and `run`."""
+    """Return the module behind a command: its help as docstring, `add_options` and `run`."""
     return importlib.import_module(f"studies.commands.{name.replace('-', '_')}")
+
+
+def help_of(name: str) -> tuple[str, str]:
+    """Return what a command does in a sentence, and the rest of its help."""
+    summary, _, more = str(command_module(name).__doc__).partition("\n\n")
+    return summary, more
 
 
 class _Paragraphs(argparse.HelpFormatter):
@@ -251,9 +215,12 @@ def _bad_input(console: Console, line: str) -> int:
     return BAD_INPUT
 
 
-def _interrupted(console: Console, arguments: Sequence[str]) -> int:
+def _typed(words: Sequence[str]) -> str:
+    return hide_passwords(shlex.join(["studies", *words]))
+
+
+def _interrupted(console: Console, again: str) -> int:
     interrupt_heeded()
-    again = hide_passwords(shlex.join(["studies", *arguments]))
     console.warn(f"interrupted; finished work is kept, go on with: {again}")
     console.document({"error": "interrupted", "go_on_with": again})
     return INTERRUPTED

@@ -79,21 +79,8 @@ class Table:
     is_dense: bool = False
 
 
-@dataclass(frozen=True)
-class Facts:
-    """Facts, one per line; facts without a text are left out.
-
-    Args:
-        title: above them.
-        facts: pairs of a word and its text.
-    """
-
-    title: str
-    facts: Sequence[tuple[str, object]]
-
-
-Block = Table | Facts | Said
-"""A table, facts, or a text of one or several lines."""
+Block = Table | Said
+"""A table, or a text of one or several lines."""
 
 
 @dataclass(frozen=True)
@@ -238,16 +225,13 @@ def _without_control(block: Block) -> Block:
     """Return a block without signs that a terminal obeys; names in it may be a stranger's."""
     if isinstance(block, Said):
         return replace(block, text=escaped(block.text, keep_lines=True))
-    if isinstance(block, Facts):
-        facts = [(escaped(word), _safe_cell(said, keep_lines=True)) for word, said in block.facts]
-        return Facts(escaped(block.title), facts)
     columns = [replace(column, title=escaped(column.title)) for column in block.columns]
     rows = [[_safe_cell(cell) for cell in row] for row in block.rows]
     return replace(block, title=escaped(block.title), columns=columns, rows=rows)
 
 
-def _safe_cell(cell: object, *, keep_lines: bool = False) -> object:
-    text = escaped(str(cell), keep_lines=keep_lines)
+def _safe_cell(cell: object) -> object:
+    text = escaped(str(cell))
     return replace(cell, text=text) if isinstance(cell, Said) else text
 
 

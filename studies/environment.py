@@ -3,8 +3,7 @@
 import errno
 import re
 import resource
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from simulation.errors import MachineError
@@ -30,33 +29,21 @@ LEAST_MB = 1200
 """Address space in which a case is calibrated; with half of it, SciPy's OpenBLAS hangs when it is loaded."""
 
 
-def check_surroundings(words: Sequence[str]) -> None:
-    """Refuse to begin where every command would fail somewhere deep inside.
-
-    Args:
-        words: the command line.
+def check_surroundings() -> None:
+    """Refuse to begin where every command would fail or hang somewhere deep inside.
 
     Raises:
-        MachineError: a process may have too little memory, the working folder was deleted or cannot be
-            named here, or /proc is missing.
+        MachineError: a process may have too little memory, or the working folder was deleted.
     """
-    most_mb = resource.getrlimit(resource.RLIMIT_AS)[0] / 1e6
-    if resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY and most_mb < LEAST_MB:
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most != resource.RLIM_INFINITY and most / 1e6 < LEAST_MB:
         raise MachineError(
-            f"a process may have {most_mb:.0f} MB here, and {LEAST_MB} are needed; allow more (ulimit -v)"
+            f"a process may have {most / 1e6:.0f} MB here, and {LEAST_MB} are needed; allow more (ulimit -v)"
         )
     try:
-        here = str(Path.cwd())
+        Path.cwd()
     except OSError:
         raise MachineError("the working folder was deleted; go to another folder (cd)") from None
-    for place in (here, *words):
-        if any("\udc80" <= sign <= "\udcff" for sign in place):
-            raise MachineError(
-                f"{place} is no text in the encoding {sys.getfilesystemencoding()}; set LC_ALL=C.UTF-8, or "
-                "rename it where its name is not UTF-8"
-            )
-    if not Path("/proc/self/status").exists():
-        raise MachineError("/proc is missing, which shows processes and memory; mount it")
 
 
 def explain(error: BaseException) -> str | None:

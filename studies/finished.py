@@ -35,7 +35,6 @@ class Calibration:
         n_known: stored simulations that it began with, which are none of its calls.
         theta: the calibrated parameters. [units]
         units: their units.
-        fixed: names of the parameters that were not calibrated.
         reason: why it ended.
         finished: when, UTC.
         changed_since: files that it was made from and that hold something else now.
@@ -52,7 +51,6 @@ class Calibration:
     n_known: int
     theta: Mapping[str, float]
     units: Mapping[str, str]
-    fixed: Sequence[str]
     reason: str
     finished: str
     changed_since: Sequence[str]
@@ -99,7 +97,6 @@ def _read(
         n_known=int(numbers.get("n_known", 0)),
         theta=theta,
         units={str(one["name"]): str(one.get("unit", "1")) for one in declared.get("parameters", ())},
-        fixed=[str(one) for one in numbers.get("restriction", {}).get("fixed", {})],
         reason=str(numbers.get("polish_stop_reason", numbers.get("stop_reason", ""))),
         finished=str(manifest.get("finished", "")),
         changed_since=_changed(paths, recipe),

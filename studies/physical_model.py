@@ -41,13 +41,9 @@ def open_physical_model(
         StageError: too many simulations fail; those that are finished are kept.
     """
     case = case or study.case
-    file = store_file(study.paths, case)
-    if file.with_suffix("").is_dir():
-        older = study.paths.show(file.with_suffix(""))
-        study.console.warn(f"{older}: simulations of an older version, which run again; remove the folder")
     with (
         SimulationStore(
-            file,
+            store_file(study.paths, case),
             model_digest=case.model_digest,
             parameter_names=case.parameter_space.names,
             output_names=case.settings.output_names,

@@ -1,6 +1,5 @@
 """Profiles: the budget of a study (sizes, trials, calls, seed), read from TOML and checked at the edge."""
 
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -193,41 +192,6 @@ def in_one_line(error: ValidationError) -> str:
     value = "" if isinstance(fault["input"], dict | ArgsKwargs) else f" = {quoted(fault['input'])}"
     said = shortened(fault["msg"].removeprefix("Value error, "), 3 * MOST_QUOTED)
     return f"{shortened(key)}{value}: {said}"
-
-
-_OPTIONS = {
-    "--n-train": ("data", "n_train"),
-    "--trials": ("tuning", "n_trials"),
-    "--parallel": ("tuning", "n_parallel"),
-    "--max-calls": ("polish", "max_calls"),
-}
-"""By option of the command line: the value of a profile that it changes."""
-
-
-def changed_words(
-    own: Profile, changed: Mapping[str, Any], parts: Sequence[str] = ("data", "tuning", "polish")
-) -> str:
-    """Return the options that changed a profile, each behind a blank.
-
-    Args:
-        own: the profile as its file has it.
-        changed: what became of it, as values that `Profile.to_dict` gave.
-        parts: parts of the profile whose changes count.
-    """
-    words, before = "", own.to_dict()
-    for option, (part, name) in _OPTIONS.items():
-        was = before[part][name]
-        value = changed.get(part, {}).get(name, was)
-        is_typed = value is not False  # what is switched off cannot be typed
-        if part in parts and is_typed and _typed(value) != _typed(was):
-            words += f" {option}{_typed(value)}"
-    return words
-
-
-def _typed(value: Any) -> str:
-    """Return what stands behind an option, nothing behind one that is on."""
-    values = value if isinstance(value, list | tuple) else [] if value is True else [value]
-    return "".join(f" {one}" for one in values)
 
 
 def profile_names() -> list[str]:

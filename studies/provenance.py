@@ -11,7 +11,6 @@ from simulation.foreign_text import quoted, shortened
 from studies.calibration.adaptive import Adaptive
 from studies.profile import Profile, in_one_line
 from studies.recipe import SCHEMA
-from studies.stages.restriction import Restriction
 from studies.tuning.declaration import Declaration
 
 
@@ -37,7 +36,6 @@ class FollowedRecipe:
         window_d: the window. [d]
         profile: the budget.
         settings: how an adaptive calibration searched.
-        restriction: which parameters a calibration held at what, None for none.
         n_train: size of a calibration's training set.
         surrogate: run of a calibration's surrogate, by "run_id".
     """
@@ -49,7 +47,6 @@ class FollowedRecipe:
     window_d: tuple[float, float]
     profile: Profile
     settings: Adaptive | None = None
-    restriction: Restriction | None = None
     n_train: int = 0
     surrogate: dict[str, str | int] = field(default_factory=dict)
 

@@ -16,13 +16,12 @@ SCHEMA = 2
 Recipe = dict[str, Any]
 
 
-def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe:
+def recipe_of(study: "Study", kind: str, **more: Any) -> Recipe:
     """Return what rebuilds a result of a study.
 
     Args:
         study: the study.
         kind: "training", "calibration", "adaptive", "sensitivity" or "uncertainty".
-        command: the command line that makes it.
         more: what this kind needs beyond case, profile and seed, as JSON values.
     """
     from simulation.case_reading import read_case_file
@@ -38,7 +37,7 @@ def recipe_of(study: "Study", kind: str, *, command: str, **more: Any) -> Recipe
     return {
         "schema": SCHEMA,
         "kind": kind,
-        "command": command,
+        "command": study.typed,
         "label": study.label,
         "case": {
             "name": case.name,

@@ -1,42 +1,66 @@
-"""Import a published recording: check it and write it as the CSV files of the recorded case."""
+"""Import the paper's recording: read it as published, check it, write the recorded case's CSV files."""
 
+import io
 import math
+import zipfile
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
+from simulation.arrays import FloatArray
 from simulation.errors import InputError
+from simulation.foreign_file import FMU, RECORDING, UNPACKED, check_members, read_limited
+from simulation.foreign_text import shortened
+from simulation.recording import read_recording
 from simulation.whole_file import whole_file
-from studies.recording_files import FILES, SIGNALS, Array, read_series
 
 DAY_S = 86_400.0
-
-
-MIN_DURATION_D = 10.0
+MIN_DURATION_D = 9.5
 """Shorter than this, not even the calibration window of the paper fits."""
+KELVIN_ABOVE = 150.0
+"""No temperature of a building in degrees Celsius."""
+MATLAB_FILE = "identification_data.mat"
+WHOLE = ("time_s", "FlowSupply", "RLTFlow")
+"""Columns of whole numbers, where that is exact: times and switches."""
+FILES = {1800: "recording_1800s.csv", 600: "occupancy_600s.csv"}
+"""Our CSV files by the sampling step of their columns. [s]"""
 
 
 @dataclass(frozen=True)
-class Recording:
-    """A checked recording.
+class Signal:
+    """One recorded series.
 
     Args:
-        time_s: per step, the grid from 0 on. Shape (m,). [s]
-        values: per column of our CSV, the series. Shape (m,).
-        source: where it came from.
+        variable: name in the published file.
+        column: name in our CSV.
+        lower: smallest value that makes sense.
+        upper: largest value that makes sense.
+        step_s: sampling step. [s]
     """
 
-    time_s: Mapping[int, Array]
-    values: Mapping[str, Array]
-    source: str
+    variable: str
+    column: str
+    lower: float
+    upper: float
+    step_s: int = 1800
 
-    @property
-    def duration_d(self) -> float:
-        """Length of the shortest grid. [d]."""
-        return min(float(time[-1]) for time in self.time_s.values()) / DAY_S
+
+SIGNALS = (
+    Signal("TRoom", "TRoom_degC", -10.0, 60.0),
+    Signal("TEnv", "TEnv_degC", -60.0, 60.0),
+    Signal("TSupply", "TSupply_degC", -10.0, 90.0),
+    Signal("FlowSupply", "FlowSupply", 0.0, 1.0),
+    Signal("TRLTSupply", "TRLTSupply_degC", -30.0, 90.0),
+    Signal("RLTFlow", "RLTFlow", 0.0, 1.0),
+    Signal("IrrGH", "IrrGH_W_m2", -10.0, 1500.0),
+    Signal("Occupancy", "Occupancy", 0.0, 1.0, step_s=600),
+)
+Series = Mapping[str, tuple[FloatArray, FloatArray]]
+"""Times and values by column. Shape (m,) each. [s], [per column]"""
 
 
 @dataclass(frozen=True)
@@ -58,92 +82,128 @@ class ImportReport:
     kelvin: tuple[str, ...]
 
 
-def import_recording(sources: list[Path], folder: Path) -> ImportReport:
+def import_recording(source: Path, folder: Path) -> ImportReport:
     """Read a recording, check it, and write it as the two CSV files of the recorded case.
 
     Args:
-        sources: one `.mat`, `.fmu` or folder, or the two CSV files.
+        source: a `.mat`, the `.fmu` that holds it, or a folder with the two CSV files.
         folder: where the CSV files go; created if missing, replaced only when everything was good.
 
     Raises:
         InputError: not readable, a variable missing, an uneven grid, NaN, a value out of range, too short.
     """
-    series, source = read_series(sources)
-    recording, kelvin = _checked(series, source)
+    series, name = _read(source)
+    kelvin = [
+        s.column for s in SIGNALS if s.column.endswith("_degC") and np.min(series[s.column][1]) > KELVIN_ABOVE
+    ]
+    tables = {}
+    for step_s, file in FILES.items():
+        signals = [signal for signal in SIGNALS if signal.step_s == step_s]
+        begin, n = series[SIGNALS[0].column][0][0], len(series[signals[0].column][0])
+        columns = {"time_s": step_s * np.arange(n, dtype=np.float64)}
+        for one in signals:
+            time, values = series[one.column]
+            celsius = values - 273.15 if one.column in kelvin else values
+            columns[one.column] = _checked(f"{name}: {one.column}", one, time - begin, celsius, n)
+        tables[folder / file] = columns
+    duration_d = min(float(columns["time_s"][-1]) for columns in tables.values()) / DAY_S
+    if duration_d < MIN_DURATION_D:
+        raise InputError(f"{name} covers {duration_d:.2f} days; at least 10 days are needed")
     folder.mkdir(parents=True, exist_ok=True)
-    _write_atomically({folder / name: _as_csv(recording, step) for step, name in FILES.items()})
-    files = [folder / name for name in FILES.values()]
-    rows = tuple(len(recording.time_s[step]) for step in FILES)
-    return ImportReport(source, tuple(files), rows, recording.duration_d, kelvin)
+    with ExitStack() as begun:  # all files or none
+        for place, columns in tables.items():
+            begun.enter_context(whole_file(place)).write(_as_csv(columns).encode())
+    n_rows = tuple(len(columns["time_s"]) for columns in tables.values())
+    return ImportReport(name, tuple(tables), n_rows, duration_d, tuple(kelvin))
 
 
-def _checked(series: Mapping[str, tuple[Array, Array]], source: str) -> tuple[Recording, tuple[str, ...]]:
-    times: dict[int, Array] = {}
-    values: dict[str, Array] = {}
-    kelvin = []
-    for signal in SIGNALS:
-        time, value = series[signal.column]
-        where = f"{source}: {signal.column}"
-        grid = _checked_grid(time, signal.step_s, where)
-        if signal.step_s in times and len(times[signal.step_s]) != len(grid):
-            raise InputError(
-                f"{where} has {len(grid)} rows, the columns before it {len(times[signal.step_s])}"
-            )
-        if abs(time[0] - series[SIGNALS[0].column][0][0]) > 1e-3:
-            raise InputError(f"{where} begins at {time[0]:g} s, {SIGNALS[0].column} at another time")
-        times[signal.step_s] = grid
-        bad = np.flatnonzero(~np.isfinite(value))
-        if bad.size:
-            raise InputError(f"{where} is {value[bad[0]]} at {grid[bad[0]]:.0f} s; fill or cut the gap")
-        if signal.column.endswith("_degC") and float(np.min(value)) > 150.0:
-            value = value - 273.15
-            kelvin.append(signal.column)
-        outside = np.flatnonzero((value < signal.lower - 1e-9) | (value > signal.upper + 1e-9))
-        if outside.size:
-            raise InputError(
-                f"{where} is {value[outside[0]]:g} at {grid[outside[0]]:.0f} s, "
-                f"outside {signal.lower:g} to {signal.upper:g}; check the unit"
-            )
-        values[signal.column] = value
-    recording = Recording(times, values, source)
-    if recording.duration_d < MIN_DURATION_D - 0.5:
+def _read(source: Path) -> tuple[Series, str]:
+    if not source.exists():
+        raise InputError(f"there is no file {source}")
+    if source.is_dir():
+        series: dict[str, tuple[FloatArray, FloatArray]] = {}
+        for step_s, file in FILES.items():
+            names = [signal.column for signal in SIGNALS if signal.step_s == step_s]
+            found = read_recording(source / file, names)
+            series |= {name: (found.time, found.columns[name]) for name in names}
+        return series, str(source)
+    if source.suffix.lower() == ".mat":
+        return _read_matlab(read_limited(source, RECORDING), str(source)), str(source)
+    if source.suffix.lower() != ".fmu":
+        raise InputError(f"{source} is no .mat, .fmu and no folder with {' and '.join(FILES.values())}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(read_limited(source, FMU))) as archive:
+            check_members(archive.infolist(), str(source))
+            inside = [name for name in archive.namelist() if Path(name).name == MATLAB_FILE]
+            if not inside:
+                raise InputError(
+                    f"{source} holds no {MATLAB_FILE}; this is not the authors' FMU with the recording"
+                )
+            content = archive.read(inside[0])
+    except zipfile.BadZipFile:
+        raise InputError(f"{source} is not a zip archive, so not an FMU; download it again") from None
+    name = f"{source} ({inside[0]})"
+    return _read_matlab(content, name), name
+
+
+def _read_matlab(content: bytes, source: str) -> Series:
+    from scipy.io import loadmat, whosmat
+
+    try:
+        # Its arrays are compressed, and may be a thousand times as large as the file.
+        shapes = [shape for _, shape, _ in whosmat(cast("str", io.BytesIO(content)))]
+        UNPACKED.check(sum(8e-6 * math.prod(shape) for shape in shapes), source)
+        loaded: Mapping[str, Any] = loadmat(cast("str", io.BytesIO(content)))
+    except InputError:
+        raise
+    except Exception as error:
+        # scipy raises many kinds of exception for bytes that are not what they claim to be
         raise InputError(
-            f"{source} covers {recording.duration_d:.2f} days; at least {MIN_DURATION_D:g} days are needed"
-        )
-    return recording, tuple(kelvin)
+            f"{source} is not a readable MATLAB file ({type(error).__name__}: {shortened(str(error))})"
+        ) from None
+    series = {}
+    for signal in SIGNALS:
+        if signal.variable not in loaded:
+            found = ", ".join(sorted(name for name in loaded if not name.startswith("__"))) or "none"
+            raise InputError(f"{source} has no variable {signal.variable}; it has {found}")
+        table = np.asarray(loaded[signal.variable])
+        if table.dtype.kind not in "fiub" or table.ndim != 2 or 2 not in table.shape:
+            raise InputError(
+                f"{source}: {signal.variable} has shape {table.shape} and type {table.dtype}; "
+                "expected two columns of numbers, time in s and value"
+            )
+        columns = table.T if table.shape[1] == 2 else table
+        series[signal.column] = (columns[0].astype(np.float64), columns[1].astype(np.float64))
+    return series
 
 
-def _checked_grid(time: Array, step_s: int, where: str) -> Array:
-    """Return the times counted from the first one; they must be an even grid of the step. [s]."""
-    if time.size < 2 or not np.isfinite(time).all():
-        raise InputError(f"{where}: fewer than two times, or a time that is no number")
-    uneven = np.flatnonzero(~np.isclose(np.diff(time), step_s, rtol=0.0, atol=1e-3))
+def _checked(where: str, signal: Signal, time: FloatArray, values: FloatArray, n: int) -> FloatArray:
+    """Return the values of a series; its times, from the begin of the recording on, are an even grid."""
+    uneven = np.flatnonzero(~(np.abs(time - signal.step_s * np.arange(len(time))) <= 1e-3))
     if uneven.size:
         at = int(uneven[0])
         raise InputError(
-            f"{where}: after {time[at]:.0f} s comes {time[at + 1]:.0f} s; expected even steps of {step_s} s"
+            f"{where}: row {at} has the time {time[at]:.0f} s after the begin; expected even steps of "
+            f"{signal.step_s} s, so {at * signal.step_s} s"
         )
-    return step_s * np.arange(time.size, dtype=np.float64)
+    if len(time) != n:
+        raise InputError(f"{where} has {len(time)} rows, the columns before it {n}")
+    for row in np.flatnonzero(~np.isfinite(values))[:1]:
+        raise InputError(f"{where} is {values[row]} at {time[row]:.0f} s; fill or cut the gap")
+    for row in np.flatnonzero((values < signal.lower - 1e-9) | (values > signal.upper + 1e-9))[:1]:
+        raise InputError(
+            f"{where} is {values[row]:g} at {time[row]:.0f} s, outside {signal.lower:g} to "
+            f"{signal.upper:g}; check the unit"
+        )
+    return values
 
 
-def _as_csv(recording: Recording, step_s: int) -> str:
-    signals = [signal for signal in SIGNALS if signal.step_s == step_s]
-    lines = [",".join(["time_s", *(signal.column for signal in signals)])]
-    for row, time in enumerate(recording.time_s[step_s]):
-        cells = [_cell(recording.values[signal.column][row], signal.is_switch) for signal in signals]
-        lines.append(",".join([f"{time:.0f}", *cells]))
-    return "\n".join(lines) + "\n"
+def _as_csv(columns: Mapping[str, FloatArray]) -> str:
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(map(_cell, columns, row)) for row in rows]
+    return "\n".join([",".join(columns), *lines]) + "\n"
 
 
-def _cell(value: float, is_switch: bool) -> str:
-    if is_switch and math.isclose(value, round(value), abs_tol=1e-9):
-        return str(round(value))
-    text = f"{value:.6f}"
-    return text[1:] if text == "-0.000000" else text
-
-
-def _write_atomically(texts: Mapping[Path, str]) -> None:
-    """Write all the files or none: each beside its place first, then all put in place."""
-    with ExitStack() as begun:
-        for file, text in texts.items():
-            begun.enter_context(whole_file(file)).write(text.encode())
+def _cell(column: str, value: float) -> str:
+    is_whole = column in WHOLE and math.isclose(value, round(value), abs_tol=1e-9)
+    return f"{value:.0f}" if is_whole else f"{round(value, 6) + 0.0:.6f}"

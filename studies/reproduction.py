@@ -206,8 +206,7 @@ def _calibration(study: Study, recipe: FollowedRecipe, _: Result, runs: RunStore
     from studies.tracking.registry import load_surrogate
 
     surrogate = load_surrogate(runs, str(recipe.surrogate.get("run_id")))
-    numbers, arrays, _wall = calibrate(study, surrogate, recipe.n_train, recipe.restriction)
-    return numbers, arrays
+    return calibrate(study, surrogate, recipe.n_train)
 
 
 def _adaptive(study: Study, recipe: FollowedRecipe, recorded: Result, _: RunStore) -> Result:
@@ -215,15 +214,11 @@ def _adaptive(study: Study, recipe: FollowedRecipe, recorded: Result, _: RunStor
     from studies.stages.known_rows import Known
 
     assert recipe.settings is not None, "of every adaptive calibration"
-    has_equations, known = "state_equations" in recorded[0], None
-    if (theta := recorded[1].get("known_theta")) is not None:
-        watched = recorded[1].get("known_watched", np.full(len(theta), has_equations))
-        known = Known(theta, np.asarray(watched, dtype=np.bool_))
+    has_equations, known_rows = "state_equations" in recorded[0], None
+    if "known_theta" in recorded[1]:
+        known = Known(recorded[1]["known_theta"], recorded[1]["known_watched"])
+        known_rows = lambda *_: known  # noqa: E731
     numbers, arrays, _n_simulated = calibrate_adaptively(
-        study,
-        recipe.settings,
-        recipe.restriction,
-        None if known is None else lambda *_: known,
-        state_equations=has_equations,
+        study, recipe.settings, known_rows, state_equations=has_equations
     )
     return numbers, arrays

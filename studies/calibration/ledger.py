@@ -14,7 +14,6 @@ class Ledger:
         n_screen_checks: Physical simulations of screened points.
         n_polish: Polishing.
         n_adaptive: An adaptive calibration, which has none of the above.
-        n_relevance: Finding the parameters that matter, and checking at the end what fixing the others cost.
     """
 
     n_train: int = 0
@@ -23,12 +22,11 @@ class Ledger:
     n_screen_checks: int = 0
     n_polish: int = 0
     n_adaptive: int = 0
-    n_relevance: int = 0
 
     @property
     def total_paper(self) -> int:
         """The paper's count: all that found the parameters, without validation and test sets."""
-        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive + self.n_relevance
+        return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive
 
     @property
     def total_honest(self) -> int:

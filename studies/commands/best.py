@@ -1,24 +1,22 @@
-"""`studies best`: the best model per training-set size, and the best calibration of each case."""
+"""Show the best model per size and the best calibration of each case.
+
+What happens: the table shows the best trial of each label (case and profile) and training-set size. Best
+means the least validation error among completed trials. Beside its hyperparameters and errors stand the
+errors of PCA + GP. The column "vs default" is the change of the validation error against the default
+configuration. Below the table: Python lines that load the study and the model, and the best calibration of
+each case on its latest measurement. The command changes nothing.
+
+Examples:
+  studies best                             all labels and sizes
+  studies best office --n-train 64         one case, one size
+  studies best office-quick --json         one label, for programs
+"""
 
 import argparse
 
 from simulation.errors import InputError
 from studies.commands import options
 from studies.console import Console
-
-HELP = "show the best model per size and the best calibration of each case"
-MORE = """\
-what happens: the table shows the best trial of each label (case and profile) and training-set size. Best
-means the least validation error among completed trials. Beside its hyperparameters and errors stand the
-errors of PCA + GP. The column "vs default" is the change of the validation error against the default
-configuration. Below the table: Python lines that load the study and the model, and the best calibration of
-each case on its latest measurement. The command changes nothing.
-
-examples:
-  studies best                             all labels and sizes
-  studies best office --n-train 64         one case, one size
-  studies best office-quick --json         one label, for programs
-"""
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -32,12 +30,10 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.best import best_blocks, best_document
-    from studies.commands.study import refuse_old_project
     from studies.finished import read_project
     from studies.paths import find_project
 
     paths = find_project(chosen.storage)
-    refuse_old_project(paths)
     project = read_project(paths, chosen.which)
     known = sorted({one.spec.n_train for one in project.studies})
     for n_train in chosen.n_train or ():

@@ -1,15 +1,6 @@
-"""`studies calibrate`: find the parameters that fit best."""
+"""Find the parameters that fit the measurement best.
 
-import argparse
-
-from simulation.errors import InputError
-from studies.commands import options, values
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
-
-HELP = "find the parameters that fit the measurement best"
-MORE = """\
-what happens: the command needs the case alone: no training set and no initial guess. A small design fills
+What happens: the command needs the case alone: no training set and no initial guess. A small design fills
 the box of the parameters. Each further simulation is placed where the lowest error is expected. This
 prediction comes from the model's state equations or from a Gaussian process of all residuals so far. The
 search stops when it expects little gain, at the latest after --max-calls. With --target it goes on until
@@ -36,24 +27,23 @@ all tuned sizes. Differential evolution searches the whole box on the surrogate.
 point that it finds; the difference of the errors is the screening gap. LS-TRF polishes from there on the
 FMU. Results: calibration-n<size>.json and .npz.
 
---most-relevant 6 calibrates the six most relevant parameters. It fixes the others at their priors,
-estimates or middle values. The relevance is read from the results of `studies sensitivity`. Without these
-it is estimated on the FMU by Morris' method: four calls per parameter and four more, which is 60 for 14
-parameters. If calls are left at the end, the effect of fixing is tested: one call per parameter and one
-more. All these calls are counted, also in --max-calls. The result names the fixed parameters with their
-values; its files end in -relevant6.
-
 Both methods use the priors of the parameters (case.toml: prior = { about = 0.7, within_factor = 1.5 }).
 
-examples:
+Examples:
   studies calibrate                        the office, 100 FMU calls at most
   studies calibrate my-case --max-calls 60 --parallel 4 --jobs 4
   studies calibrate my-case --target 0.0121 --json
   studies calibrate my-case --from-stored  after a change of data, weights, priors or bounds: a few calls
-  studies calibrate my-case --most-relevant 6   six of 14 parameters: 60 of the 100 calls find them
   studies calibrate --n-train 64           from the surrogate that was trained with 64 simulations
   studies calibrate --n-train 64 --again   repeat it: the same numbers
 """
+
+import argparse
+
+from simulation.errors import InputError
+from studies.commands import options, values
+from studies.commands.study import hand_over, open_study
+from studies.console import Console
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -75,6 +65,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--from-stored",
         action="store_true",
+        default=None,
         help="adaptive: begin with the stored simulations of this model",
     )
     command.add_argument(
@@ -82,16 +73,12 @@ def add_options(command: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="adaptive: learn state equations or not; default: yes if the FMU gives its states",
     )
-    options.add_most_relevant(
-        command,
-        "calibrate the K most relevant parameters and fix the others at prior, estimate or middle; without "
-        "Sobol indices, finding them takes 4 calls per parameter and 4 more",
+    command.add_argument(
+        "--target", type=values.positive, metavar="MSE", help="adaptive: go on until this error"
     )
     options.add_sizes(command, "paper: training-set sizes; default: all that have a surrogate")
-    options.add_calibration(
-        command,
-        max_calls="most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)",
-        target="adaptive: go on until this error; paper: also show the calls that reached it",
+    options.add_calls(
+        command, "most FMU calls, of all (adaptive; default: 100) or of one polish (paper; the profile's)"
     )
 
 
@@ -101,89 +88,60 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         raise InputError(
             "--n-train belongs to --method paper; the adaptive method has no training set, remove --n-train"
         )
-    is_paper = chosen.method == "paper" or bool(chosen.n_train)
-    only_adaptive = {
-        "--parallel": chosen.parallel is not None,
-        "--from-stored": chosen.from_stored,
-        "--state-equations": bool(chosen.state_equations),
-        "--no-state-equations": chosen.state_equations is False,
-    }
-    for option, is_given in only_adaptive.items():
-        if is_paper and is_given:
+    if chosen.method != "paper" and not chosen.n_train:
+        return _adaptively(chosen, console)
+    for name in ("parallel", "from_stored", "state_equations", "target"):
+        if (value := getattr(chosen, name)) is not None:
+            option = f"--{'no-' if value is False else ''}{name.replace('_', '-')}"
             raise InputError(
                 f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
             )
-    return _from_surrogates(chosen, console) if is_paper else _adaptively(chosen, console)
+    return _from_surrogates(chosen, console)
 
 
 def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.calibrate import calibrate_stage, tuned_sizes
-    from studies.stages.calibrated_values import (
-        judged_values,
-        show_calibrations,
-        show_values,
-        target_numbers,
-    )
-    from studies.stages.guideline import guideline_numbers
-    from studies.stages.restriction import checked_size
+    from studies.stages.shown import calibrations_of, guideline_numbers, show_polished
 
     study = open_study(chosen, console)
-    n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
     sizes = tuned_sizes(study, chosen.n_train)
-    outcomes = [calibrate_stage(study, n_train, n_free=n_free, again=chosen.again) for n_train in sizes]
-    show_calibrations(study, outcomes, chosen.target)
-    show_values(study, outcomes)
-    judged = {
-        outcome.summary["n_train"]: guideline_numbers(judged_values(study, outcome.summary))
-        for outcome in outcomes
-    }
-    reached = target_numbers(study, outcomes, chosen.target)
-    return hand_over(study, "calibrate", outcomes, guideline14=judged, **reached)
+    outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
+    stored = calibrations_of(study, outcomes)
+    show_polished(study, stored)
+    judged = {one.numbers["n_train"]: guideline_numbers(study, one) for one in stored}
+    return hand_over(study, "calibrate", outcomes, guideline14=judged)
 
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.adaptive import adaptive_settings, adaptive_stage
-    from studies.stages.adaptive_shown import (
-        calls_to,
-        judged_adaptive,
-        show_adaptive,
-        show_replaced,
-        stored_before,
-    )
     from studies.stages.guided import are_state_equations_learnt
-    from studies.stages.guideline import guideline_numbers
-    from studies.stages.restriction import calls_for_relevance, checked_size
+    from studies.stages.shown import calibrations_of, guideline_numbers, show_adaptive
 
     study = open_study(chosen, console)
-    n_free = None if chosen.most_relevant is None else checked_size(study.case, chosen.most_relevant)
     state_equations = are_state_equations_learnt(study.case, chosen.state_equations)
     settings = adaptive_settings(
         study.case,
         max_calls=chosen.max_calls,
         n_parallel=chosen.parallel,
         target_mse=chosen.target,
-        n_free=n_free,
-        n_calls_before=0 if n_free is None else calls_for_relevance(study),
-        from_stored=chosen.from_stored,
+        from_stored=bool(chosen.from_stored),
         state_equations=state_equations,
     )
-    before = stored_before(study, n_free)
     outcome = adaptive_stage(
         study,
         settings,
-        n_free=n_free,
-        from_stored=chosen.from_stored,
+        from_stored=bool(chosen.from_stored),
         state_equations=state_equations,
         again=chosen.again,
     )
-    show_adaptive(study, outcome)
-    show_replaced(study, before, outcome)
+    (stored,) = calibrations_of(study, [outcome])
+    show_adaptive(study, outcome, stored)
     targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}
     return hand_over(
         study,
         "calibrate",
         [outcome],
         method="adaptive",
-        guideline14=guideline_numbers(judged_adaptive(study, outcome)),
-        calls_to_target={f"{target:g}": calls_to(study, target, n_free) for target in sorted(targets)},
+        guideline14=guideline_numbers(study, stored),
+        calls_to_target={f"{target:g}": stored.calls_to(target) for target in sorted(targets)},
     )

@@ -1,14 +1,6 @@
-"""`studies check`: examine a case and say what is wrong and what to do."""
+"""Examine a case and say what is wrong and what to do.
 
-import argparse
-
-from studies.commands import options
-from studies.commands.study import FAILED, OK, open_study
-from studies.console import Console
-
-HELP = "examine a case and say what is wrong and what to do"
-MORE = """\
-what happens: the command reads the case and compares names, units, bounds and data with the FMU. It
+What happens: the command reads the case and compares names, units, bounds and data with the FMU. It
 simulates the estimates and the corners of the box, and changes each parameter and each input. It repeats a
 simulation in another process and with half the communication step, watches the memory, and estimates the
 cost of the profile. The FMU runs in separate processes: a crash or a hang becomes a line of the table. The
@@ -16,12 +8,18 @@ check simulates for two minutes at most and names what it skipped for a slow mod
 nothing. The study uses the simulations of the check again, and `studies run` does not repeat a check that
 passed. The exit code is 1 if anything fails. Each finding says what to do.
 
-examples:
+Examples:
   studies check                            the office
   studies check fmus/office/case.toml      a case file of your own
   studies check office --window 8-16 --profile paper --json
   studies check slow-model --thorough      however long it takes
 """
+
+import argparse
+
+from studies.commands import options
+from studies.commands.study import FAILED, OK, open_study
+from studies.console import Console
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

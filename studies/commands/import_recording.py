@@ -1,4 +1,16 @@
-"""`studies import-recording`: check a published recording and store it as a case's CSV."""
+"""Check a published recording and store it as a case's CSV.
+
+What happens: the command reads a recording as it was published, with the time in s in the first column.
+TRoom, TEnv, TSupply, FlowSupply, TRLTSupply, RLTFlow and IrrGH have values every 1800 s, Occupancy every
+600 s. The command checks the recording and writes data/office-recorded/recording_1800s.csv and
+occupancy_600s.csv for the case office-recorded. The embedded cases that read these files are copied into
+fmus/ of the project.
+
+Examples:
+  studies import-recording identification_data.mat
+  studies import-recording ThermalNetwork.fmu
+  studies import-recording recording       a folder with recording_1800s.csv and occupancy_600s.csv
+"""
 
 import argparse
 
@@ -6,28 +18,11 @@ from studies.commands.study import OK
 from studies.console import Column, Console
 from studies.paths import find_project
 
-HELP = "check a published recording and store it as a case's CSV"
-MORE = """\
-what happens: the command reads a recording as it was published, with the time in s in the first column.
-TRoom, TEnv, TSupply, FlowSupply, TRLTSupply, RLTFlow and IrrGH have values every 1800 s, Occupancy every
-600 s. The command checks the recording and writes data/office-recorded/recording_1800s.csv and
-occupancy_600s.csv for the case office-recorded. The embedded cases that read these files are copied into
-fmus/ of the project.
-
-examples:
-  studies import-recording identification_data.mat
-  studies import-recording ThermalNetwork.fmu
-  studies import-recording recording_1800s.csv occupancy_600s.csv
-"""
-
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     command.add_argument(
-        "files",
-        nargs="+",
-        metavar="FILE",
-        help="a .mat file, an FMU that contains it, CSV files, or a folder",
+        "file", metavar="FILE", help="a .mat file, an FMU that contains it, or a folder with the CSV files"
     )
 
 
@@ -40,9 +35,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.recording import import_recording
 
     paths = find_project(chosen.storage)
-    report = import_recording(
-        [Path(file).expanduser() for file in chosen.files], paths.data / "office-recorded"
-    )
+    report = import_recording(Path(chosen.file).expanduser(), paths.data / "office-recorded")
     mark_project(paths.root, console)
     for file in adopt_cases(paths.root, "office-recorded"):
         console.say(f"{paths.show(file)}: copied from the embedded case, because it reads this recording")

@@ -1,14 +1,6 @@
-"""`studies new`: write a case file from what an FMU says about itself."""
+"""Write a case file from the description inside an FMU.
 
-import argparse
-
-from studies.commands import options
-from studies.console import Console
-from studies.paths import find_project
-
-HELP = "write a case file from the description inside an FMU"
-MORE = """\
-what happens: the command writes fmus/<name>/case.toml with the names, units, start values and bounds of the
+What happens: the command writes fmus/<name>/case.toml with the names, units, start values and bounds of the
 FMU. It marks each line that you must check with EDIT. It copies the FMU into that folder. It writes a
 README and example CSV files with the right columns into data/<name>/. Then save measured.csv there, and
 inputs.csv if the FMU has inputs. Check the lines marked EDIT, then type studies check and studies calibrate.
@@ -16,12 +8,18 @@ inputs.csv if the FMU has inputs. Check the lines marked EDIT, then type studies
 It overwrites nothing. To repeat it, remove the case file; what lies in data/<name>/ is kept. A pattern of
 --output that matches no output matches local variables.
 
-examples:
+Examples:
   studies new Room.fmu
   studies new Room.fmu --list              show its variables and write nothing
   studies new Room.fmu --output TAir --parameter UWin 'wall.*'
   studies new Room.fmu --to ~/office/room  another folder, CSV files beside the case file
 """
+
+import argparse
+
+from studies.commands import options
+from studies.console import Console
+from studies.paths import find_project
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

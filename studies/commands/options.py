@@ -7,8 +7,8 @@ from studies.commands import values
 NATIVE_CODE = "an FMU is native code that runs with your rights; SECURITY.md says how to run one apart"
 
 
-def add_case(command: argparse.ArgumentParser) -> None:
-    """Which case, budget, window, seed, and how many processes."""
+def add_name(command: argparse.ArgumentParser) -> None:
+    """Which case, seed, and how many processes."""
     command.add_argument(
         "case",
         nargs="?",
@@ -16,6 +16,25 @@ def add_case(command: argparse.ArgumentParser) -> None:
         metavar="CASE",
         help="name, file or folder of a case; default: office",
     )
+    command.add_argument(
+        "--seed",
+        type=values.whole(0, 2**32 - 1),
+        metavar="N",
+        help="seed of all random numbers; default: the profile's",
+    )
+    add_jobs(command)
+
+
+def add_jobs(command: argparse.ArgumentParser) -> None:
+    """How many processes."""
+    command.add_argument(
+        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
+    )
+
+
+def add_case(command: argparse.ArgumentParser) -> None:
+    """Which case, seed, budget, window, and how many processes."""
+    add_name(command)
     command.add_argument(
         "--profile",
         default="quick",
@@ -27,15 +46,6 @@ def add_case(command: argparse.ArgumentParser) -> None:
         type=values.window,
         metavar="A-B",
         help="days of the recording, e.g. 8-16, or with a unit: 0-10s, 2-8h; default: the case's own",
-    )
-    command.add_argument(
-        "--seed",
-        type=values.whole(0, 2**32 - 1),
-        metavar="N",
-        help="seed of all random numbers; default: the profile's",
-    )
-    command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
     )
     command.add_argument(
         "--surrogate",
@@ -61,20 +71,23 @@ def add_sizes(command: argparse.ArgumentParser, help_line: str) -> None:
     command.add_argument("--n-train", nargs="+", type=values.whole(4), metavar="N", help=help_line)
 
 
-def add_most_relevant(command: argparse.ArgumentParser, help_line: str) -> None:
-    """Calibrations of the most relevant parameters."""
-    command.add_argument("--most-relevant", type=values.whole(1), metavar="K", help=help_line)
-
-
-def add_tuning(command: argparse.ArgumentParser) -> None:
-    """How much is tuned."""
-    add_sizes(command, "training-set sizes; default: the profile's")
+def add_trials(command: argparse.ArgumentParser) -> None:
+    """How many trials, or only what would be done."""
     command.add_argument(
         "--trials",
         type=values.whole(1),
         metavar="N",
         help="trials per size in total; default: the profile's",
     )
+    command.add_argument(
+        "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
+    )
+
+
+def add_tuning(command: argparse.ArgumentParser) -> None:
+    """How much is tuned."""
+    add_sizes(command, "training-set sizes; default: the profile's")
+    add_trials(command)
     command.add_argument(
         "--parallel",
         type=values.whole(1, 1000),
@@ -87,27 +100,12 @@ def add_tuning(command: argparse.ArgumentParser) -> None:
         metavar="H",
         help="start no trial after H hours; the same command continues later",
     )
-    command.add_argument(
-        "--dry-run", action="store_true", help="show the plan and its duration; write nothing"
-    )
 
 
-def add_calibration(
-    command: argparse.ArgumentParser,
-    *,
-    max_calls: str = "most FMU calls of one polish; default: the profile's",
-    target: str = "also show the calls that reached this error",
-) -> None:
-    """How far a calibration goes.
-
-    Args:
-        command: whose options.
-        max_calls: what --max-calls means there.
-        target: what --target means there.
-    """
-    command.add_argument("--max-calls", type=values.whole(1), metavar="N", help=max_calls)
-    command.add_argument("--target", type=values.positive, metavar="MSE", help=target)
-    command.add_argument("--again", action="store_true", help="repeat a finished calibration")
+def add_calls(command: argparse.ArgumentParser, help_line: str) -> None:
+    """How many calls may be spent, and whether what is finished is repeated."""
+    command.add_argument("--max-calls", type=values.whole(1), metavar="N", help=help_line)
+    command.add_argument("--again", action="store_true", help="repeat what is finished")
 
 
 def add_storage(command: argparse.ArgumentParser) -> None:

@@ -1,20 +1,18 @@
-"""`studies report`: put tables and figures of all results on one page."""
+"""Write tables and figures of all results into one page.
+
+What happens: the command writes the stored results of a label into mlruns/reports/<label>/index.html, with
+tables and figures.
+
+Examples:
+  studies report
+  studies report office-recorded --profile paper
+"""
 
 import argparse
 
 from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
-
-HELP = "write tables and figures of all results into one page"
-MORE = """\
-what happens: the command writes the stored results of a label into mlruns/reports/<label>/index.html, with
-tables and figures.
-
-examples:
-  studies report
-  studies report office-recorded --profile paper
-"""
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

@@ -1,35 +1,31 @@
-"""`studies reproduce`: make a recorded result again and compare its numbers."""
+"""Repeat a recorded result and compare every number.
 
-import argparse
-from dataclasses import asdict
-
-from studies.commands import values
-from studies.console import Console
-
-HELP = "repeat a recorded result and compare every number"
-MORE = """\
 RUN is the id of an MLflow run, of a trial or a calibration. `studies best --json` lists the ids of the best
 trials. A calibration may also be given by its name in `studies status`, for example office-quick/adaptive.
 
-what happens: the command takes case, settings and seed from the run. The case file, the FMU and the
+What happens: the command takes case, settings and seed from the run. The case file, the FMU and the
 recordings must be unchanged (SHA-256); else one line names the changed file. It lists differences of code,
 packages and machine. Then it repeats the work and compares every number to the last digit. A calibration
 runs all of its simulations again. Stored results are not changed. The exit code is 0 if all numbers are
 equal, 1 if one differs, and 2 if something is missing.
 
-examples:
+Examples:
   studies reproduce office-quick/adaptive
   studies reproduce office-quick/n0064
   studies reproduce "$RUN_ID" --json       a run of MLflow
 """
 
+import argparse
+from dataclasses import asdict
+
+from studies.commands import options
+from studies.console import Console
+
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     command.add_argument("run", metavar="RUN", help="id of an MLflow run, or the name of a calibration")
-    command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
-    )
+    options.add_jobs(command)
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:

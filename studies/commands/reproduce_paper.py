@@ -1,23 +1,6 @@
-"""`studies reproduce-paper`: make the paper's tables and figures again, the paper's numbers beside ours."""
+"""Repeat tables and figures of the paper beside its numbers.
 
-import argparse
-from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from simulation.errors import InputError
-from studies.commands import options, values
-from studies.commands.study import OK, open_study
-from studies.console import Column, Console
-
-if TYPE_CHECKING:
-    from studies.paper.items import Shown
-    from studies.paper.plan import Plan
-    from studies.stages.pipeline import Study
-
-HELP = "repeat tables and figures of the paper beside its numbers"
-MORE = """\
-what happens: tables and figures of the paper are made one after the other, from simulations, trainings and
+What happens: tables and figures of the paper are made one after the other, from simulations, trainings and
 calibrations that the other commands share. Finished ones are not repeated; an interrupted item goes on where
 it stopped. Each item prints a table with the values of the paper. Its numbers (JSON) and picture (PNG) are in
 mlruns/results/<label>/paper/<item>/ and in MLflow. Figs. 4 and 5 of the paper, trajectories and Sobol
@@ -34,7 +17,7 @@ these from the trials of an earlier Fig. 6, so that nothing is tuned.
 trained, and the recording is not needed. A clone of the repository has such files in data/paper-results.
 There --only fig6 without other options draws from them, unless it was made there. --budget makes it anew.
 
-examples:
+Examples:
   studies reproduce-paper --dry-run                         what is made, and with how many trials
   studies reproduce-paper --only fig6 fig7
   studies reproduce-paper office-recorded --budget full     after studies import-recording
@@ -42,6 +25,21 @@ examples:
   studies reproduce-paper office-recorded --only fig6 --from data/paper-results/fig6
   studies reproduce-paper office-recorded --only table4 --hyperparameters data/paper-results/fig6
 """
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simulation.errors import InputError
+from studies.commands import options, values
+from studies.commands.study import OK, open_study
+from studies.console import Column, Console
+
+if TYPE_CHECKING:
+    from studies.paper.items import Shown
+    from studies.paper.plan import Plan
+    from studies.stages.pipeline import Study
 
 PROFILE = "thorough"
 BUDGET = "small"
@@ -52,29 +50,15 @@ def add_options(command: argparse.ArgumentParser) -> None:
     from studies.paper.items import ALIASES, ITEMS
 
     names = ", ".join((*ITEMS, *ALIASES))
-    command.add_argument(
-        "case",
-        nargs="?",
-        default="office",
-        metavar="CASE",
-        help="name, file or folder of a case; default: office",
-    )
+    options.add_name(command)
+    options.add_trials(command)
     command.add_argument("--only", nargs="+", metavar="ITEM", help=f"only these items: {names}")
     command.add_argument("--budget", metavar="NAME", help="small (default) or full")
     command.add_argument(
         "--profile", metavar="NAME", help=f"sizes and trials of another profile; default: {PROFILE}"
     )
     command.add_argument(
-        "--trials", type=values.whole(1), metavar="N", help="trials per size; default: the profile's"
-    )
-    command.add_argument(
-        "--seed", type=values.whole(0, 2**32 - 1), metavar="N", help="seed of all random numbers"
-    )
-    command.add_argument(
         "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
-    )
-    command.add_argument(
-        "--jobs", type=values.whole(1), metavar="N", help="processes; default: the number of cores"
     )
     command.add_argument("--dry-run", action="store_true", help="show what would be made; write nothing")
     command.add_argument(

@@ -1,4 +1,16 @@
-"""`studies run`: do everything in order, skipping what is finished."""
+"""Do all stages in order and skip finished ones.
+
+What happens: check, simulate, sensitivity, tune, calibrate (every size), report. Optuna tunes the latent
+dimension, the width of the hidden layers and beta of a PELS-VAE for each training-set size. A finished
+stage is skipped; an interrupted stage goes on where it stopped. The report is
+mlruns/reports/<label>/index.html.
+
+Examples:
+  studies run                              the office, quick profile
+  studies run --dry-run                    the plan and its duration
+  studies run office-recorded --seed 3
+  studies run office --n-train 32 64 --trials 12
+"""
 
 import argparse
 
@@ -6,37 +18,23 @@ from studies.commands import options
 from studies.commands.study import FAILED, foretell, hand_over, open_study
 from studies.console import Console
 
-HELP = "do all stages in order and skip finished ones"
-MORE = """\
-what happens: check, simulate, sensitivity, tune, calibrate (every size), report. Optuna tunes the latent
-dimension, the width of the hidden layers and beta of a PELS-VAE for each training-set size. A finished
-stage is skipped; an interrupted stage goes on where it stopped. The report is
-mlruns/reports/<label>/index.html.
-
-examples:
-  studies run                              the office, quick profile
-  studies run --dry-run                    the plan and its duration
-  studies run office-recorded --seed 3
-  studies run office --n-train 32 64 --trials 12
-"""
-
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
     options.add_case(command)
     options.add_simulation(command)
     options.add_tuning(command)
-    options.add_calibration(command)
+    options.add_calls(command, "most FMU calls of one polish; default: the profile's")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import say_warnings, show_diagnosis
     from studies.stages.calibrate import calibrate_stage
-    from studies.stages.calibrated_values import show_calibrations, show_values, target_numbers
     from studies.stages.check import check_stage
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
     from studies.stages.report import report_stage, show_report
+    from studies.stages.shown import calibrations_of, show_polished
     from studies.stages.simulate import sensitivity_stage, simulate_stage
 
     study = open_study(chosen, console)
@@ -57,8 +55,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     ]
     reported = report_stage(study)
     show_tuning(study, tuned)
-    show_calibrations(study, calibrated, chosen.target)
-    show_values(study, calibrated)
+    show_polished(study, calibrations_of(study, calibrated))
     show_report(study, reported)
     outcomes = [checked, simulated, sensitivity, tuned, *calibrated, reported]
-    return hand_over(study, "run", outcomes, **target_numbers(study, calibrated, chosen.target))
+    return hand_over(study, "run", outcomes)

@@ -1,21 +1,19 @@
-"""`studies sensitivity`: estimate first- and total-order Sobol indices per time step."""
+"""Estimate first- and total-order Sobol indices per time step.
+
+What happens: the command simulates Saltelli's sample on the FMU. It estimates the indices with bootstrapped
+confidence intervals at every output step. Results: mlruns/results/<label>/sensitivity.npz. The table shows
+averages over time.
+
+Examples:
+  studies sensitivity
+  studies sensitivity office --window 8-16 --json
+"""
 
 import argparse
 
 from studies.commands import options
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
-
-HELP = "estimate first- and total-order Sobol indices per time step"
-MORE = """\
-what happens: the command simulates Saltelli's sample on the FMU. It estimates the indices with bootstrapped
-confidence intervals at every output step. Results: mlruns/results/<label>/sensitivity.npz. The table shows
-averages over time.
-
-examples:
-  studies sensitivity
-  studies sensitivity office --window 8-16 --json
-"""
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

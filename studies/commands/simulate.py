@@ -1,14 +1,6 @@
-"""`studies simulate`: simulate the training, validation and test sets."""
+"""Simulate the training, validation and test sets.
 
-import argparse
-
-from studies.commands import options
-from studies.commands.study import hand_over, open_study
-from studies.console import Console
-
-HELP = "simulate the training, validation and test sets"
-MORE = """\
-what happens: the command simulates one training design, a validation set and a test set. The first n rows
+What happens: the command simulates one training design, a validation set and a test set. The first n rows
 of the design are the training set of size n. All studies share these sets. Each simulation is stored in
 data/<case>/generated/simulations/, one SQLite file per model. No stored simulation runs again: sampling,
 Sobol indices, screening and polishing share them. Failed simulations are stored with their reason, counted,
@@ -19,12 +11,18 @@ in pandas: one row per simulation, one column per parameter, one column of bytes
   rows = pandas.read_sql("select * from simulations", sqlite3.connect(FILE))
   y = numpy.stack(rows["TAir"].map(numpy.frombuffer))  # shape (rows, times)
 
-examples:
+Examples:
   studies simulate --profile paper
   studies simulate my-case/ --jobs 8
   studies simulate my-case/ --dask tcp://scheduler:8786
   studies simulate --retry-failed          for example after a licence server was down
 """
+
+import argparse
+
+from studies.commands import options
+from studies.commands.study import hand_over, open_study
+from studies.console import Console
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

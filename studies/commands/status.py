@@ -1,23 +1,21 @@
-"""`studies status`: what every study has come to, and what runs at this moment."""
+"""Show studies, trials, errors and time to go.
 
-import argparse
-
-from studies.console import Console
-
-HELP = "show studies, trials, errors and time to go"
-MORE = """\
-what happens: the command reads Optuna's studies (mlruns/optuna.db, or the database of --storage) and the
+What happens: the command reads Optuna's studies (mlruns/optuna.db, or the database of --storage) and the
 finished calibrations. It changes nothing, so you may type it at any moment. Each study has one line: trials
 done and planned, pruned, failed and running trials. The line also shows the hyperparameters and errors of
 the best trial and the training time that is left. Below are the running trials and the calibrations. --live
 repeats the table until Ctrl-C.
 
-examples:
+Examples:
   studies status                           all studies
   studies status office --live             studies of one case, again and again
   studies status 'office-quick-seed*'      labels that match a pattern
   studies status --json                    for programs
 """
+
+import argparse
+
+from studies.console import Console
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -30,13 +28,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.commands.study import refuse_old_project
     from studies.finished import read_project
     from studies.paths import find_project
     from studies.status import status_blocks, status_document
 
     paths = find_project(chosen.storage)
-    refuse_old_project(paths)
     project = read_project(paths, chosen.which)
     if chosen.live and not console.as_json:
         console.watch(lambda: status_blocks(read_project(paths, chosen.which)))

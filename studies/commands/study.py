@@ -15,7 +15,7 @@ from studies.paths import ProjectPaths, find_case, find_project
 if TYPE_CHECKING:
     from simulation.case import Case
     from studies.commands.values import Window
-    from studies.paths import ProjectPaths
+    from studies.profile import Profile
     from studies.stages.pipeline import Outcome, Study
 
 OK, FAILED = 0, 1
@@ -29,28 +29,10 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     """
     from studies.profile import load_profile
 
-    paths = find_project(chosen.storage)
-    profile = own_profile = load_profile(chosen.profile)
-    label_end = ""
-    if chosen.seed is not None and chosen.seed != profile.seed:
-        label_end = f"-seed{chosen.seed}"
-        profile = replace(profile, seed=chosen.seed)
-    given = vars(chosen)
-    if given.get("n_train") and chosen.command not in ("calibrate", "uncertainty"):
-        profile = replace(profile, data=replace(profile.data, n_train=tuple(sorted(set(given["n_train"])))))
-    if given.get("trials"):
-        profile = replace(profile, tuning=replace(profile.tuning, n_trials=given["trials"]))
-    if given.get("surrogate") and given["surrogate"] != profile.tuning.surrogate:
-        # The search space of one form says nothing about another.
-        tuning = replace(profile.tuning, surrogate=given["surrogate"], search=None)
-        profile = replace(profile, tuning=tuning)
-        label_end += f"-{given['surrogate']}"
-    if given.get("parallel"):
-        profile = replace(profile, tuning=replace(profile.tuning, n_parallel=given["parallel"]))
-    if given.get("max_calls") and chosen.command != "uncertainty":
-        profile = replace(profile, polish=replace(profile.polish, max_calls=given["max_calls"]))
-    file = find_case(paths, chosen.case)
-    if not given.get("dry_run"):
+    paths, is_dry = find_project(chosen.storage), vars(chosen).get("dry_run", False)
+    profile, file = load_profile(chosen.profile), find_case(paths, chosen.case)
+    changed = _changed(profile, chosen)
+    if not is_dry:
         _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
     from simulation.case_reading import read_case_file
@@ -59,53 +41,51 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     from studies.stages.pipeline import Study
 
     declared, window = read_case_file(file), chosen.window
-
-    def label_with(window: "Window | None") -> str:
-        of_window = "" if window is None else f"-{window.label}"
-        return f"{declared.name}-{profile.name}{of_window}{label_end}"
-
-    # The case's own window needs no name; earlier versions gave it one, which goes on.
-    is_own = window is not None and window.days == declared.time.window
-    if is_own and not paths.results(label_with(window)).is_dir():
-        window = None
-    case = _load_case(file, window)
+    if window is not None and window.days == declared.time.window:
+        window = None  # the case's own needs no name
+    label = f"{declared.name}-{profile.name}" + ("" if window is None else f"-{window.label}")
+    label += f"-seed{changed.seed}" if changed.seed != profile.seed else ""
+    is_other = changed.tuning.surrogate != profile.tuning.surrogate
     study = Study(
-        case=case,
-        profile=profile,
+        case=_load_case(file, window),
+        profile=changed,
         paths=paths,
         console=console,
         n_jobs=chosen.jobs or available_cores(),
-        label=label_with(window),
+        label=label + (f"-{changed.tuning.surrogate}" if is_other else ""),
         command=_command(chosen, window),
-        retry_failed=given.get("retry_failed", False),
-        dask=given.get("dask"),
-        max_hours=given.get("max_hours"),
-        own_profile=own_profile,
+        typed=chosen.typed,
+        retry_failed=vars(chosen).get("retry_failed", False),
+        dask=vars(chosen).get("dask"),
+        max_hours=vars(chosen).get("max_hours"),
     )
     # Before anything else: some stages take away what is no longer whole before they begin.
     refuse_other_case(study)
-    refuse_old_project(paths)
-    if not given.get("dry_run"):
-        mark_project(paths.root, console)
-    if paths.storage is not None and chosen.command != "check" and not given.get("dry_run"):
+    if is_dry:
+        return study
+    mark_project(paths.root, console)
+    if paths.storage is not None and chosen.command != "check":
         from studies.tuning.storage import open_storage
 
         open_storage(paths)  # now, not after hours of work that cannot be kept there
     return study
 
 
-def refuse_old_project(paths: "ProjectPaths") -> None:
-    """Refuse a project whose trials an earlier version kept in files of its own.
-
-    Raises:
-        InputError: there is such a project; nothing of it is touched.
-    """
-    old = [name for name in ("optuna.journal", "trials", "champions") if (paths.mlruns / name).exists()]
-    if old:
-        raise InputError(
-            f"{paths.show(paths.mlruns)} holds studies of version 0.2 ({', '.join(old)}), which this version "
-            "does not read; move that folder away, or work in another folder"
-        )
+def _changed(profile: "Profile", chosen: argparse.Namespace) -> "Profile":
+    """Return a profile with what the options of the command line change in it."""
+    given = {name: value for name, value in vars(chosen).items() if value is not None}
+    data, tuning, polish = profile.data, profile.tuning, profile.polish
+    if "n_train" in given and chosen.command not in ("calibrate", "uncertainty"):
+        data = replace(data, n_train=tuple(sorted(set(given["n_train"]))))
+    if given.get("surrogate", tuning.surrogate) != tuning.surrogate:
+        # The search space of one form says nothing about another.
+        tuning = replace(tuning, surrogate=given["surrogate"], search=None)
+    n_trials, n_parallel = given.get("trials", tuning.n_trials), given.get("parallel", tuning.n_parallel)
+    tuning = replace(tuning, n_trials=n_trials, n_parallel=n_parallel)
+    if "max_calls" in given and chosen.command != "uncertainty":
+        polish = replace(polish, max_calls=given["max_calls"])
+    seed = given.get("seed", profile.seed)
+    return replace(profile, seed=seed, data=data, tuning=tuning, polish=polish)
 
 
 def _keep_compiled_loops(paths: ProjectPaths) -> None:

@@ -1,14 +1,6 @@
-"""`studies tune`: tune one surrogate per training-set size."""
+"""Tune one surrogate per training-set size with Optuna.
 
-import argparse
-
-from studies.commands import options
-from studies.commands.study import foretell, hand_over, open_study
-from studies.console import Console
-
-HELP = "tune one surrogate per training-set size with Optuna"
-MORE = """\
-what happens: each training-set size has one Optuna study in mlruns/optuna.db. Each trial trains a PELS-VAE.
+What happens: each training-set size has one Optuna study in mlruns/optuna.db. Each trial trains a PELS-VAE.
 The search space of the profile says which hyperparameters Optuna chooses. By default these are the latent
 dimension (n_latent), the width of the hidden layers (n_hidden) and beta. Each trial is an MLflow run that
 shows its curves during training. The best trial of each size is registered in MLflow. PCA + GP is fitted
@@ -17,12 +9,18 @@ once per size for comparison.
 Optuna owns the trials. Trials that you enqueue or add with Optuna are kept and counted; optuna-dashboard
 shows them. After an interruption or a kill, the same command goes on. More --trials extend a study.
 
-examples:
+Examples:
   studies tune                             all sizes of the profile
   studies tune --n-train 32 128 --trials 40
   studies tune --dry-run                   the plan and its duration
   studies tune --parallel 4 --max-hours 8  four trials of a size at the same time, overnight
 """
+
+import argparse
+
+from studies.commands import options
+from studies.commands.study import foretell, hand_over, open_study
+from studies.console import Console
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

@@ -1,4 +1,18 @@
-"""`studies ui`: open MLflow's user interface on this project's runs."""
+"""Open MLflow's user interface on this project's runs.
+
+What happens: the command starts the server of MLflow on the runs of this project. The server accepts
+connections from this machine only, at 127.0.0.1 and not at ::1. The command prints three addresses: all
+runs, the best trial per training-set size, and the registered models. Running trials show their curves.
+Ctrl-C stops the server.
+From another machine use a tunnel: ssh -L 5000:127.0.0.1:5000 HOST.
+
+Optuna has pages of its own: pip install optuna-dashboard, then optuna-dashboard sqlite:///mlruns/optuna.db.
+
+Examples:
+  studies ui
+  studies ui office-quick                  the page of that label
+  studies ui --port 8080
+"""
 
 import argparse
 import os
@@ -7,22 +21,6 @@ from pathlib import Path
 from studies.commands import values
 from studies.console import Console
 from studies.paths import find_project
-
-HELP = "open MLflow's user interface on this project's runs"
-MORE = """\
-what happens: the command starts the server of MLflow on the runs of this project. The server accepts
-connections from this machine only, at 127.0.0.1 and not at ::1. The command prints three addresses: all
-runs, the best trial per training-set size, and the registered models. Running trials show their curves.
-Ctrl-C stops the server.
-From another machine use a tunnel: ssh -L 5000:127.0.0.1:5000 HOST.
-
-Optuna has pages of its own: pip install optuna-dashboard, then optuna-dashboard sqlite:///mlruns/optuna.db.
-
-examples:
-  studies ui
-  studies ui office-quick                  the page of that label
-  studies ui --port 8080
-"""
 
 
 def add_options(command: argparse.ArgumentParser) -> None:

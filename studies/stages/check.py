@@ -1,11 +1,10 @@
 """The doctor as a stage: examined once per case and profile, unless asked for."""
 
-from pathlib import Path
 
 from studies.doctor import Diagnosis, Finding, examine
 from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Study, Summary, read_json, run_stage
+from studies.stages.pipeline import Outcome, Stage, Study, Summary, read_json
 
 
 def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False) -> tuple[Outcome, Diagnosis]:
@@ -17,19 +16,12 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
         "profile": study.profile.to_dict(),
     }
 
-    def work() -> tuple[Summary, list[Path]]:
-        return examine(study, is_thorough=is_thorough).to_dict(), []
-
-    outcome = run_stage(
-        study,
-        "check",
-        what=f"examining {study.label}",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: count(len(summary["findings"]), "finding"),
-        keep=lambda summary: bool(summary["sound"]),
-        again=again,
-    )
+    stage = Stage(study, "check", f"examining {study.label}", inputs)
+    outcome = stage.finished(lambda summary: count(len(summary["findings"]), "finding"), again=again)
+    if outcome is None:
+        with stage.work() as work:
+            found = examine(study, is_thorough=is_thorough)
+            outcome = work.keep(found.to_dict(), is_finished=found.is_sound)
     return outcome, _diagnosis(outcome.summary)
 
 

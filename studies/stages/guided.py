@@ -10,7 +10,6 @@ from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_guide import StateGuide
 from studies.calibration.states import StateSignals, why_unwatched
-from studies.partly_fixed import PartlyFixedModel
 from studies.report.wording import count, listed
 from studies.watched_model import StoredWatchedModel
 
@@ -32,19 +31,11 @@ def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
     return wish
 
 
-def guide_of(
-    physical: StoredModel, model: PartlyFixedModel, problem: CalibrationProblem
-) -> StateGuide | None:
-    """Return a guide for a problem, None where nobody watches the states.
-
-    Args:
-        physical: the model.
-        model: the same, asked the free parameters alone.
-        problem: the problem of these.
-    """
+def guide_of(physical: StoredModel, problem: CalibrationProblem) -> StateGuide | None:
+    """Return what learns the state equations of a problem, None where the states are not watched."""
     if not isinstance(physical, StoredWatchedModel):
         return None
-    return StateGuide(physical.signals, lambda theta: physical.seen(model.complete(theta)), problem)
+    return StateGuide(physical.signals, physical.seen, problem)
 
 
 def asked_twice(physical: StoredModel) -> int:

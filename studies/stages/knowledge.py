@@ -6,7 +6,6 @@ from typing import Any
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
-from simulation.parameters import ParameterSpace
 from studies.calibration.prior import Prior
 from studies.console import Column
 from studies.report.wording import difference_unit, quantity, squared
@@ -25,32 +24,30 @@ def prior_of(case: Case) -> Prior | None:
     return Prior.of(case.parameter_space, case.measurement)
 
 
-def prior_inputs(case: Case, space: ParameterSpace | None = None) -> dict[str, Any]:
-    """Return what a stage depends on beyond the case where it declares priors; empty where not.
+def case_inputs(case: Case) -> dict[str, Any]:
+    """Return what every calibration depends on: case, measurement, scales, and priors where it has any."""
+    digests = {"case": case.digest, "measurement": case.measurement.digest}
+    return {**digests, "is_log": case.parameter_space.is_log.tolist(), **_prior_inputs(case)}
 
-    Args:
-        case: The case.
-        space: The parameters that the stage is about; None for all.
-    """
-    space = case.parameter_space if space is None else space
-    prior = Prior.of(space, case.measurement)
+
+def _prior_inputs(case: Case) -> dict[str, Any]:
+    prior = prior_of(case)
     if prior is None:
         return {}
-    beliefs = {one.name: asdict(one.prior) for one in space.parameters if one.prior is not None}
+    parameters = case.parameter_space.parameters
+    beliefs = {one.name: asdict(one.prior) for one in parameters if one.prior is not None}
     return {"prior": {"parameters": beliefs, "weight": prior.weight}}
 
 
-def is_of_this_density(inputs: Mapping[str, Any], case: Case, space: ParameterSpace | None = None) -> bool:
+def is_of_this_density(inputs: Mapping[str, Any], case: Case) -> bool:
     """Say whether a stage had the scales and priors that the case declares now.
 
     Args:
         inputs: The stage's inputs, as its manifest has them.
         case: The case.
-        space: The parameters that the stage was about; None for all.
     """
-    space, present = case.parameter_space if space is None else space, prior_inputs(case, space)
-    is_log = space.is_log.tolist()
-    return inputs.get("is_log", is_log) == is_log and inputs.get("prior") == present.get("prior")
+    present = case_inputs(case)
+    return all(inputs.get(name) == present.get(name) for name in ("is_log", "prior"))
 
 
 def sensor_inputs(case: Case) -> dict[str, Any]:
@@ -111,52 +108,43 @@ def show_prior(study: Study, found: Mapping[str, Any], how: str) -> None:
     """
     if "prior" not in found:
         return
-    told, fixed = found["prior"], found.get("restriction", {}).get("fixed", {})
-    space = study.case.parameter_space
-    rows = []
-    for parameter in space.parameters:
-        if parameter.name not in told["parameters"]:
-            continue
-        one = told["parameters"][parameter.name]
-        moved = one["moved_deviations"]
-        rows.append(
-            [
-                parameter.name,
-                parameter.unit,
-                told_belief(one),
-                f"{found['theta'][parameter.name]:.6g}",
-                f"{moved:+.2f}",
-                "fixed" if parameter.name in fixed else "the data contradict it" if abs(moved) > FAR else "",
-            ]
-        )
+    prior, units = found["prior"], {one.name: one.unit for one in study.case.parameter_space.parameters}
+    rows = [
+        [
+            name,
+            units[name],
+            belief_text(one),
+            f"{found['theta'][name]:.6g}",
+            f"{one['moved_deviations']:+.2f}",
+            "the data contradict it" if abs(one["moved_deviations"]) > FAR else "",
+        ]
+        for name, one in prior["parameters"].items()
+    ]
     columns = [Column("parameter"), Column("unit"), Column("known before", True), Column("calibrated", True)]
     columns += [Column("moved by [standard deviations]", True), Column("")]
     unit = squared(difference_unit(study.case.outputs[0].unit))
     study.console.table(f"{study.label}: parameters held by a prior ({how})", columns, rows)
     study.console.result(
-        f"One standard deviation weighs as much as {quantity(told['weight'], unit)} of MSE "
-        f"({told['n_independent']:.4g} independent samples); all priors together "
-        f"{quantity(told['penalty'], unit)}, which no MSE told here includes"
+        f"One standard deviation weighs as much as {quantity(prior['weight'], unit)} of MSE "
+        f"({prior['n_independent']:.4g} independent samples); all priors together "
+        f"{quantity(prior['penalty'], unit)}, which no MSE shown here includes"
     )
 
 
 def known_before(numbers: Mapping[str, Any]) -> tuple[str, ...]:
-    """Say what was known of each parameter or decided about it, "" for nothing; empty where of none."""
-    held = numbers.get("prior", {}).get("parameters", {})
-    fixed = numbers.get("restriction", {}).get("fixed", {})
-    if not held and not fixed:
+    """Say what was known of each parameter, "" for nothing; empty where of none."""
+    held = numbers.get("prior", {}).get("parameters")
+    if not held:
         return ()
     return tuple(
-        f"fixed at {numbers['restriction']['why'][name]}"
-        if name in fixed
-        else f"prior {told_belief(held[name])}, moved by {held[name]['moved_deviations']:+.2f} of it"
+        f"prior {belief_text(held[name])}, moved by {held[name]['moved_deviations']:+.2f} of it"
         if name in held
         else ""
         for name in numbers["theta"]
     )
 
 
-def told_belief(one: Mapping[str, float]) -> str:
+def belief_text(one: Mapping[str, float]) -> str:
     """Say what is known of a parameter, e.g. `0.7 ×/÷ 1.5` or `290 ± 2`."""
     if "within_factor" in one:
         return f"{one['about']:.4g} ×/÷ {one['within_factor']:.4g}"

@@ -1,9 +1,8 @@
 """The stage that learns: one Optuna study per training-set size, and PCA + GP beside it."""
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from pelsvae.config import VARIANTS
 from simulation.errors import InputError
 from studies.leaderboard import leaderboard
-from studies.recipe import Recipe, recipe_of
+from studies.recipe import recipe_of
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import count, difference_unit, quantity
 from studies.row_set import RowSet
@@ -57,7 +56,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
         study.console.say(f"tune: finished before, {count(n, 'trial')} reused")
         return _outcome(specs, found, reused=True, wall_s=sum(one.wall_s for one in found))
     what = f"{count(budget.n_trials, 'trial')} for each n_train of {', '.join(map(str, sizes))}"
-    with study.console.stage("tune", what), study.console.bars() as bars, _stage_error(TuningError):
+    with study.console.stage("tune", what), study.console.bars() as bars:
         unit = difference_unit(study.case.outputs[0].unit)
 
         def show(spec: Declaration, trials: "Sequence[FrozenTrial]") -> None:
@@ -65,16 +64,29 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
             news = "" if best is None else f": best MAE {quantity(best, unit)}"
             bars(f"n_train {spec.size.removeprefix('n').lstrip('0')}", done, total, news)
 
-        found = tune(
-            specs,
-            paths=study.paths,
-            n_trials=budget.n_trials,
-            n_jobs=study.n_jobs,
-            n_parallel=budget.n_parallel,
-            until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
-            recipes=[_recipe(study, spec, simulated.summary) for spec in specs],
-            on_trials=show,
-        )
+        files = simulated.summary["files"]
+        recipes = [
+            recipe_of(
+                study,
+                "training",
+                n_train=spec.n_train,
+                datasets=datasets_of(study.profile, spec.n_train, spec.digests, files),
+            )
+            for spec in specs
+        ]
+        try:
+            found = tune(
+                specs,
+                paths=study.paths,
+                n_trials=budget.n_trials,
+                n_jobs=study.n_jobs,
+                n_parallel=budget.n_parallel,
+                until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
+                recipes=recipes,
+                on_trials=show,
+            )
+        except TuningError as error:
+            raise StageError(f"tune: {error}") from error
     tuned = [one for one in found if not one.spec.is_baseline]
     without = [one.spec.n_train for one in tuned if one.best is None]
     n_done, n_all = sum(one.n_ended for one in tuned), budget.n_trials * len(sizes)
@@ -116,70 +128,51 @@ def declarations(study: Study, simulated: Summary) -> list[Declaration]:
             raise InputError(
                 f"{files['train']} has {sets['train'].n} rows, n_train is {n_train}; simulate more"
             )
-        shared: dict[str, Any] = {
-            "label": study.label,
-            "n_train": n_train,
-            "case_name": study.case.name,
-            "seed": study.profile.seed,
-            "parameter_names": space.names,
-            "lower": tuple(space.lower.tolist()),
-            "upper": tuple(space.upper.tolist()),
-            "is_log": tuple(space.is_log.tolist()),
-            "output_names": tuple(sets["train"].output_names),
-            "output_unit": study.case.outputs[0].unit,
-            "output_scales": tuple(study.case.measurement.error_scales.tolist()),
-            "files": {name: study.paths.relative(files[name]) for name in SETS},
-            "digests": {
-                "case": study.case.digest,
-                "fmu": study.case.fmu.sha256,
-                "train": sets["train"].take(np.arange(n_train)).digest,
-                "validation": sets["validation"].digest,
-                "test": sets["test"].digest,
-            },
-            "device": budget.device,
-            "max_trial_s": budget.max_trial_s,
-            "note": study.case.note,
-        }
-        found.append(
-            Declaration(
-                surrogate=budget.surrogate,
-                settings=_settings(budget.surrogate, longer),
-                search={name: one.to_dict() for name, one in budget.space.items()},
-                sampler=budget.sampler,
-                pruner=budget.pruner,
-                enqueue=tuple(dict(point) for point in budget.enqueue),
-                **shared,
-            )
+        digests = {name: sets[name].digest for name in ("validation", "test")}
+        digests["train"] = sets["train"].take(np.arange(n_train)).digest
+        spec = Declaration(
+            label=study.label,
+            n_train=n_train,
+            case_name=study.case.name,
+            surrogate=budget.surrogate,
+            settings=_settings(budget.surrogate, longer),
+            search={name: one.to_dict() for name, one in budget.space.items()},
+            sampler=budget.sampler,
+            pruner=budget.pruner,
+            enqueue=tuple(dict(point) for point in budget.enqueue),
+            seed=study.profile.seed,
+            parameter_names=space.names,
+            lower=tuple(space.lower.tolist()),
+            upper=tuple(space.upper.tolist()),
+            is_log=tuple(space.is_log.tolist()),
+            output_names=tuple(sets["train"].output_names),
+            output_unit=study.case.outputs[0].unit,
+            output_scales=tuple(study.case.measurement.error_scales.tolist()),
+            files={name: study.paths.relative(files[name]) for name in SETS},
+            digests={"case": study.case.digest, "fmu": study.case.fmu.sha256, **digests},
+            device=budget.device,
+            max_trial_s=budget.max_trial_s,
+            note=study.case.note,
         )
+        found.append(spec)
         if budget.baseline and budget.surrogate != "pca-gp":
-            found.append(
-                Declaration(
-                    surrogate="pca-gp",
-                    settings=_settings("pca-gp", {}),
-                    search={},
-                    sampler={"name": "RandomSampler"},
-                    pruner={"name": "NopPruner"},
-                    is_baseline=True,
-                    **shared,
-                )
+            baseline = replace(
+                spec,
+                surrogate="pca-gp",
+                settings=_settings("pca-gp", {}),
+                search={},
+                sampler={"name": "RandomSampler"},
+                pruner={"name": "NopPruner"},
+                enqueue=(),
+                is_baseline=True,
             )
+            found.append(baseline)
     return found
 
 
 def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:
     settings = VARIANTS[surrogate].replace(**changes).to_dict()
     return {name: value for name, value in settings.items() if name not in ("device", "n_threads")}
-
-
-def _recipe(study: Study, spec: Declaration, simulated: Summary) -> Recipe:
-    """Return what makes the data sets of one size again."""
-    return recipe_of(
-        study,
-        "training",
-        command=f"studies tune {study.words('data', 'tuning')}",
-        n_train=spec.n_train,
-        datasets=datasets_of(study.profile, spec.n_train, spec.digests, simulated["files"]),
-    )
 
 
 def _progress(
@@ -212,11 +205,3 @@ def show_tuning(study: Study, outcome: Outcome) -> None:
     """Print the best surrogate of each size."""
     sizes = [TunedSize(**one) for one in outcome.summary["studies"]]
     study.console.show([leaderboard(sizes, f"{study.label}: best surrogate per training-set size")])
-
-
-@contextmanager
-def _stage_error(kind: type[Exception]) -> Iterator[None]:
-    try:
-        yield
-    except kind as error:
-        raise StageError(f"tune: {error}") from error

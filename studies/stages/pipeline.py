@@ -1,15 +1,14 @@
 """Stages with a memory: a stage whose inputs have a known digest and whose files exist is finished.
 
-Each stage leaves a manifest beside the results: digest, case file, inputs, files, versions, wall time, host,
-seeds. It is written last and in one step, so that an interruption leaves a finished stage or none.
+Each stage leaves a manifest beside the results: digest, case file, inputs, files, seed, environment, wall
+time. It is written last and in one step, so that an interruption leaves a finished stage or none.
 """
 
 import hashlib
 import json
-import platform
-import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,16 +18,15 @@ from simulation.foreign_file import RECORD, read_limited
 from simulation.whole_file import whole_file
 from studies.console import Console
 from studies.paths import ProjectPaths
-from studies.profile import Profile, changed_words
-from studies.recipe import Recipe
-from studies.tracking.origin import environment, versions
+from studies.profile import Profile
+from studies.tracking.origin import environment
 
 if TYPE_CHECKING:
     from simulation.case import Case
 
 Summary = dict[str, Any]
 
-_PLACES = frozenset({"champion", "file", "files", "folder", "index", "store"})
+_PLACES = ("file", "files", "folder", "index", "store")
 """Keys of a summary that name files of the project."""
 
 
@@ -47,11 +45,11 @@ class Study:
         console: tells the user.
         n_jobs: processes for simulations and trainings.
         label: what a user sees of case, profile, window and seed.
-        command: the end of the command line that names this study, for messages and the report.
+        command: the end of the command line that names this study, for messages.
+        typed: the whole command line, as records and the report give it.
         retry_failed: whether simulations that failed before are asked again.
         dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
         max_hours: no trial begins later than this after the tuning did; None sets no limit. [h]
-        own_profile: the profile as its file has it, None where nothing changed it.
     """
 
     case: "Case"
@@ -61,14 +59,10 @@ class Study:
     n_jobs: int
     label: str
     command: str
+    typed: str = ""
     retry_failed: bool = False
     dask: str | None = None
     max_hours: float | None = None
-    own_profile: Profile | None = None
-
-    def words(self, *parts: str) -> str:
-        """Return the words that name this study and what was changed in some parts of its profile."""
-        return self.command + changed_words(self.own_profile or self.profile, self.profile.to_dict(), parts)
 
     @property
     def results(self) -> Path:
@@ -96,26 +90,17 @@ class Outcome:
 
     def to_dict(self, paths: ProjectPaths) -> dict[str, Any]:
         """Return the outcome as JSON values whose paths hold in the working folder."""
-        return {
-            "stage": self.stage,
-            "digest": self.digest,
-            "finished_before": self.reused,
-            "wall_s": round(self.wall_s, 3),
-            **_with_shown_places(self.summary, paths),
-        }
+        head = {"stage": self.stage, "digest": self.digest, "finished_before": self.reused}
+        places = {name: _shown(self.summary[name], paths) for name in _PLACES if name in self.summary}
+        return {**head, "wall_s": round(self.wall_s, 3), **self.summary, **places}
 
 
-def _with_shown_places(value: Any, paths: ProjectPaths, *, is_place: bool = False) -> Any:
-    """Return a summary with the paths in it as the user would type them; what is no file stays."""
-    if isinstance(value, Mapping):
-        return {
-            key: _with_shown_places(one, paths, is_place=is_place or key in _PLACES)
-            for key, one in value.items()
-        }
-    if isinstance(value, list):
-        return [_with_shown_places(one, paths, is_place=is_place) for one in value]
-    file = paths.located(value) if is_place else None
-    return value if file is None else paths.show(file)
+def _shown(recorded: Any, paths: ProjectPaths) -> Any:
+    """Return the recorded place of a file, or several by name, as the user would type it."""
+    if isinstance(recorded, Mapping):
+        return {name: _shown(one, paths) for name, one in recorded.items()}
+    file = paths.located(recorded)
+    return recorded if file is None else paths.show(file)
 
 
 def digest_of(inputs: Mapping[str, Any]) -> str:
@@ -124,67 +109,100 @@ def digest_of(inputs: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def run_stage(
-    study: Study,
-    stage: str,
-    *,
-    what: str,
-    inputs: Mapping[str, Any],
-    work: Callable[[], tuple[Summary, Sequence[Path]]],
-    reuse_note: Callable[[Summary], str],
-    keep: Callable[[Summary], bool] = lambda summary: True,
-    recipe: Recipe | None = None,
-    again: bool = False,
-) -> Outcome:
-    """Do a stage's work unless it is finished.
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a study, which is finished once its manifest `<name>.json` lies in the results folder.
 
     Args:
         study: the study.
-        stage: the stage's name; the manifest is `<stage>.json` in the results folder.
+        name: the stage's name.
         what: what is done, for the user.
         inputs: all that decides the result, as JSON values.
-        work: does it; returns the summary and the files that must exist for the stage to count as finished.
-        reuse_note: what to tell of a finished stage.
-        keep: whether the stage counts as finished with this result.
-        recipe: what rebuilds it, kept in the manifest where no other file of the stage has it.
-        again: do it though it is finished; until it is done again it counts as unfinished.
     """
-    digest = digest_of(inputs)
-    file = study.results / f"{stage}.json"
-    if again:
-        file.unlink(missing_ok=True)
-    finished = read_manifest(study.paths, file, digest)
-    if finished is not None and study.retry_failed and has_failed(finished["summary"]):
-        file.unlink(missing_ok=True)
-        finished = None
-    if finished is not None:
-        study.console.say(f"{stage}: finished before, {reuse_note(finished['summary'])}")
-        return Outcome(stage, digest, finished["summary"], True, float(finished["wall_s"]))
-    started = time.perf_counter()
-    with study.console.stage(stage, what):
-        summary, files = work()
-    wall_s = time.perf_counter() - started
-    if not keep(summary):
-        return Outcome(stage, digest, summary, False, wall_s)
-    write_json(
-        file,
-        {
-            "stage": stage,
-            "digest": digest,
-            "case_file": study.paths.recorded(study.case.path),
-            "inputs": inputs,
-            "summary": summary,
-            "files": {study.paths.relative(made): made.stat().st_size for made in files},
-            "versions": versions(),
-            "host": socket.gethostname(),
-            "platform": platform.platform(),
-            "seed": study.profile.seed,
-            "wall_s": wall_s,
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            **({} if recipe is None else {"recipe": recipe, "environment": environment()}),
-        },
-    )
-    return Outcome(stage, digest, summary, False, wall_s)
+
+    study: Study
+    name: str
+    what: str
+    inputs: Mapping[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """Digest of the inputs."""
+        return digest_of(self.inputs)
+
+    def finished(self, note: Callable[[Summary], str], *, again: bool = False) -> Outcome | None:
+        """Return what the stage came to before, and say so; None where it has to be done.
+
+        Args:
+            note: what to say of a finished stage.
+            again: do it though it is finished; until it is done again it counts as unfinished.
+        """
+        study, file = self.study, self._manifest
+        if again:
+            file.unlink(missing_ok=True)
+        manifest = read_manifest(study.paths, file, self.digest)
+        if manifest is not None and study.retry_failed and has_failed(manifest["summary"]):
+            file.unlink(missing_ok=True)
+            manifest = None
+        if manifest is None:
+            return None
+        study.console.say(f"{self.name}: finished before, {note(manifest['summary'])}")
+        return Outcome(self.name, self.digest, manifest["summary"], True, float(manifest["wall_s"]))
+
+    @contextmanager
+    def work(self) -> Iterator["Work"]:
+        """Say when the work of the stage begins and when it has ended."""
+        with self.study.console.stage(self.name, self.what):
+            yield Work(self, time.time(), time.perf_counter())
+
+    @property
+    def _manifest(self) -> Path:
+        return self.study.results / f"{self.name}.json"
+
+
+@dataclass(frozen=True)
+class Work:
+    """The work of a stage that goes on.
+
+    Args:
+        stage: the stage.
+        started_s: when it began. [s since 1970, UTC]
+        counted_from: the same by a clock that nobody sets. [s]
+    """
+
+    stage: Stage
+    started_s: float
+    counted_from: float
+
+    @property
+    def wall_s(self) -> float:
+        """How long it has taken so far. [s]."""
+        return time.perf_counter() - self.counted_from
+
+    def keep(self, summary: Summary, files: Sequence[Path] = (), *, is_finished: bool = True) -> Outcome:
+        """Write the manifest, last of all and in one step, and return what the stage came to.
+
+        Args:
+            summary: its results as JSON values.
+            files: must exist as they are for the stage to count as finished.
+            is_finished: whether it counts as finished with this result.
+        """
+        stage, study, wall_s = self.stage, self.stage.study, self.wall_s
+        if is_finished:
+            manifest = {
+                "stage": stage.name,
+                "digest": stage.digest,
+                "case_file": study.paths.recorded(study.case.path),
+                "inputs": stage.inputs,
+                "summary": summary,
+                "files": {study.paths.relative(made): made.stat().st_size for made in files},
+                "seed": study.profile.seed,
+                "wall_s": wall_s,
+                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+                "environment": environment(),
+            }
+            write_json(stage._manifest, manifest)
+        return Outcome(stage.name, stage.digest, summary, False, wall_s)
 
 
 def has_failed(summary: Summary) -> bool:

@@ -1,8 +1,9 @@
 """What the stages left on disk, read back as the records that figures and tables are made of."""
 
+import math
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.whole_file import whole_file
+from studies.calibration.recorder import History
 from studies.paths import size_name
+from studies.recipe import recipe_of
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
-from studies.report.restricted import restriction_record
 from studies.report.validation import OutputFit, ValidatedPoint, ValidationRecord
 from studies.row_set import RowSet
 from studies.sensitivity import SobolIndices
 from studies.stages.determined import open_in_words
 from studies.stages.guided import equations_in_words
 from studies.stages.knowledge import is_of_this_density, known_before
-from studies.stages.pipeline import Study, read_json
+from studies.stages.pipeline import Outcome, Study, Summary, Work, read_json, write_json
+from studies.tracking.origin import environment
 
 ADAPTIVE = "adaptive"
 """What stage and files of an adaptive calibration are called."""
@@ -29,18 +34,27 @@ ADAPTIVE = "adaptive"
 N_COVERAGE = 256
 """Trajectories drawn of the training set, as in the paper's Fig. 4."""
 
+Numbers = dict[str, Any]
+Arrays = dict[str, NDArray[Any]]
+
 
 @dataclass(frozen=True)
-class CalibrationFiles:
-    """Where a calibration lies.
+class ResultFiles:
+    """Where the result of a calibration or of its uncertainty lies.
 
     Args:
         numbers: all numbers but the trajectories, without wall times: the same again when done again.
-        arrays: trajectories and histories.
+        arrays: trajectories, histories, samples.
     """
 
     numbers: Path
     arrays: Path
+
+    @classmethod
+    def of(cls, study: Study, kind: str, name: str) -> "ResultFiles":
+        """Return the files of a "calibration" or a "posterior", of all parameters "adaptive" or "n0064"."""
+        stem = study.results / f"{kind}-{name}"
+        return cls(stem.with_suffix(".json"), stem.with_suffix(".npz"))
 
     @property
     def rows(self) -> Path:
@@ -49,78 +63,99 @@ class CalibrationFiles:
 
 
 @dataclass(frozen=True)
-class StoredCalibration:
-    """A calibration as it lies on disk.
+class StoredResult:
+    """A calibration, or its uncertainty, as it lies on disk.
 
     Args:
         files: where.
         numbers: content of the JSON file.
         arrays: content of the array file.
+        started_s: when it was begun. [s since 1970, UTC]
         wall_s: how long it took. [s]
     """
 
-    files: CalibrationFiles
-    numbers: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
+    files: ResultFiles
+    numbers: Numbers
+    arrays: Arrays
+    started_s: float
     wall_s: float
 
     @property
     def name(self) -> str:
-        """What its stage and files are called: "adaptive" or the size of the training set."""
-        return self.files.numbers.stem.removeprefix("calibration-")
+        """What the calibration's stage and files are called: "adaptive" or the size of the training set."""
+        return self.files.numbers.stem.partition("-")[2]
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether it needed no surrogate."""
-        return bool(self.numbers.get("method") == ADAPTIVE)
+        """Whether the calibration needed no surrogate."""
+        return self.name == ADAPTIVE
 
     @property
     def learnt_equations(self) -> bool:
-        """Whether it believed in state equations when it ended."""
+        """Whether the calibration believed in state equations when it ended."""
         return bool(self.numbers.get("state_equations", {}).get("are_believed", False))
 
     @property
     def mse(self) -> float:
-        """Its final error, infinite where it failed. [first output's unit squared]."""
+        """The calibration's final error, infinite where it failed. [first output's unit squared]."""
         return _number(self.numbers["mse" if self.is_adaptive else "mse_polished"])
 
     @property
-    def point(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The calibrated parameters, shape (p,), and what the model answered there, shape (t, k)."""
-        return self.arrays["theta"], self.arrays["y" if self.is_adaptive else "y_polished"]
+    def y(self) -> FloatArray:
+        """What the model answered at the calibrated parameters. Shape (t, k). [per output]."""
+        return self.arrays["y" if self.is_adaptive else "y_polished"]
+
+    def calls_to(self, target: float) -> int | None:
+        """Return the calls, as the paper counts, after which the error was at most the target, or None."""
+        return History(self.arrays["history_calls"], self.arrays["history_mse"]).calls_to(target)
 
 
-def calibration_files(study: Study, n_train: int, n_free: int | None = None) -> CalibrationFiles:
-    """Return the files of a calibration, of the `n_free` most relevant parameters or of all."""
-    return _files(study, size_name(n_train) + restricted(n_free))
+def calibration_files(study: Study, n_train: int) -> ResultFiles:
+    """Return the files of a calibration with the surrogate of a training-set size."""
+    return ResultFiles.of(study, "calibration", size_name(n_train))
 
 
-def adaptive_files(study: Study, n_free: int | None = None) -> CalibrationFiles:
-    """Return the files of the adaptive calibration, of the `n_free` most relevant parameters or of all."""
-    return _files(study, ADAPTIVE + restricted(n_free))
+def keep_result(
+    work: Work,
+    files: ResultFiles,
+    found: Numbers,
+    arrays: Arrays,
+    *,
+    this_time: Summary,
+    recipe: Mapping[str, Any],
+    log: Callable[[Study, StoredResult, str], None],
+    more_files: Sequence[Path] = (),
+) -> Outcome:
+    """Write the result of a stage into its files and MLflow, and return what the stage came to.
+
+    Args:
+        work: the stage's work, at its end.
+        files: where the result goes.
+        found: its numbers.
+        arrays: its arrays.
+        this_time: what the summary says of this time alone.
+        recipe: what makes it again beyond case, profile and seed; `kind` says what it is.
+        log: writes it to MLflow; called with the digest of the stage's inputs.
+        more_files: files beside it without which the stage is unfinished.
+    """
+    study = work.stage.study
+    numbers = {
+        "label": study.label,
+        "note": study.case.note,
+        "case_sha256": study.case.digest,
+        "measurement_sha256": study.case.measurement.digest,
+        **found,
+    }
+    shown = {name: value for name, value in numbers.items() if not name.endswith("_history")}
+    numbers |= {"recipe": recipe_of(study, **recipe), "environment": environment()}
+    write_arrays(files.arrays, arrays)
+    write_json(files.numbers, numbers)
+    log(study, StoredResult(files, numbers, arrays, work.started_s, work.wall_s), work.stage.digest)
+    summary = {**shown, **this_time, "file": study.paths.recorded(files.numbers)}
+    return work.keep(summary, [files.numbers, files.arrays, *more_files])
 
 
-def restricted(n_free: int | None) -> str:
-    """Return what the names of a restricted calibration end with, "" for one of all parameters."""
-    return "" if n_free is None else f"-relevant{n_free}"
-
-
-def most_relevant(n_free: int | None) -> str:
-    """Return the words by which a command means a restricted calibration, "" for one of all parameters."""
-    return "" if n_free is None else f" --most-relevant {n_free}"
-
-
-def n_free_of(numbers: Mapping[str, Any]) -> int | None:
-    """Return how many parameters a calibration was restricted to, None for all."""
-    return numbers["restriction"]["n_free"] if "restriction" in numbers else None
-
-
-def _files(study: Study, name: str) -> CalibrationFiles:
-    stem = study.results / f"calibration-{name}"
-    return CalibrationFiles(stem.with_suffix(".json"), stem.with_suffix(".npz"))
-
-
-def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
+def stored_calibrations(study: Study) -> Iterator[StoredResult]:
     """Read all calibrations of this case and measurement, the adaptive first, then by training set."""
     for file in sorted(study.results.glob("calibration-*.json"), key=lambda one: one.stem):
         found = stored_calibration(study, file.stem.removeprefix("calibration-"))
@@ -128,21 +163,44 @@ def stored_calibrations(study: Study) -> Iterator[StoredCalibration]:
             yield found
 
 
-def stored_calibration(study: Study, name: str) -> StoredCalibration | None:
+def stored_calibration(study: Study, name: str) -> StoredResult | None:
     """Read one calibration of this case, measurement and density by its name, None where there is none."""
-    files = _files(study, name)
-    numbers, manifest = read_json(files.numbers), read_json(study.results / f"calibrate-{name}.json")
+    return _stored(study, ResultFiles.of(study, "calibration", name), f"calibrate-{name}")
+
+
+def stored_posteriors(study: Study) -> Iterator[StoredResult]:
+    """Read what is known of the stored calibrations' uncertainty."""
+    for calibration in stored_calibrations(study):
+        if (found := stored_posterior(study, calibration)) is not None:
+            yield found
+
+
+def stored_posterior(study: Study, calibration: StoredResult) -> StoredResult | None:
+    """Read what is known of a calibration's uncertainty, None where nothing is."""
+    name = calibration.name
+    found = _stored(study, ResultFiles.of(study, "posterior", name), f"uncertainty-{name}")
+    is_of_it = found is not None and np.array_equal(found.arrays["theta"], calibration.arrays["theta"])
+    return found if is_of_it else None
+
+
+def _stored(study: Study, files: ResultFiles, stage: str) -> StoredResult | None:
+    numbers, manifest = read_json(files.numbers), read_json(study.results / f"{stage}.json")
     if numbers is None or manifest is None or not files.arrays.is_file():
         return None
-    if (numbers.get("case_sha256"), numbers.get("measurement_sha256")) != (
-        study.case.digest,
-        study.case.measurement.digest,
-    ) or not is_of_this_density(manifest["inputs"], study.case):
+    made_of = (numbers.get("case_sha256"), numbers.get("measurement_sha256"))
+    is_present = made_of == (study.case.digest, study.case.measurement.digest)
+    if not is_present or not is_of_this_density(manifest["inputs"], study.case):
         return None
-    return StoredCalibration(files, numbers, read_arrays(files.arrays), float(manifest["wall_s"]))
+    return StoredResult(files, numbers, read_arrays(files.arrays), math.nan, float(manifest["wall_s"]))
 
 
-def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an .npz file in one step."""
+    with whole_file(file) as stream:
+        np.savez_compressed(stream, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
+
+
+def read_arrays(file: Path) -> Arrays:
     """Read a calibration's array file.
 
     Raises:
@@ -160,73 +218,42 @@ def measured_series(case: Case) -> MeasuredSeries:
     return MeasuredSeries(case.measurement, tuple(output.unit for output in case.outputs))
 
 
-def calibration_record(stored: StoredCalibration) -> CalibrationRecord:
-    """Return a calibration as a record."""
-    record = _adaptive_record(stored) if stored.is_adaptive else _polished_record(stored)
-    numbers = stored.numbers
-    told = numbers.get("state_equations")
-    return replace(
-        record,
-        restriction=restriction_record(numbers),
-        knowledge=known_before(numbers),
-        state_equations="" if told is None else equations_in_words(told),
-        left_open=tuple(open_in_words(numbers)),
-    )
-
-
-def _polished_record(stored: StoredCalibration) -> CalibrationRecord:
-    numbers, arrays = stored.numbers, stored.arrays
-    ledger, errors = numbers["ledger"], numbers["surrogate_errors"]
+def calibration_record(stored: StoredResult) -> CalibrationRecord:
+    """Return a calibration as a record; an adaptive one has no training set and no screened point."""
+    numbers, arrays, ledger = stored.numbers, stored.arrays, stored.numbers["ledger"]
+    errors, surrogate = numbers.get("surrogate_errors", {}), numbers.get("surrogate")
+    equations = numbers.get("state_equations")
+    nowhere = np.nan
     return CalibrationRecord(
         n_train=numbers["n_train"],
-        theta_screened=arrays["theta_screened"],
+        theta_screened=arrays.get("theta_screened", np.full_like(arrays["theta"], nowhere)),
         theta_polished=arrays["theta"],
-        mse_surrogate=_number(numbers["mse_surrogate"]),
-        mse_screened=_number(numbers["mse_screened"]),
-        mse_polished=_number(numbers["mse_polished"]),
-        y_screened=arrays["y_screened"],
-        y_polished=arrays["y_polished"],
+        mse_surrogate=_number(numbers.get("mse_surrogate", nowhere)),
+        mse_screened=_number(numbers.get("mse_screened", nowhere)),
+        mse_polished=stored.mse,
+        y_screened=arrays.get("y_screened", np.full_like(stored.y, nowhere)),
+        y_polished=stored.y,
         history_calls=arrays["history_calls"],
         history_mse=arrays["history_mse"],
         n_validation=ledger["n_validation"],
         n_test=ledger["n_test"],
         n_screen_checks=ledger["n_screen_checks"],
         n_polish=ledger["n_polish"],
+        n_adaptive=ledger["n_adaptive"],
         wall_s=stored.wall_s,
-        test_mae=errors["test/mae"],
-        test_p90=errors["test/p90"],
-        stop_reason=numbers["polish_stop_reason"],
-        surrogate=f"trial {numbers['surrogate']['trial']} of {numbers['surrogate']['study']}",
-    )
-
-
-def _adaptive_record(stored: StoredCalibration) -> CalibrationRecord:
-    numbers, arrays = stored.numbers, stored.arrays
-    nowhere = float("nan")
-    return CalibrationRecord(
-        n_train=0,
-        theta_screened=np.full_like(arrays["theta"], nowhere),
-        theta_polished=arrays["theta"],
-        mse_surrogate=nowhere,
-        mse_screened=nowhere,
-        mse_polished=numbers["mse"],
-        y_screened=np.full_like(arrays["y"], nowhere),
-        y_polished=arrays["y"],
-        history_calls=arrays["history_calls"],
-        history_mse=arrays["history_mse"],
-        n_validation=0,
-        n_test=0,
-        n_screen_checks=0,
-        n_polish=0,
-        wall_s=stored.wall_s,
-        stop_reason=numbers["stop_reason"],
-        method="adaptive",
-        n_adaptive=numbers["ledger"]["n_adaptive"],
+        test_mae=errors.get("test/mae", nowhere),
+        test_p90=errors.get("test/p90", nowhere),
+        stop_reason=numbers["stop_reason" if stored.is_adaptive else "polish_stop_reason"],
+        surrogate=f"trial {surrogate['trial']} of {surrogate['study']}" if surrogate else "",
+        method="adaptive" if stored.is_adaptive else "paper",
         n_known=numbers.get("n_known", 0),
+        knowledge=known_before(numbers),
+        state_equations="" if equations is None else equations_in_words(equations),
+        left_open=tuple(open_in_words(numbers)),
     )
 
 
-def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord | None:
+def validation_record(case: Case, stored: StoredResult) -> ValidationRecord | None:
     """Return a calibration on the validation period, None where the case has none."""
     if case.validation is None:
         return None
@@ -236,17 +263,13 @@ def validation_record(case: Case, stored: StoredCalibration) -> ValidationRecord
     measured = replace(measured_series(case), measurement=case.validation.measurement.from_first_sample)
     return ValidationRecord(
         n_train=stored.numbers["n_train"],
-        n_free=n_free_of(stored.numbers),
         period_d=case.validation.window_d,
         measurement=measured,
         y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),
         y_polished=y_polished,
         points={
             name: ValidatedPoint(
-                mse_window=point["mse_window"],
-                mse=point["mse"],
-                failure=point["failure"],
-                outputs={output: OutputFit(**fit) for output, fit in point["outputs"].items()},
+                **point | {"outputs": {output: OutputFit(**fit) for output, fit in point["outputs"].items()}}
             )
             for name, point in numbers["points"].items()
         },

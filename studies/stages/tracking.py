@@ -1,218 +1,146 @@
-"""What the tracking product is told of the stages that are not tuning: numbers, curves and pictures."""
+"""What MLflow shows of the stages that are not tuning: numbers, curves and pictures."""
 
 import tempfile
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from studies.paths import ProjectPaths
-from studies.recipe import Recipe
 from studies.report.wording import difference_unit, squared
-from studies.stages.pipeline import Study, Summary
-from studies.stages.results import StoredCalibration, calibration_record, measured_series, n_free_of
+from studies.stages.pipeline import Study, Work
+from studies.stages.results import StoredResult, calibration_record, measured_series
 from studies.tracking.stage_run import StageRun, log_stage
 
 
-def log_calibration(
-    study: Study, stored: StoredCalibration, digest: str, *, started_s: float, wall_s: float
-) -> None:
-    """Tell of a finished calibration, with its figures.
+def log_calibration(study: Study, stored: StoredResult, digest: str) -> None:
+    """Log a finished calibration, with its figures.
 
     Args:
         study: the study.
         stored: what the calibration left on disk.
         digest: digest of the stage's inputs.
-        started_s: start of the calibration. [s since 1970, UTC]
-        wall_s: its duration. [s]
     """
-    numbers, profile, n_train = stored.numbers, study.profile, stored.numbers["n_train"]
-    run = StageRun(
-        label=study.label,
-        kind="calibration",
-        name=f"{stored.name} calibration",
-        key=digest,
-        params={
-            "n_train": n_train,
-            "seed": profile.seed,
-            **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
-            **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
-        },
-        metrics={
+    from studies.report.figures_calibration import calibration_figure, calls_figure
+
+    numbers, profile, ledger = stored.numbers, study.profile, stored.numbers["ledger"]
+    record, measured = calibration_record(stored), measured_series(study.case)
+    if stored.is_adaptive:
+        point, picture = "calibrated", "convergence.png"
+        params = {"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]}
+        tags = {"method": "adaptive", "stop_reason": numbers["stop_reason"]}
+        metrics = {
+            "mse/calibrated": numbers["mse"],
+            "calls/rounds": numbers["n_rounds"],
+            "calls/known": numbers.get("n_known"),
+            "calls/by_state_equations": numbers.get("state_equations", {}).get("n_calls"),
+        }
+    else:
+        point, picture = "polished", "polish.png"
+        params = {"n_train": record.n_train, "seed": profile.seed}
+        params |= {f"screening.{name}": value for name, value in asdict(profile.screening).items()}
+        params |= {f"polish.{name}": value for name, value in asdict(profile.polish).items()}
+        surrogate = numbers["surrogate"]
+        tags = {"n_train": record.n_train, "surrogate_study": surrogate["study"]}
+        tags |= {"surrogate_trial": surrogate["trial"]}
+        metrics = {
             "mse/surrogate": numbers["mse_surrogate"],
             "mse/screened": numbers["mse_screened"],
             "mse/screening_gap": numbers["screening_gap"],
             "mse/polished": numbers["mse_polished"],
-            "calls/paper": numbers["ledger"]["total_paper"],
-            "calls/polish": numbers["ledger"]["n_polish"],
+            "calls/paper": ledger["total_paper"],
+            "calls/polish": ledger["n_polish"],
             **numbers["surrogate_errors"],
-        },
-        tags={
-            "n_train": n_train,
-            "surrogate_study": numbers["surrogate"]["study"],
-            "surrogate_trial": numbers["surrogate"]["trial"],
-        },
-        started_s=started_s,
-        wall_s=wall_s,
-    )
-    _log_with_figures(study, stored, run, point="polished")
-
-
-def log_adaptive(
-    study: Study, stored: StoredCalibration, digest: str, *, started_s: float, wall_s: float
-) -> None:
-    """Tell of a finished adaptive calibration, with its figures.
-
-    Args:
-        study: the study.
-        stored: what the calibration left on disk.
-        digest: digest of the stage's inputs.
-        started_s: start of the calibration. [s since 1970, UTC]
-        wall_s: its duration. [s]
-    """
-    numbers = stored.numbers
-    run = StageRun(
-        label=study.label,
-        kind="calibration",
-        name=f"{stored.name} calibration",
-        key=digest,
-        params={"method": "adaptive", "seed": numbers["seed"], **numbers["settings"]},
-        metrics={
-            "mse/calibrated": numbers["mse"],
-            "calls/rounds": numbers["n_rounds"],
-            **({"calls/known": numbers["n_known"]} if "n_known" in numbers else {}),
-            **(
-                {"calls/by_state_equations": numbers["state_equations"]["n_calls"]}
-                if "state_equations" in numbers
-                else {}
-            ),
-        },
-        tags={"method": "adaptive", "stop_reason": numbers["stop_reason"]},
-        started_s=started_s,
-        wall_s=wall_s,
-    )
-    _log_with_figures(study, stored, run, point="calibrated")
-
-
-def _log_with_figures(study: Study, stored: StoredCalibration, run: StageRun, *, point: str) -> None:
-    """Log a calibration's run with what every calibration has: calls, validation, curve, figures, files."""
-    from studies.report.figures_calibration import calibration_figure, calls_figure
-
-    numbers = stored.numbers
-    record, measured = calibration_record(stored), measured_series(study.case)
-    n_free = n_free_of(numbers)
-    metrics = {**run.metrics, "calls/all": numbers["ledger"]["total_honest"]}
+        }
+    metrics["calls/all"] = ledger["total_honest"]
     if "validation" in numbers:
         metrics["mse/validation"] = numbers["validation"]["points"][point]["mse"]
     curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
-    name = "convergence.png" if stored.is_adaptive else "polish.png"
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        figures = [Path(scratch) / "calibration.png", Path(scratch) / name]
+        figures = [Path(scratch) / "calibration.png", Path(scratch) / picture]
         calibration_figure(measured, record, figures[0], footnote=study.label)
         unit = squared(difference_unit(measured.units[0]))
         calls_figure(record, (), figures[1], mse_unit=unit, footnote=study.label)
-        log_stage(
-            study.paths,
-            replace(
-                run,
-                metrics={key: value for key, value in metrics.items() if value is not None},
-                curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
-                tags={
-                    "case": study.case.name,
-                    "case_sha256": study.case.digest,
-                    **run.tags,
-                    **({} if n_free is None else {"n_free": n_free}),
-                },
-                figures=figures,
-                artifacts=[stored.files.numbers, stored.files.arrays],
-                note=study.case.note,
-                record={"recipe": numbers["recipe"], "environment": numbers["environment"]},
-            ),
+        _log_result(
+            study,
+            stored,
+            digest,
+            kind="calibration",
+            params=params,
+            metrics={key: value for key, value in metrics.items() if value is not None},
+            curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
+            tags=tags,
+            figures=figures,
         )
 
 
-def log_sensitivity(
-    study: Study,
-    summary: Summary,
-    digest: str,
-    *,
-    file: Path,
-    started_s: float,
-    wall_s: float,
-    recipe: Recipe,
-    made_with: Mapping[str, str],
-) -> None:
-    """Tell of finished Sobol indices.
+def log_posterior(study: Study, stored: StoredResult, digest: str) -> None:
+    """Log a finished uncertainty, with its figures.
 
     Args:
         study: the study.
-        summary: the stage's results.
+        stored: what it left on disk.
         digest: digest of the stage's inputs.
-        file: the indices.
-        started_s: start of the stage. [s since 1970, UTC]
-        wall_s: its duration. [s]
-        recipe: what rebuilds them.
-        made_with: versions, machine and state of the code.
     """
-    if not study.paths.tracking_database.is_file():
-        study.console.say("sensitivity: making MLflow's store, once")
-    shares = {f"first_order/{name}": value for name, value in summary["mean_first_order"].items()}
-    shares |= {f"total_order/{name}": value for name, value in summary["mean_total_order"].items()}
+    from studies.report.figures_uncertainty import band_figure, interval_figure
+    from studies.report.uncertainty import box_of, uncertainty_record
+
+    numbers = stored.numbers
+    record = uncertainty_record(numbers, stored.arrays)
+    box = box_of(study.case.parameter_space, record.names)
+    known = [one["known"] for one in numbers["parameters"].values()]
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
+        band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
+        interval_figure(box, record, figures[1], footnote=study.label)
+        _log_result(
+            study,
+            stored,
+            digest,
+            kind="uncertainty",
+            params={**numbers["settings"], "seed": numbers["seed"], "level": numbers["level"]},
+            metrics={
+                "sample/n": numbers["sample"]["n"],
+                "sample/n_effective": numbers["sample"]["n_effective"],
+                "calls/all": numbers["ledger"]["total"],
+                "parameters/determined": known.count("determined"),
+            },
+            tags={"calibration": numbers["calibration"]},
+            figures=figures,
+        )
+
+
+def _log_result(study: Study, stored: StoredResult, digest: str, *, kind: str, **more: Any) -> None:
+    """Log what every stored result has, and more."""
     log_stage(
         study.paths,
-        StageRun(
-            label=study.label,
-            kind="sensitivity",
-            name="sensitivity",
-            key=digest,
-            params={"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed},
-            metrics={name: value for name, value in shares.items() if value is not None},
-            tags={"case": study.case.name, "case_sha256": study.case.digest},
-            artifacts=[file],
-            started_s=started_s,
-            wall_s=wall_s,
-            note=study.case.note,
-            record={"recipe": recipe, "environment": dict(made_with), "numbers": summary},
+        _run(
+            study,
+            kind,
+            digest,
+            name=f"{stored.name} {kind}",
+            started_s=stored.started_s,
+            wall_s=stored.wall_s,
+            artifacts=[stored.files.numbers, stored.files.arrays],
+            record={"recipe": stored.numbers["recipe"], "environment": stored.numbers["environment"]},
+            **more,
         ),
     )
 
 
-def log_report(
-    paths: ProjectPaths,
-    label: str,
-    digest: str,
-    *,
-    case: Mapping[str, str],
-    note: str,
-    index: Path,
-    started_s: float,
-    wall_s: float,
-) -> None:
-    """Tell of a finished report, with all its pictures.
+def log_run(work: Work, **more: Any) -> None:
+    """Log the run of a stage, called as the stage, at its end.
 
     Args:
-        paths: the project.
-        label: label of the study.
-        digest: digest of the stage's inputs.
-        case: name and digest of the case, as tags.
-        note: the case's note.
-        index: the report's page.
-        started_s: start of the stage. [s since 1970, UTC]
-        wall_s: its duration. [s]
+        work: the stage's work.
+        more: what else a `StageRun` takes.
     """
-    log_stage(
-        paths,
-        StageRun(
-            label=label,
-            kind="report",
-            name="report",
-            key=digest,
-            tags=case,
-            figures=sorted(index.parent.glob("*.png")),
-            artifacts=[index],
-            started_s=started_s,
-            wall_s=wall_s,
-            note=note,
-        ),
-    )
+    study, more = work.stage.study, {**more, "started_s": work.started_s, "wall_s": work.wall_s}
+    log_stage(study.paths, _run(study, work.stage.name, work.stage.digest, name=work.stage.name, **more))
+
+
+def _run(
+    study: Study, kind: str, digest: str, *, name: str, tags: dict[str, Any] | None = None, **more: Any
+) -> StageRun:
+    about = {"case": study.case.name, "case_sha256": study.case.digest, **(tags or {})}
+    return StageRun(study.label, kind, name, digest, tags=about, note=study.case.note, **more)

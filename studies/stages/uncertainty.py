@@ -4,42 +4,31 @@ Every simulated row is stored as it comes, and the rows follow from the calibrat
 and the list of stored rows that was written when the stage first began: interrupted, it goes on.
 """
 
-import time
+import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from simulation.arrays import FloatArray
-from studies.calibration.prior import Prior
+from simulation.errors import InputError
 from studies.calibration.problem import CalibrationProblem
-from studies.physical_model import (
-    failed_numbers,
-    open_physical_model,
-    open_watched_model,
-    say_reused,
-)
-from studies.recipe import recipe_of
+from studies.physical_model import failed_numbers, open_physical_model, open_watched_model, say_reused
 from studies.report.uncertainty import FITS_BETTER
-from studies.report.wording import count
-from studies.stages.adaptive_known import known_arrays
-from studies.stages.calibrate import write_arrays
+from studies.report.wording import count, listed
 from studies.stages.guided import guide_of
-from studies.stages.knowledge import prior_inputs, sensor_inputs
-from studies.stages.known_rows import ChooseRows, KnownRows, judge_known
-from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of, run_stage, write_json
-from studies.stages.restriction import (
-    Restriction,
-    free_space,
-    held_numbers,
-    parts_of,
-    recipe_part,
-    restriction_of,
+from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
+from studies.stages.known_rows import KnownRows
+from studies.stages.pipeline import Outcome, Stage, StageError, Study
+from studies.stages.results import (
+    ADAPTIVE,
+    Arrays,
+    Numbers,
+    ResultFiles,
+    StoredResult,
+    keep_result,
+    stored_calibrations,
 )
-from studies.stages.results import StoredCalibration, most_relevant, n_free_of
-from studies.stages.uncertainty_results import StoredPosterior, log_posterior, posterior_files
-from studies.tracking.origin import environment
+from studies.stages.tracking import log_posterior
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
@@ -72,8 +61,42 @@ class UncertaintySettings:
     max_calls: int
 
 
+def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] | None) -> StoredResult:
+    """Return the calibration that was asked for: the adaptive one, else the best of the paper's.
+
+    Args:
+        study: The study.
+        method: "paper" or "adaptive", None for either.
+        sizes: Training-set sizes that were named, at most one; None for any.
+
+    Raises:
+        InputError: There is none.
+    """
+    if sizes and (method == ADAPTIVE or len(sizes) > 1):
+        raise InputError("--n-train names one calibration of --method paper; give one size, or leave it away")
+    every = list(stored_calibrations(study))
+    fitting = [
+        one
+        for one in every
+        if math.isfinite(one.mse)
+        and (not sizes or one.numbers["n_train"] == sizes[0])
+        and (method is None or one.is_adaptive == (method == ADAPTIVE))
+    ]
+    if fitting:
+        return min(fitting, key=lambda one: (not one.is_adaptive, one.mse))
+    asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
+    how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
+    is_other = not every and any(study.results.glob("calibration-*.json"))
+    other = " (what is stored is of another window, measurement, scale or prior)" if is_other else ""
+    there = f", there is {listed(one.name for one in every)}" if every else ""
+    raise InputError(
+        f"{study.label} has no calibration of {asked}{other}{there}; type: studies calibrate "
+        f"{study.command}{how}"
+    )
+
+
 def uncertainty_stage(
-    study: Study, calibration: StoredCalibration, settings: UncertaintySettings, *, again: bool = False
+    study: Study, calibration: StoredResult, settings: UncertaintySettings, *, again: bool = False
 ) -> Outcome:
     """Say how sure a stored calibration is.
 
@@ -83,130 +106,61 @@ def uncertainty_stage(
         settings: What is asked for.
         again: Do it though it is finished.
     """
-    case, restriction = study.case, restriction_of(calibration.numbers)
-    space = free_space(case, restriction)
-    sampling = sampling_within(settings.max_calls, space.n_parameters)
-    asked = {
-        "case": case.digest,
-        "measurement": case.measurement.digest,
-        "is_log": space.is_log.tolist(),
+    case, name = study.case, calibration.name
+    inputs = {
+        **case_inputs(case),
         "theta": calibration.numbers["theta"],
         "settings": asdict(settings),
-        "sampling": asdict(sampling),
+        "sampling": asdict(sampling_within(settings.max_calls, case.parameter_space.n_parameters)),
         "step": STEP,
         "seed": study.profile.seed,
-        **prior_inputs(case, space),
         **(sensor_inputs(case) if settings.noise == "sensor" else {}),
         **({"state_equations": True} if calibration.learnt_equations else {}),
-        **({} if restriction is None else {"held": dict(restriction.fixed)}),
     }
-    # Bands of earlier versions took an output's weight and sampling for its noise.
-    shares = case.measurement.scales * case.measurement.uncertainty / case.measurement.uncertainty[0]
-    inputs = asked | ({} if np.allclose(shares, 1.0) else {"bands": "by sensor"})
-    files = posterior_files(study, calibration.name)
-    stage = f"uncertainty-{calibration.name}"
+    files = ResultFiles.of(study, "posterior", name)
 
-    def work() -> tuple[Summary, list[Path]]:
-        started_s = time.time()
-        known = KnownRows(files.rows, digest_of(asked))
-        numbers, arrays, n_simulated = judge_calibration_point(
-            study,
-            calibration.name,
-            calibration.point[0],
-            settings,
-            known,
-            restriction,
-            state_equations=calibration.learnt_equations,
-        )
-        summary = {**numbers, "file": study.paths.recorded(files.numbers), "n_simulated": n_simulated}
-        recipe = recipe_of(
-            study,
-            "uncertainty",
-            command=_command(study, calibration, settings),
-            settings=asdict(settings),
-            calibration={
-                "name": calibration.name,
-                "theta": calibration.numbers["theta"],
-                **({"state_equations": True} if calibration.learnt_equations else {}),
-            },
-            **recipe_part(restriction),
-        )
-        numbers |= {"recipe": recipe, "environment": environment()}
-        write_arrays(files.arrays, arrays)
-        write_json(files.numbers, numbers)
-        wall_s = time.time() - started_s
-        log_posterior(
-            study,
-            StoredPosterior(files, numbers, arrays),
-            digest_of(inputs),
-            started_s=started_s,
-            wall_s=wall_s,
-        )
-        return summary, [files.numbers, files.arrays, files.rows]
-
-    return run_stage(
-        study,
-        stage,
-        what=f"differences and a posterior sample, {count(settings.max_calls, 'simulation')} at most",
-        inputs=inputs,
-        work=work,
-        reuse_note=lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets",
-        again=again,
+    what = f"differences and a posterior sample, {count(settings.max_calls, 'simulation')} at most"
+    stage = Stage(study, f"uncertainty-{name}", what, inputs)
+    before = stage.finished(
+        lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets", again=again
     )
+    if before is not None:
+        return before
+    with stage.work() as work:
+        known_rows = KnownRows(files.rows, stage.digest)
+        numbers, arrays, n_simulated = _judge(study, calibration, settings, known_rows)
+        return keep_result(
+            work,
+            files,
+            numbers,
+            arrays,
+            this_time={"n_simulated": n_simulated},
+            recipe={"kind": "uncertainty", "settings": asdict(settings), "calibration": name},
+            log=log_posterior,
+            more_files=[files.rows],
+        )
 
 
-def _command(study: Study, calibration: StoredCalibration, settings: UncertaintySettings) -> str:
-    """Return the command line that judges this calibration so."""
-    n_train, n_free = calibration.numbers["n_train"], n_free_of(calibration.numbers)
-    of = "--method adaptive" if calibration.is_adaptive else f"--n-train {n_train}"
-    return (
-        f"studies uncertainty {study.command} {of}{most_relevant(n_free)} --noise {settings.noise} "
-        f"--max-calls {settings.max_calls}"
-    )
-
-
-def judge_calibration_point(
-    study: Study,
-    name: str,
-    theta: FloatArray,
-    settings: UncertaintySettings,
-    known_rows: ChooseRows,
-    restriction: Restriction | None = None,
-    *,
-    state_equations: bool = False,
-) -> tuple[dict[str, Any], dict[str, Any], int]:
-    """Say how sure a calibrated point is, and keep nothing but the simulations.
-
-    Args:
-        study: The study.
-        name: What the calibration is called.
-        theta: The point. Shape (p,). [per parameter]
-        settings: What is asked for.
-        known_rows: Rows that are known beforehand.
-        restriction: Which parameters are held at what and are not judged; None for none.
-        state_equations: Whether the calibration learnt state equations, which can be learnt again.
-
-    Returns:
-        The numbers, the arrays and how many rows were not stored before.
-    """
-    case = study.case
-    opened = open_watched_model(study) if state_equations else open_physical_model(study)
+def _judge(
+    study: Study, calibration: StoredResult, settings: UncertaintySettings, known_rows: KnownRows
+) -> tuple[Numbers, Arrays, int]:
+    """Say how sure a calibrated point is, and keep nothing but the simulations."""
+    case, theta, prior = study.case, calibration.arrays["theta"], prior_of(study.case)
+    measurement, n_parameters = case.measurement, case.parameter_space.n_parameters
+    opened = open_watched_model(study) if calibration.learnt_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
-        model = parts_of(physical, restriction)
-        n_parameters, theta = model.parameter_space.n_parameters, model.reduced(theta)
-        prior = Prior.of(model.parameter_space, case.measurement)
-        problem = CalibrationProblem(model, case.measurement, prior)
-        y = model.simulate(theta[None]).y[0]
-        noise = noise_of(settings.noise, case.measurement, y, n_parameters)
+        problem = CalibrationProblem(physical, measurement, prior)
+        y = physical.simulate(theta[None]).y[0]
+        noise = noise_of(settings.noise, measurement, y, n_parameters)
         posterior = Posterior(noise, prior)
-        rows = known_rows(physical, model, problem, lambda found: posterior.at(found.u, found.mse))
-        known = judge_known(problem, physical, model, rows)
-        guide = guide_of(physical, model, problem)
+        rows = known_rows(physical, problem, lambda found: posterior.at(found.u, found.mse))
+        known = rows.judged(physical, problem)
+        guide = guide_of(physical, problem)
         if guide is not None and known.n:
             guide.note(known)
-        if known.n and known.mse.min() < FITS_BETTER * float(case.measurement.mse(y[None])[0]):
+        if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):
             # What a calibration that ended early has left over is not noise.
-            noise = noise_of(settings.noise, case.measurement, known.y[np.argmin(known.mse)], n_parameters)
+            noise = noise_of(settings.noise, measurement, known.y[np.argmin(known.mse)], n_parameters)
         stand_in = None if guide is None else guide.model
         sampling = sampling_within(settings.max_calls, n_parameters)
         if stand_in is not None:
@@ -226,40 +180,28 @@ def judge_calibration_point(
         raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
     # The point is asked first, to know the noise, and then among the known rows once more.
     n_repeated = int(np.all(rows.theta == theta, axis=1).sum())
-    say_reused(study, f"uncertainty-{name}", physical, n_repeated=n_repeated)
-    numbers, arrays = _told(study, name, settings, problem, found)
+    say_reused(study, f"uncertainty-{calibration.name}", physical, n_repeated=n_repeated)
+    numbers, arrays = _results(study, problem, found)
+    numbers |= {"calibration": calibration.name, "settings": asdict(settings), **failed_numbers(physical)}
     numbers["ledger"] |= {"n_known": known.n}
-    numbers |= failed_numbers(physical) | held_numbers(case, restriction)
-    return numbers, arrays | known_arrays(rows, state_equations=state_equations), physical.n_simulated
+    return numbers, arrays | rows.arrays, physical.n_simulated
 
 
-def _told(
-    study: Study,
-    name: str,
-    settings: UncertaintySettings,
-    problem: CalibrationProblem,
-    assessed: Assessment,
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the results as numbers and arrays, of the free parameters alone."""
-    case, found, local, noise = study.case, assessed.sample, assessed.local, assessed.noise
-    space, measurement, u = problem.space, case.measurement, assessed.sample.particles.u
+def _results(study: Study, problem: CalibrationProblem, assessed: Assessment) -> tuple[Numbers, Arrays]:
+    """Return the results as numbers and arrays."""
+    found, local, noise = assessed.sample, assessed.local, assessed.noise
+    space, measurement, u = problem.space, problem.measurement, assessed.sample.particles.u
     linear = space.from_unit(assessed.linear)
     ends, known = space.from_unit(assessed.interval), knowledge(space, u, problem.prior)
     good = np.isfinite(found.drawn.mse)
     bands = bands_of(found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL)
-    n = len(found.weights)
+    n, sensor = len(found.weights), float(measurement.uncertainty[0])
     numbers = {
-        "label": study.label,
-        "note": case.note,
-        "case_sha256": case.digest,
-        "measurement_sha256": measurement.digest,
-        "calibration": name,
         "mse": float(assessed.point.mse[0]),
-        "settings": asdict(settings),
         "seed": study.profile.seed,
         "level": LEVEL,
-        "noise": noise.to_dict(),
-        "sensor": sensor if np.isfinite(sensor := float(measurement.uncertainty[0])) else None,
+        "noise": asdict(noise),
+        "sensor": sensor if np.isfinite(sensor) else None,
         "has_prior": problem.prior is not None,
         "parameters": {
             parameter: {
@@ -296,7 +238,7 @@ def _told(
             "n_taught": found.n_taught,
             "n_sample": n,
             "total": assessed.n_calls,
-            **({"by_equations": True} if assessed.by_equations else {}),
+            "by_equations": assessed.by_equations,
         },
     }
     arrays = {

@@ -19,12 +19,10 @@ class Bands:
     """Lower and upper ends over time.
 
     Attributes:
-        level: Share that lies within. [1]
         simulated: Of the simulated outputs: what the parameters leave open. Shape (2, t, k). [per output]
         predictive: Of a measurement: the same with noise. Shape (2, t, k). [per output]
     """
 
-    level: float
     simulated: FloatArray
     predictive: FloatArray
 
@@ -42,7 +40,7 @@ def bands_of(y: FloatArray, weights: FloatArray, noise: FloatArray, level: float
     n, t, k = y.shape
     simulated = quantiles(y.reshape(n, t * k), weights, shares).reshape(2, t, k)
     ends = [_noisy_quantile(y, weights, noise, share) for share in shares]
-    return Bands(level, simulated, np.stack(ends))
+    return Bands(simulated, np.stack(ends))
 
 
 def noise_of_outputs(noise: Noise, measurement: Measurement) -> FloatArray:

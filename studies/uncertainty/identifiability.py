@@ -64,12 +64,7 @@ class Pair:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the pair as JSON values."""
-        return {
-            "first": self.first,
-            "second": self.second,
-            "strength": self.strength,
-            "in_words": self.in_words,
-        }
+        return {**vars(self), "in_words": self.in_words}
 
 
 @dataclass(frozen=True)

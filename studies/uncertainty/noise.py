@@ -16,7 +16,7 @@ doi:10.1093/biomet/58.3.545); put back, both give n and s.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -67,15 +67,6 @@ class Noise:
         """
         value: FloatArray = -0.5 * self.n_independent / self.deviation**2 * mse
         return value
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {
-            "kind": self.kind,
-            "deviation": self.deviation,
-            "n_samples": self.n_samples,
-            "n_independent": self.n_independent,
-        }
 
 
 def noise_of(kind: NoiseKind, measurement: Measurement, y: FloatArray, n_parameters: int) -> Noise:

@@ -85,7 +85,6 @@ class PosteriorSample:
         particles: On the last surrogate, which knows every simulated row, or on the stand-in.
         n_calls: Rows asked of the model.
         n_taught: Those of them that are not in the sample: they taught the surrogate.
-        n_known: Rows known before.
         best_u: The most probable row of all, asked or known before. Shape (p,). [1]
         best_mse: Its error. [first output's unit squared]
     """
@@ -96,7 +95,6 @@ class PosteriorSample:
     particles: Particles
     n_calls: int
     n_taught: int
-    n_known: int
     best_u: FloatArray
     best_mse: float
 
@@ -174,7 +172,6 @@ class PosteriorSampler:
             particles=last,
             n_calls=self.n_calls,
             n_taught=self.n_calls - drawn.n,
-            n_known=self._n_known,
             best_u=self._u[best],
             best_mse=float(self._mse[best]),
         )

@@ -5,8 +5,6 @@ ends. The real model simulates the members of the sample, and each counts as muc
 the stand-in's. Where the two are not the same density, there is no such sample.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -38,18 +36,6 @@ N_LOOKS, N_RANDOM, N_ROWS = 400, 20, 5
 """Random points, and how many of them and of the known rows, the best ones, are walked downhill."""
 
 
-class StandInSample(NamedTuple):
-    """What became of a sample that was drawn with a stand-in.
-
-    Attributes:
-        sample: The sample, None where the real model disagrees.
-        asked: Rows that the real model was asked.
-    """
-
-    sample: PosteriorSample | None
-    asked: Evaluation
-
-
 def particles_for(n_operations: float) -> int:
     """Return how many particles a stand-in's density is sampled with.
 
@@ -70,7 +56,7 @@ def sample_with(
     seed: int,
     on_share: OnShare | None = None,
     on_calls: OnCalls | None = None,
-) -> StandInSample:
+) -> tuple[PosteriorSample | None, Evaluation]:
     """Sample a posterior by a stand-in, and have the model simulate the sample.
 
     Args:
@@ -82,6 +68,9 @@ def sample_with(
         seed: Seed of all draws.
         on_share: Called with how far the stand-in's density is sampled.
         on_calls: Called with how many rows were asked of the physical model so far.
+
+    Returns:
+        The sample, None where the real model disagrees, and the rows that it was asked.
     """
     rng = np.random.default_rng(seed)
 
@@ -108,7 +97,7 @@ def sample_with(
             on_calls(len(ratios))
         is_left = settings.max_calls - len(ratios) >= settings.n_batch
         if is_left and not (_differ(ratios) <= SAME_DENSITY and agrees(ratios, settings.n_batch)):
-            return StandInSample(None, joined(parts))
+            return None, joined(parts)
     drawn = joined(parts)
     every = joined([known, drawn])
     best = int(np.argmax(posterior.at(every.u, every.mse)))
@@ -119,11 +108,10 @@ def sample_with(
         particles=particles,
         n_calls=len(ratios),
         n_taught=0,
-        n_known=known.n,
         best_u=every.u[best],
         best_mse=float(every.mse[best]),
     )
-    return StandInSample(sample, drawn)
+    return sample, drawn
 
 
 def _valleys(

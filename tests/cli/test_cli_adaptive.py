@@ -15,7 +15,6 @@ import pytest
 from project_for_tests import REPOSITORY, Run, copy_of, make_project, stored_simulations
 
 from studies.cli import main
-from studies.report import ReportData, build
 
 BEST_KNOWN = 0.01052
 RECORDED = REPOSITORY / "data" / "office"
@@ -74,7 +73,8 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     assert answer.document["calls_to_target"]["0.0123"] <= calls["n_adaptive"] <= 8
     again = studies(*ADAPTIVE, "--window", "0-10", "--json").stage
     assert again["finished_before"]
-    told = studies(*ADAPTIVE, "--window", "0-10", "--again")
+    told_by = (*ADAPTIVE, "--window", "0-10")
+    told = studies(*told_by, "--again")
     assert f"{calls['n_adaptive']} of {calls['n_adaptive']} simulations reused" in told.err
     assert f"after {calls['n_adaptive']} model calls" in told.out
     assert f"it ended because {stage['stop_reason']}" in told.out
@@ -91,41 +91,11 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
         file.name for file in folder.iterdir()
     }
     assert folder.name == "office-quick"  # the window is the case's own
-    assert "studies calibrate office --max-calls 100" in (folder / "index.html").read_text(encoding="utf-8")
+    assert f"studies {' '.join(told_by)}" in (folder / "index.html").read_text(encoding="utf-8")
 
 
-def test_a_page_that_mlflow_could_not_be_told_of_is_drawn_once(
-    undisturbed: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    project = copy_of(undisturbed, tmp_path / "project", monkeypatch)
-    drawn: list[Path] = []
-
-    def counted(data: ReportData, folder: Path, **options: Any) -> Path:
-        drawn.append(folder)
-        return build(data, folder, **options)
-
-    monkeypatch.setattr("studies.stages.report.build", counted)
-    database = project / "mlruns" / "mlflow.db"
-    whole = database.read_bytes()
-    database.write_bytes(b"no database" * 100)
-    for changed, n_drawn in (("", 1), ("", 1), ("convergence-adaptive.png", 2)):
-        if changed:
-            (drawn[0] / changed).unlink()
-        answer = studies("report")
-        assert answer.code == 2
-        assert "mlruns/reports/office-quick/index.html is written; now into MLflow" in answer.err
-        assert "MLflow cannot open" in answer.err
-        assert len(drawn) == n_drawn
-    database.write_bytes(whole)
-    assert studies("report").code == 0
-    assert len(drawn) == 2
-    assert not (drawn[0] / "drawn.json").exists()
-    assert "finished before" in studies("report").err
-
-
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "sigkill"])
-def test_interrupted_at_any_call_it_goes_on_and_simulates_nothing_twice(
-    project: Path, studies: Run, undisturbed: Path, how: signal.Signals
+def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
+    project: Path, studies: Run, undisturbed: Path
 ) -> None:
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
     with (project / "stderr.txt").open("w") as stderr:
@@ -138,7 +108,7 @@ def test_interrupted_at_any_call_it_goes_on_and_simulates_nothing_twice(
             assert process.poll() is None, (project / "stderr.txt").read_text()
             assert time.monotonic() < deadline
             time.sleep(0.002)
-        os.killpg(process.pid, how)
+        os.killpg(process.pid, signal.SIGKILL)
         process.wait(LIMIT_S)
     n_before = n_stored(project)
     assert 1 < n_before < N_SHORT
@@ -157,20 +127,6 @@ def test_it_stops_at_its_target_and_asks_rows_side_by_side(project: Path, studie
     stage = studies(*arguments, "--json").stage
     assert stage["mse"] <= 0.1
     assert stage["n_rounds"] == stage["ledger"]["n_adaptive"] / 4
-
-
-def test_it_says_how_it_does_on_days_that_it_did_not_see(project: Path, studies: Run) -> None:
-    case = project / "fmus" / "office" / "case.toml"
-    text = case.read_text().replace("start_d = 0 ", "validation_d = [10, 14]\nstart_d = 0 ")
-    case.write_text(text.replace("uncertainty = 0.5", "uncertainty = 0.02"))
-    answer = studies(*ADAPTIVE, "--max-calls", "15")
-    assert answer.code == 0, answer.err
-    assert "validation on days 10 to 14" in answer.out
-    assert "more than 2 times the sensor's uncertainty" in answer.out
-    points = results_of(project)["validation"]["points"]
-    assert list(points) == ["estimate", "calibrated"]
-    assert studies("report").code == 0
-    assert (project / "mlruns" / "reports" / "office-quick" / "validation-adaptive.png").is_file()
 
 
 @pytest.mark.parametrize(

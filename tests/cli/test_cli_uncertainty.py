@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,10 @@ from studies.paths import ProjectPaths
 from studies.report.figures_uncertainty import interval_figure
 from studies.report.tables_of_calibrations import intervals_table
 from studies.report.uncertainty import sentences, uncertainty_record
-from studies.stages.restriction import held_numbers, restriction_of
 from studies.stages.results import read_arrays
 from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
-FEW = ("--most-relevant", "3")
-JUDGE_FEW = ("uncertainty", "wall", "--max-calls", "22", "--jobs", "1", *FEW)
 N_DIFFERENCES = 14
 N_CALIBRATION = 24
 LIMIT_S = 120.0
@@ -60,20 +56,8 @@ def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return copy_of(template, tmp_path / "project", monkeypatch)
 
 
-@pytest.fixture(scope="module")
-def held(undisturbed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same with a calibration of the three most relevant parameters, and that one judged."""
-    root = shutil.copytree(undisturbed, tmp_path_factory.mktemp("held") / "project")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
-        calibrate = ("calibrate", "wall", "--jobs", "1", "-q", "--no-state-equations")
-        assert main([*calibrate, "--max-calls", "48", *FEW]) == 0
-        assert main([*JUDGE_FEW, "-q"]) == 0
-    return root
-
-
-def results_of(project: Path, name: str = "adaptive") -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "wall-quick" / f"posterior-{name}.json"
+def results_of(project: Path) -> dict[str, Any]:
+    file = project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json"
     content = json.loads(file.read_text(encoding="utf-8"))
     assert isinstance(content, dict)
     return content
@@ -95,19 +79,25 @@ def test_it_says_how_sure_the_calibration_is(
     for one in stage["parameters"].values():
         low, high = one["interval"]
         assert low < one["median"] < high
-    # More among the inputs would make every stored uncertainty an unfinished one.
-    manifest = project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json"
-    inputs = json.loads(manifest.read_text(encoding="utf-8"))["inputs"]
-    assert inputs.keys() == {
-        "case", "measurement", "is_log", "theta", "settings", "sampling", "step", "seed", "bands",
-    }  # fmt: skip
-    assert "restriction" not in stage
     assert stage["parameters"]["T2Start"]["known"] == "determined"
     calls = stage["ledger"]
     assert calls["n_differences"] == N_DIFFERENCES
     assert calls["total"] == N_DIFFERENCES + calls["n_taught"] + calls["n_sample"] <= 34
     assert stage["n_simulated"] == calls["total"] == n_stored(project) - n_before
     assert stage["sample"]["n_effective"] <= stage["sample"]["n"] == calls["n_sample"]
+
+    page = studies("report", "wall", "--json")
+    assert page.code == 0, page.err
+    folder = (project / page.document["stages"][0]["index"]).parent
+    drawn = {"bands-adaptive.png", "intervals-adaptive.png", "uncertainty-adaptive.csv"}
+    assert drawn <= {file.name for file in folder.iterdir()}
+    table = (folder / "uncertainty-adaptive.csv").read_text(encoding="utf-8").splitlines()
+    assert [line.partition(",")[0] for line in table[1:]] == list(stage["parameters"])
+    client = connect(ProjectPaths(project).tracking_uri)
+    experiment = client.get_experiment_by_name("wall-quick")
+    assert experiment is not None
+    (run,) = client.search_runs([experiment.experiment_id], "tags.role = 'uncertainty'")
+    assert (run.info.status, run.info.run_name) == ("FINISHED", "adaptive uncertainty")
 
     before = results_of(project)
     again = studies(*JUDGE, "--again")
@@ -128,28 +118,6 @@ def test_what_a_calibration_that_ended_early_left_over_is_no_noise(project: Path
     # The store holds a better row, from the calibration before.
     assert stage["sample"]["best_mse"] < 0.5 * stage["mse"]
     assert stage["noise"]["deviation"] ** 2 < 0.5 * stage["mse"]
-
-
-def test_an_error_beyond_the_sensors_is_not_told_as_noise(undisturbed: Path) -> None:
-    numbers = results_of(undisturbed)
-    arrays = read_arrays(undisturbed / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.npz")
-    said = sentences(uncertainty_record(numbers, arrays), ("degC", "W"))
-    assert "failed fit" not in said[0]
-    numbers["sensor"] = 0.1 * np.sqrt(numbers["sample"]["best_mse"])
-    said = sentences(uncertainty_record(numbers, arrays), ("degC", "W"))
-    assert "The best fit is off by 10.0 times the sensor's uncertainty: rather a failed fit" in said[0]
-
-
-def test_priors_that_a_calibration_weighed_otherwise_are_told(undisturbed: Path) -> None:
-    numbers = results_of(undisturbed)
-    arrays = read_arrays(undisturbed / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.npz")
-    numbers["sample"]["is_trusted"] = True
-    numbers["parameters"]["G12"]["calibrated"] = 2.0 * numbers["parameters"]["G12"]["interval"][1]
-    told = "The calibrated G12 may lie outside: a calibration weighs priors by the sensor's uncertainty"
-    for has_prior in (False, True):
-        numbers["has_prior"] = has_prior
-        said = sentences(uncertainty_record(numbers, arrays), ("degC", "W"))
-        assert any(one.startswith(told) for one in said) is has_prior
 
 
 @pytest.mark.parametrize("is_trusted", [True, False])
@@ -206,20 +174,14 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
         (("--max-calls", "20"), "does not hold 14 differences (7 parameters) and a sample of 16; give 30"),
         (
             ("--method", "paper"),
-            "has no calibration of --method paper; type: studies calibrate wall --method paper",
+            "there is adaptive; type: studies calibrate wall --method paper",
         ),
         (
             ("--n-train", "64"),
-            "has no calibration of n_train = 64; type: studies calibrate wall --n-train 64",
+            "there is adaptive; type: studies calibrate wall --n-train 64",
         ),
         (("--method", "adaptive", "--n-train", "64"), "--n-train names one calibration of --method paper"),
         (("--noise", "pink"), "invalid choice: 'pink'"),
-        (("--most-relevant", "7"), "--most-relevant 7 fixes nothing, wall has 7 parameters; give at most 6"),
-        (
-            ("--most-relevant", "5"),
-            "has no calibration of any kind with --most-relevant 5; type: studies calibrate wall "
-            "--most-relevant 5",
-        ),
     ],
 )
 def test_what_cannot_be_done_is_one_line(
@@ -236,102 +198,3 @@ def test_without_a_calibration_it_says_what_to_type(project: Path, studies: Run)
     answer = studies("uncertainty", "office")
     assert answer.code == 2
     assert "no calibration of any kind; type: studies calibrate office" in answer.err
-
-
-def test_a_restricted_calibration_is_judged_given_what_it_fixed(
-    held: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    project = copy_of(held, tmp_path / "project", monkeypatch)
-    stage = studies(*JUDGE_FEW, "--json").stage
-    assert stage["finished_before"]
-    results = project / "mlruns" / "results" / "wall-quick"
-    calibration = json.loads((results / "calibration-adaptive-relevant3.json").read_text(encoding="utf-8"))
-    fixed = calibration["restriction"]["fixed"]
-    assert set(stage["parameters"]) == set(calibration["theta"]) - set(fixed)
-    assert stage["ledger"]["n_differences"] == 6
-    # Rows with other values of what is fixed answer another problem: the adaptive search's own remain.
-    assert 0 < stage["ledger"]["n_known"] <= calibration["ledger"]["n_adaptive"]
-    told = stage["restriction"]
-    assert (told["n_free"], told["fixed"]) == (3, fixed)
-    assert told["in_words"].startswith("All this holds only if what was fixed is right: G23 = 10 W/K (its ")
-    assert all(f"{name} = " in told["in_words"] for name in fixed)
-    # As MLflow remembers it, names come in another order.
-    remembered = restriction_of(json.loads(json.dumps(calibration, sort_keys=True)))
-    assert held_numbers(load_case(project / "fmus" / "wall"), remembered) == {"restriction": told}
-    manifest = results / "uncertainty-adaptive-relevant3.json"
-    inputs = json.loads(manifest.read_text(encoding="utf-8"))["inputs"]
-    assert (inputs["held"], len(inputs["is_log"])) == (fixed, 3)
-    numbers = results_of(project, "adaptive-relevant3")
-    assert numbers["recipe"]["command"] == (
-        "studies uncertainty wall --method adaptive --most-relevant 3 --noise correlated --max-calls 22"
-    )
-    with np.load(results / "posterior-adaptive-relevant3.npz") as arrays:
-        assert arrays["sample_theta"].shape[1] == arrays["known_theta"].shape[1] == 3
-
-    shown = re.sub(r"\s+", " ", studies(*JUDGE_FEW).out)
-    assert "90 % intervals of the adaptive-relevant3 calibration (4 parameters fixed)" in shown
-    assert told["in_words"] in shown
-
-
-def test_page_and_mlflow_tell_of_both_posteriors(
-    held: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    project = copy_of(held, tmp_path / "project", monkeypatch)
-    page = studies("report", "wall", "--json")
-    assert page.code == 0, page.err
-    folder = (project / page.document["stages"][0]["index"]).parent
-    html = (folder / "index.html").read_text(encoding="utf-8")
-    for name in ("adaptive", "adaptive-relevant3"):
-        drawn = {f"bands-{name}.png", f"intervals-{name}.png", f"uncertainty-{name}.csv"}
-        assert drawn <= {file.name for file in folder.iterdir()}
-        assert f"How sure the {name} calibration is" in html
-        parameters = results_of(project, name)["parameters"]
-        table = (folder / f"uncertainty-{name}.csv").read_text(encoding="utf-8").splitlines()
-        assert [line.partition(",")[0] for line in table[1:]] == list(parameters)
-    assert "The data determine " in html
-    assert escape(results_of(project, "adaptive-relevant3")["restriction"]["in_words"]) in html
-    assert "What the fixing cost: the MSE is " in html
-
-    client = connect(ProjectPaths(project).tracking_uri)
-    experiment = client.get_experiment_by_name("wall-quick")
-    assert experiment is not None
-    runs = client.search_runs([experiment.experiment_id], "tags.role = 'uncertainty'")
-    assert {run.info.status for run in runs} == {"FINISHED"}
-    assert sorted(run.info.run_name for run in runs) == [
-        "adaptive uncertainty", "adaptive-relevant3 uncertainty",
-    ]  # fmt: skip
-
-
-def test_a_restricted_calibration_is_not_taken_for_one_of_all_parameters(
-    held: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    project = copy_of(held, tmp_path / "project", monkeypatch)
-    answer = studies("uncertainty", "wall", "--most-relevant", "5")
-    assert answer.code == 2
-    assert answer.err.strip().endswith(
-        "wall-quick has no calibration of any kind with --most-relevant 5; there is adaptive-relevant3; "
-        "type: studies calibrate wall --most-relevant 5"
-    )
-    answer = studies("uncertainty", "wall", "--n-train", "64", *FEW)
-    assert "has no calibration of n_train = 64 with --most-relevant 3; there is adaptive-rel" in answer.err
-    (project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json").unlink()
-    answer = studies(*JUDGE)
-    assert answer.code == 2
-    assert answer.err.strip().endswith(
-        "wall-quick has no calibration of any kind but adaptive-relevant3, which fixed some parameters; "
-        "type: studies uncertainty wall --most-relevant 3, or studies calibrate wall for all parameters"
-    )
-
-
-def test_a_calibration_from_a_surrogate_says_what_judges_it(
-    finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy_of(finished, tmp_path / "project", monkeypatch)
-    (line,) = [
-        line
-        for line in studies("calibrate", "--profile", "tiny.toml", "--method", "paper").out.splitlines()
-        if line.startswith("How sure it is: studies ")
-    ]
-    words = line.removeprefix("How sure it is: studies ").split()
-    assert words == ["uncertainty", "office", "--profile", "tiny.toml", "--n-train", "16"]
-    assert studies(*words, "--max-calls", "45", "--json").stage["calibration"] == "n0016"

@@ -24,18 +24,6 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(project: Path, studies: Run
     assert "move away the file" in answer.document["error"]
 
 
-def test_a_disk_without_locks_is_no_wrong_input(
-    project: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    answer = studies("simulate", "--profile", "smoke", "--json", "--quiet")
-    assert (answer.code, len(answer.err.splitlines())) == (1, 1)
-    assert "this file system has no locks" in answer.document["error"]
-
-
 @pytest.mark.parametrize(
     ("error", "fragments"),
     [
@@ -79,32 +67,18 @@ def test_a_deleted_working_folder_is_one_line(tmp_path: Path) -> None:
     assert "the working folder was deleted" in lines[0]
 
 
-@pytest.mark.parametrize("words", [("check",), ("check", "pä日/case.toml")])
-def test_a_path_that_the_locale_cannot_name_is_one_line(tmp_path: Path, words: tuple[str, ...]) -> None:
-    folder = tmp_path / "pä日"
-    folder.mkdir()
-    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    code, lines = below("true", *words, folder=folder if len(words) == 1 else tmp_path, **locale)
-    assert (code, len(lines)) == (1, 1)
-    assert "set LC_ALL=C.UTF-8" in lines[0]
-
-
-@pytest.mark.parametrize("kilobytes", [200_000, 600_000, 1_000_000])
-def test_too_little_memory_is_one_line(project: Path, kilobytes: int) -> None:
-    code, lines = below(f"ulimit -v {kilobytes}", "check", folder=project)
+def test_too_little_memory_is_one_line(project: Path) -> None:
+    code, lines = below("ulimit -v 600000", "check", folder=project)
     assert (code, len(lines)) == (1, 1)
     assert "ulimit -v" in lines[0]
 
 
-@pytest.mark.parametrize(
-    ("hidden", "said"), [("/proc", "/proc is missing"), ("mlruns", "o space left on device|is full")]
-)
-def test_no_proc_and_no_room_are_one_line(project: Path, hidden: str, said: str) -> None:
+def test_no_room_is_one_line(project: Path) -> None:
     mount = ["unshare", "-m", "sh", "-c", "mount -t tmpfs none /mnt"]
     if shutil.which("unshare") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("this machine allows no mounts")
     (project / "mlruns").mkdir(exist_ok=True)
-    empty = f"mount -t tmpfs -o size=16k none {hidden} && head -c 100k /dev/zero 2> /dev/null > {hidden}/rest"
+    empty = "mount -t tmpfs -o size=16k none mlruns && head -c 100k /dev/zero 2> /dev/null > mlruns/rest"
     command = f'{empty}; exec "$0" -P -m studies simulate --profile smoke -q'
     done = subprocess.run(
         ["unshare", "-m", "sh", "-c", command, sys.executable],
@@ -116,7 +90,7 @@ def test_no_proc_and_no_room_are_one_line(project: Path, hidden: str, said: str)
         timeout=120.0,
     )
     assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
-    assert re.search(said, done.stderr)
+    assert re.search("o space left on device|is full", done.stderr)
 
 
 def test_memory_that_a_limit_denies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,6 @@ from project_for_tests import Run
 from simulation.case_reading import read_case_file
 from simulation.errors import InputError
 from simulation.foreign_text import MOST_QUOTED
-from simulation.recording import read_recording
 from studies.paths import ProjectPaths
 from studies.profile import load_profile
 
@@ -68,15 +67,6 @@ def test_no_text_of_a_case_file_holds_control_signs(project: Path, studies: Run,
         assert f"{key} = " in refusal(studies("check"))
 
 
-@pytest.mark.parametrize("words", [("report",), ("show",), ("calibrate", "--profile")])
-@pytest.mark.parametrize("name", ["../../x", "a\x1b[2J", LONG])
-def test_what_is_typed_is_no_way_out(project: Path, studies: Run, words: tuple[str, ...], name: str) -> None:
-    answer = studies(*words, name)
-    assert answer.code == 2
-    assert len(answer.err.splitlines()) == 1
-    assert "\x1b" not in answer.err
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -98,15 +88,3 @@ def test_messages_about_files_are_short(tmp_path: Path, content: str) -> None:
         with pytest.raises(InputError) as found:
             read(file)
         assert len(str(found.value).replace(f"{file}", "")) < 5 * MOST_QUOTED
-
-
-@pytest.mark.parametrize(
-    "content",
-    [f"time_s,{LONG}\n0,1\n1,2\n", f"time_s,a\n0,{LONG}\n1,2\n", f"{LONG}\n", f"time_s,a\n1,1\n{LONG},2\n"],
-)
-def test_messages_about_recordings_are_short(tmp_path: Path, content: str) -> None:
-    file = tmp_path / "file.csv"
-    file.write_text(content, encoding="utf-8")
-    with pytest.raises(InputError) as found:
-        read_recording(file, ["a"])
-    assert len(str(found.value).replace(f"{file}", "")) < 3 * MOST_QUOTED

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from project_for_tests import REPOSITORY, Run
 
 from simulation.foreign_text import MOST_QUOTED, escaped, quoted
-from studies.console import Column, Console, Facts, Said, Table
+from studies.console import Column, Console, Said, Table
 
 CLEAR = "\x1b[2J\x1b]0;title\x07"
 HOSTILE = f"a{CLEAR}\x9b31m\u202eb\u2066c\r\x00d\x08\x7f\u2028e"
@@ -49,7 +49,6 @@ def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture
     console.show(
         [
             Said(HOSTILE, "bad"),
-            Facts(HOSTILE, [(HOSTILE, f"two\nlines {HOSTILE}")]),
             Table(
                 HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [Said(HOSTILE, "warn"), None]]
             ),
@@ -85,10 +84,7 @@ def test_a_path_with_control_signs_does_not_reach_the_terminal(project: Path, st
 
 PICTURES = (
     "![x](http://e.org/a.png)",
-    "![x][y]",
     '<img src="http://e.org/a.png">',
-    "[![a](b)](c)",
-    "<svg/onload=a>",
 )
 
 

@@ -7,7 +7,6 @@ import pytest
 from project_for_tests import Run, copy_of, make_calibrated_wall
 
 from studies import embedded
-from studies.report.wording import quantity
 
 HASTE = ("--max-calls", "8")
 CALIBRATE = (*HASTE, "--jobs", "1", "-q")
@@ -84,17 +83,3 @@ def test_a_name_that_was_given_away_is_free(
     else:
         first.unlink()
     assert "wall-quick has no calibration" in studies("uncertainty", str(other)).err
-
-
-def test_a_worse_calibration_says_which_better_one_it_replaces(project: Path, studies: Run) -> None:
-    better = studies("calibrate", "wall", "--max-calls", "16", "--parallel", "2", "--jobs", "1", "--json")
-    assert "replaces" not in better.err
-    mse, n_calls = better.stage["mse"], better.stage["ledger"]["total_paper"]
-    worse = studies("calibrate", "wall", *CALIBRATE, "--no-state-equations")
-    assert worse.code == 0
-    said = f"this replaces a better stored result, MSE {quantity(mse, 'K²', 4)} after {n_calls} model calls"
-    assert said in worse.err
-    assert "studies calibrate wall --max-calls 16 --parallel 2\n" in worse.err
-    assert "replaces" not in studies("calibrate", "wall", *CALIBRATE, "--no-state-equations").err
-    back = studies("calibrate", "wall", "--max-calls", "16", "--parallel", "2", "--jobs", "1", "--json")
-    assert (back.stage["mse"], back.stage["n_simulated"]) == (mse, 0)

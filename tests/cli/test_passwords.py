@@ -55,11 +55,6 @@ def test_no_dsn_shows_its_password(
         assert hide_passwords(shown) == shown
 
 
-@given(schemes, users, passwords)
-def test_no_url_without_a_host_shows_its_password(scheme: str, user: str, password: str) -> None:
-    assert MARK not in hide_passwords(f"{scheme}://{user}:{MARK}{password.replace('@', '')}")
-
-
 @given(schemes, users, passwords, hosts, keys)
 def test_no_storage_that_is_refused_shows_its_password(
     scheme: str, user: str, password: str, host: str, key: str

@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 
 from simulation.case import load_case
 from studies.console import Console
-from studies.paths import ProjectPaths, find_case, size_name
+from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile
-from studies.stages.calibrated_values import show_calibrations
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Study, Summary, digest_of, read_json, run_stage, write_json
-from studies.stages.report import command_of
+from studies.stages.pipeline import Outcome, Stage, Study, Summary, digest_of, read_json, write_json
 from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
 
 
@@ -39,42 +37,21 @@ class Worker:
 
     def __init__(self, study: Study, summary: Summary | None = None) -> None:
         self.study, self.n_done = study, 0
-        self.summary = summary or {"n": 7}
+        self.summary, self.is_interrupted = summary or {"n": 7}, False
         self.file = study.results / "result.txt"
 
     def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome:
-        return run_stage(
-            self.study,
-            "work",
-            what="working",
-            inputs=inputs,
-            work=self._work,
-            reuse_note=lambda summary: f"{summary['n']} reused",
-            keep=lambda summary: keep,
-        )
-
-    def _work(self) -> tuple[Summary, list[Path]]:
-        self.n_done += 1
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        self.file.write_text("result")
-        return self.summary, [self.file]
-
-
-def test_a_calibrations_own_record_says_what_makes_it_again(study: Study) -> None:
-    polish = replace(study.profile.polish, max_calls=100)
-    changed = replace(study.profile, polish=polish, tuning=replace(study.profile.tuning, n_trials=8))
-    paper = {"recipe": {"profile": json.loads(json.dumps(changed.to_dict()))}}
-    settings = {"max_calls": 90, "n_parallel": 2, "target_mse": 0.0123456789}
-    adaptive = {"method": "adaptive", "settings": settings, "restriction": {"n_free": 3}}
-    # As studies run and studies report open the study.
-    for opened in (replace(study, profile=changed, own_profile=study.profile), study):
-        assert command_of(opened, paper) == "studies run office --trials 8 --max-calls 100"
-        told = command_of(opened, adaptive | {"state_equations": {}})
-        assert told == (
-            "studies calibrate office --max-calls 90 --parallel 2 --target 0.0123456789 --most-relevant 3"
-        )
-        without = " --no-state-equations --most-relevant 3"
-        assert command_of(opened, adaptive) == told.replace(" --most-relevant 3", without)
+        stage = Stage(self.study, "work", "working", inputs)
+        before = stage.finished(lambda summary: f"{summary['n']} reused")
+        if before is not None:
+            return before
+        with stage.work() as work:
+            self.n_done += 1
+            if self.is_interrupted:
+                raise KeyboardInterrupt
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self.file.write_text("result")
+            return work.keep(self.summary, [self.file], is_finished=keep)
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
@@ -136,14 +113,12 @@ def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
 
 
 def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(study: Study) -> None:
-    def work() -> tuple[Summary, list[Path]]:
-        raise KeyboardInterrupt
-
     worker = Worker(study, {"n": 7, "n_failed": 1})
     worker.run({})
-    patient = replace(study, retry_failed=True)
+    patient = Worker(replace(study, retry_failed=True))
+    patient.is_interrupted = True
     with pytest.raises(KeyboardInterrupt):
-        run_stage(patient, "work", what="", inputs={}, work=work, reuse_note=lambda summary: "")
+        patient.run({})
     worker.run({})
     assert worker.n_done == 2
 
@@ -166,23 +141,14 @@ def test_what_no_digest_holds_is_an_input_where_it_decides(study: Study, old: st
     assert declared_inputs(after) != declared_inputs(before)
 
 
-def test_an_interrupted_stage_leaves_no_manifest(study: Study) -> None:
-    def work() -> tuple[Summary, list[Path]]:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_stage(study, "work", what="", inputs={}, work=work, reuse_note=lambda summary: "")
-    assert not (study.results / "work.json").exists()
-
-
 def test_a_manifest_says_what_made_it(study: Study) -> None:
     Worker(study).run({"a": 1})
     manifest = json.loads((study.results / "work.json").read_text())
     assert manifest["inputs"] == {"a": 1}
     assert manifest["files"] == {"mlruns/results/office-smoke/result.txt": 6}
     assert manifest["seed"] == 0
-    assert {"python", "numpy", "torch"} <= set(manifest["versions"])
-    assert {"host", "wall_s", "finished", "platform"} <= set(manifest)
+    assert {"python", "numpy", "torch", "platform"} <= set(manifest["environment"])
+    assert {"wall_s", "finished"} <= set(manifest)
 
 
 def test_no_seed_trains_on_the_rows_that_judge() -> None:
@@ -208,26 +174,3 @@ def test_json_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         write_json(file, {("a", "b"): 1})  # type: ignore[dict-item]
     assert read_json(file) == {"a": 1}
     assert [found.name for found in file.parent.iterdir()] == ["content.json"]
-
-
-def test_sizes_sort_by_name_as_by_number() -> None:
-    sizes = [32, 64, 128, 1024, 4096]
-    assert sorted(map(size_name, sizes)) == [size_name(n) for n in sizes]
-
-
-def test_errors_of_an_output_that_is_a_small_number_keep_their_digits(
-    study: Study, capsys: pytest.CaptureFixture[str]
-) -> None:
-    summary = {
-        "n_train": 32,
-        "surrogate_errors": {"val/mae": 0.000123, "test/mae": 2.34e-5},
-        "mse_surrogate": 3.456e-6,
-        "mse_screened": None,
-        "screening_gap": -4.567e-7,
-        "mse_polished": 5.678e-8,
-        "ledger": {"n_polish": 35, "total_paper": 68, "total_honest": 708},
-    }
-    show_calibrations(study, [Outcome("calibrate-n0032", "", summary, False, 1.0)], None)
-    row = next(line.split() for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["32"])
-    errors = ["0.000123", "2.34e-05", "3.456e-06", "failed", "-4.567e-07", "35", "5.678e-08"]
-    assert row == ["32", *errors, "68", "708"]

@@ -1,6 +1,5 @@
 """Profiles are budgets checked at the edge; paths find the project and its cases."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,7 @@ from project_for_tests import make_project
 from simulation.errors import InputError
 from studies.commands.values import window
 from studies.paths import ProjectPaths, find_case, find_project
-from studies.profile import changed_words, load_profile, profile_names
+from studies.profile import load_profile, profile_names
 
 
 def test_all_shipped_profiles_are_read_under_their_own_name() -> None:
@@ -19,31 +18,11 @@ def test_all_shipped_profiles_are_read_under_their_own_name() -> None:
         assert load_profile(name).note
 
 
-def test_the_paper_profile_has_the_papers_sizes() -> None:
-    profile = load_profile("paper")
-    assert profile.data.n_train == (32, 64, 128, 256, 512, 1024, 1536, 2048, 4096)
-    assert (profile.data.n_validation, profile.data.n_test) == (320, 320)
-    assert profile.tuning.surrogate == "paper"
-
-
 def test_a_profile_is_read_from_a_path(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 1\n', encoding="utf-8")
     profile = load_profile(str(file))
     assert (profile.name, profile.data.n_train, profile.tuning.n_trials, profile.seed) == ("mine", (8,), 1, 0)
-
-
-def test_options_that_changed_a_profile_are_told() -> None:
-    quick = load_profile("quick")
-    assert changed_words(quick, quick.to_dict()) == ""
-    changed = json.loads(json.dumps(quick.to_dict()))
-    changed["data"]["n_train"] = [64, 128]
-    changed["tuning"] |= {"n_trials": 8, "n_parallel": 4}
-    changed["polish"] = {"max_calls": 100}
-    del changed["screening"]  # as in a recipe of another version
-    tuned = " --n-train 64 128 --trials 8 --parallel 4"
-    assert changed_words(quick, changed) == f"{tuned} --max-calls 100"
-    assert changed_words(quick, changed, ("data", "tuning")) == tuned
 
 
 @pytest.mark.parametrize(
@@ -61,20 +40,6 @@ def test_a_window_keeps_all_its_digits_and_can_be_typed_again(text: str, label: 
     assert (asked.label, str(asked), window(str(asked))) == (label, text, asked)
 
 
-def test_a_profile_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    text = 'name = "mine"\n[data]\nn_train = [8]\n[tuning]\nn_trials = 1\n'
-    file.write_text(text, encoding="utf-8-sig")
-    marked = load_profile(str(file))
-    file.write_text(text, encoding="utf-8")
-    assert marked == load_profile(str(file))
-
-
-def test_a_profile_cannot_be_changed() -> None:
-    with pytest.raises(AttributeError):
-        load_profile("smoke").seed = 3  # type: ignore[misc]
-
-
 def test_the_project_is_found_from_below_and_from_a_named_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,16 +51,6 @@ def test_the_project_is_found_from_below_and_from_a_named_folder(
     assert find_project(None).root == tmp_path
     monkeypatch.setenv("STUDIES_ROOT", str(root))
     assert find_project(None).root == root
-
-
-@pytest.mark.parametrize("password", ["pa/ss", "12/ss"])
-def test_a_password_with_a_slash_is_refused_and_not_shown(password: str) -> None:
-    with pytest.raises(
-        InputError, match=r"storage postgresql://... is no URL.* in a password as %2F"
-    ) as found:
-        find_project(f"postgresql://me:{password}@host/db")
-    assert "pa" not in str(found.value).replace("a password", "")
-    assert "12" not in str(found.value)
 
 
 def test_cases_are_found_by_folder_name_and_by_file_name(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 from simulation.case_file import CaseFile, InputTable, OutputTable, SimulationTable
 from simulation.recording import read_recording
-from studies.cli import COMMANDS, DESCRIPTION, EPILOG, build_parser, command_module
+from studies.cli import COMMANDS, DESCRIPTION, EPILOG, build_parser, help_of
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -82,9 +82,9 @@ def helps() -> dict[str, list[str]]:
         action for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction)
     )
     for name in COMMANDS:
-        words = command_module(name)
+        summary, more = help_of(name)
         options = [str(action.help) for action in commands.choices[name]._actions]
-        found[name] = [words.HELP, *paragraphs_of_help(words.MORE), *options]
+        found[name] = [summary, *paragraphs_of_help(more), *options]
     return found
 
 

@@ -74,9 +74,8 @@ def test_points_are_compared_on_both_periods(case: Case) -> None:
     failed = validation.points["nothing"]
     assert (failed.mse, failed.mse_window, failed.outputs) == (None, None, {})
     assert failed.failure
-    assert validation.y.shape == (2, len(validation.time), 1)
+    assert {y.shape for y in validation.y.values()} == {(len(validation.time), 1)}
     assert validation.time[0] >= 10 * 86400
-    json.dumps(validation.to_dict(), allow_nan=False)
 
 
 def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
@@ -89,7 +88,7 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
         lines[row] = ",".join([cells[0], "", *cells[2:]])
     recording.write_text("\n".join(lines) + "\n")
     give_store(tmp_path)
-    options = ("--profile", "smoke", "--n-train", "32", "--target", "1e3", "--json")
+    options = ("--profile", "smoke", "--n-train", "32", "--json")
     done = subprocess.run(
         [sys.executable, "-m", "studies", "run", *options],
         env=os.environ | {"STUDIES_ROOT": str(tmp_path), "PYTHONPATH": str(REPOSITORY)},
@@ -100,8 +99,6 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert load_case(path).measurement.n_samples == 481 - 48
     document = json.loads(done.stdout)
-    assert document["target"] == 1000.0
-    assert document["calls_to_target"] == {"32": 33}, "the screened point is better than that"
     stages = document["stages"]
     (calibration,) = [stage for stage in stages if stage["stage"] == "calibrate-n0032"]
     points = calibration["validation"]["points"]
