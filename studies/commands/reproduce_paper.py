@@ -60,7 +60,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--seeds", type=values.whole(1, 1000), metavar="N", help="number of seeds of Table 4 at small sizes"
     )
-    command.add_argument("--dry-run", action="store_true", help="show what would be made; write nothing")
     command.add_argument(
         "--from",
         dest="source",
