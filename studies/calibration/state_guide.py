@@ -69,7 +69,7 @@ class StateGuide:
             seen: Tells what they did.
             problem: The problem.
         """
-        self._watched = self._signals = signals
+        self._signals = signals
         self._locals = LocalVariables(signals)
         self._course: Course | None = None
         self._seen = seen

@@ -69,10 +69,10 @@ def test_weather_inside_the_fmu_takes_as_few_calls(project: Path, studies: Run) 
     answer = studies("calibrate", "wall-inside", "--jobs", "1")
     assert answer.code == 0, answer.err
     found = numbers_of(project, "wall-inside")
-    told = found["state_equations"]
+    equations = found["state_equations"]
     assert found["ledger"]["total_paper"] == 5
-    assert told["are_believed"]
-    assert told["hidden_inputs"] == ["TIn", "TOut"]
+    assert equations["are_believed"]
+    assert equations["hidden_inputs"] == ["TIn", "TOut"]
     assert "learnt with TIn and TOut of the FMU as inputs, and 1 call went where" in answer.out
     # 34 calls of the search without equations end at 0.006644.
     assert found["mse"] < 0.00665

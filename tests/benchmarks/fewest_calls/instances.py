@@ -167,7 +167,7 @@ def thermostat(case: Case, p: dict[str, float], rng: np.random.Generator) -> Flo
 
 
 def weather_inside(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
-    """The FMU itself, whose weather nobody can disturb from outside; its sensors lag and drift."""
+    """The FMU itself, as its weather cannot be disturbed from outside; its sensors lag and drift."""
     with FmuModel(case.settings) as model:
         answer = model.simulate(np.array([list(p.values())]))
     if answer.failures[0]:
