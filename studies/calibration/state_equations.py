@@ -88,7 +88,7 @@ class Structure:
         n_declared = len(signals.inputs) - signals.n_hidden
         return (
             f"no sum of states, inputs, products and functions makes up {self.lacking}: the best leaves "
-            f"{self.misfit:.0e} of its squares (declared inputs: {n_declared}; other variables that follow "
+            f"{self.misfit:.2g} of its squares (declared inputs: {n_declared}; other variables that follow "
             f"time alone: {signals.n_hidden})"
         )
 

@@ -89,7 +89,7 @@ def test_where_nothing_can_be_learnt_it_says_so(project: Path, studies: Run) -> 
     answer = studies("calibrate", "thermostat", "--max-calls", "6", "--jobs", "1")
     assert answer.code == 0, answer.err
     assert "State equations of 3 states: not learnt, for no sum of states, inputs" in answer.out
-    assert "makes up der(TAir): the best leaves" in answer.out
+    assert "makes up der(T): the best leaves" in answer.out
     assert not numbers_of(project, "thermostat")["state_equations"]["are_believed"]
 
 
