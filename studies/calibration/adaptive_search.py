@@ -11,6 +11,7 @@ from studies.calibration.confirmation import least_unlikely
 from studies.calibration.elsewhere import EXCLUDED, WANTED, farther_along, least_excluded
 from studies.calibration.ending import (
     N_RESTARTS_DOUBTED,
+    PROMISED,
     Confirmation,
     Ending,
     still_falling,
@@ -401,7 +402,9 @@ class AdaptiveSearch:
             missed = "" if target is None else f"; the target of {target:g} is missed"
             nowhere = f", and nowhere {WANTED:g} times the error" if self._is_too_large else ""
             is_known = target is None or self._is_sure
-            return Ending(f"the state equations expect {little}{nowhere}{missed}", converged=is_known)
+            beyond = f", but {self._guide_errs}" if self._guide_errs else ""
+            reason = f"the state equations expect {little}{nowhere}{missed}{beyond}"
+            return Ending(reason, converged=is_known and not beyond)
         if self._is_too_large and not self._confirmation.is_excluded:
             return too_large(self._confirmation)
         if self._is_too_large:
@@ -413,10 +416,19 @@ class AdaptiveSearch:
         return self._confirmation.ending
 
     @property
+    def _guide_errs(self) -> str:
+        """Says that believed state equations err by more than what makes an answer right, "" else."""
+        if self._guide is None or not self._guide.is_believed or self._guide.error_at_best <= PROMISED:
+            return ""
+        return f"differ from the best simulation by {self._guide.error_at_best:.2g} of its error"
+
+    @property
     def left(self) -> str:
         """What may be left to gain where a search stopped, and what the next round would try."""
         if not np.isfinite(self._recorder.best_mse):
             return ""
+        if self._guide_errs:
+            return f"the state equations {self._guide_errs}; --no-state-equations searches without them"
         if len(self._unasked) or self._objective.size < self._n_known + self._n_design:
             return "the first design is not finished, and the next round would go on with it"
         if self._is_too_large and self._is_tried:

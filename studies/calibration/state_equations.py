@@ -26,13 +26,15 @@ from studies.calibration.state_terms import (
     candidates,
     candidates_with_functions,
     candidates_with_products,
+    candidates_without_switches,
     spread,
 )
 from studies.calibration.states import StateRows, StateSignals
 from studies.calibration.term_choice import chosen_terms, fitted
 
-# Sum of squares, as a share of all, that equations of a model that moves so leave.
-LEARNT = 1e-9
+# Sum of squares, as a share of all, that equations of a model that moves so leave: at least, and at most
+# where the error of the FMU's solver leaves more.
+LEARNT, MOST_LEFT = 1e-9, 1e-6
 # The same of products, of which there are so many that some fit nearly whatever moves little.
 PRODUCTS_LEARNT = 1e-14
 # Standard deviation of a coefficient, as a share of itself, up to which a row tells it.
@@ -49,11 +51,15 @@ class Structure:
 
     Attributes:
         sums: Of the s derivatives, then of the k outputs.
-        misfit: Greatest share of squares that one of them leaves, infinite where one was not found. [1]
+        misfit: Greatest share of squares that one of them leaves. [1]
+        lacking: The variable for which none was found, "" for none.
+        most_left: What one of them may leave, by the tolerance of the FMU's solver. [1]
     """
 
     sums: tuple[Sum, ...]
     misfit: float
+    lacking: str = ""
+    most_left: float = LEARNT
 
     @classmethod
     def of(cls, signals: StateSignals, rows: StateRows) -> Self:
@@ -68,13 +74,53 @@ class Structure:
         some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
         x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
-        for own, target in zip(owns, _targets(rows), strict=True):
+        names = (*signals.derivatives, *signals.outputs)
+        for own, name, target in zip(owns, names, _targets(rows), strict=True):
             found, misfit = _sum(signals, own, x, inputs, target[np.ix_(some, times)])
+            if not found.terms:
+                return cls((), misfit, name)
             sums.append(found)
             worst = max(worst, misfit)
-            if worst > LEARNT:
-                break
-        return cls(tuple(sums), worst)
+        return cls(tuple(sums), worst, most_left=max(most_left(signals, own, x) for own in owns))
+
+    def why_not(self, signals: StateSignals) -> str:
+        """Say for which variable no sum was found, and what was offered."""
+        n_declared = len(signals.inputs) - signals.n_hidden
+        return (
+            f"no sum of states, inputs, products and functions makes up {self.lacking}: the best leaves "
+            f"{self.misfit:.2g} of its squares (declared inputs: {n_declared}; other variables that follow "
+            f"time alone: {signals.n_hidden})"
+        )
+
+    def of_used(self, signals: StateSignals) -> tuple[StateSignals, Self]:
+        """Return signals without the hidden inputs that no term has, and the structure of those."""
+        n_states = len(signals.states)
+        n_declared = n_states + len(signals.inputs) - signals.n_hidden
+        used = {place for one in self.sums for term in one.terms for place in (term.column, *term.factors)}
+        kept = [*range(n_declared), *sorted(place for place in used if place >= n_declared)]
+        place_of = {-1: -1} | {place: rank for rank, place in enumerate(kept)}
+        columns = [place - n_states for place in kept[n_states:]]
+        sums = tuple(
+            replace(
+                one,
+                terms=tuple(
+                    term._replace(
+                        column=place_of[term.column], factors=tuple(place_of[place] for place in term.factors)
+                    )
+                    for term in one.terms
+                ),
+            )
+            for one in self.sums
+        )
+        fewer = replace(
+            signals,
+            inputs=tuple(signals.inputs[one] for one in columns),
+            units=tuple(signals.units[place] for place in kept),
+            driven=signals.driven[:, columns],
+            seen=None if signals.seen is None else signals.seen[:, columns],
+            n_hidden=len(kept) - n_declared,
+        )
+        return fewer, replace(self, sums=sums)
 
     def fitted(self, signals: StateSignals, rows: StateRows) -> tuple[list[FloatArray], float]:
         """Fit the coefficients of every row.
@@ -99,20 +145,61 @@ class Structure:
         return found, worst
 
 
+def most_left(signals: StateSignals, own: int, x: FloatArray) -> float:
+    """Return the share of squares that a sum of terms may leave where the solver's error does. [1].
+
+    Args:
+        signals: What is known of the states.
+        own: Position of the state whose derivative it is, -1 for an output.
+        x: States. Shape (n, t, s). [FMU's units]
+    """
+    if own < 0 or not signals.tolerance:
+        return LEARNT
+    moved = x[..., own].std(axis=1) + np.finfo(float).tiny
+    error = signals.tolerance * np.abs(x[..., own]).max(axis=1) / moved
+    return float(np.clip(np.median(error) ** 2, LEARNT, MOST_LEFT))
+
+
 def _sum(
     signals: StateSignals, own: int, x: FloatArray, inputs: FloatArray, target: FloatArray
 ) -> tuple[Sum, float]:
-    """Find the terms of a state's derivative or, where own is -1, an output, and what they leave."""
-    for offered, enough in (
-        (candidates, LEARNT),
-        (candidates_with_products, PRODUCTS_LEARNT),
-        (candidates_with_functions, PRODUCTS_LEARNT),
-    ):
-        terms = offered(signals, own)
-        chosen, misfit = chosen_terms(terms, Sum(own, tuple(terms)).values(x, inputs), target)
-        if misfit <= enough:
-            return Sum(own, tuple(terms[one] for one in chosen)), misfit
-    return Sum(own, ()), np.inf
+    """Find the terms of a state's derivative or, where own is -1, an output, and what they leave.
+
+    Returns:
+        The terms, none where none make it up, and the least share of squares that any have left. [1]
+    """
+    n_declared = len(signals.inputs) - signals.n_hidden
+    declared = replace(
+        signals,
+        inputs=signals.inputs[:n_declared],
+        units=signals.units[: len(signals.states) + n_declared],
+        n_hidden=0,
+    )
+    enough = most_left(signals, own, x)
+    sums, others = [(declared, candidates, enough)], [candidates_with_products, candidates_with_functions]
+    curved = [(declared, offered, PRODUCTS_LEARNT) for offered in others]
+    if signals.n_hidden:
+        # Of many hidden inputs some sum may leave little by chance: better ones are looked for.
+        sums += [(signals, candidates_without_switches, PRODUCTS_LEARNT), (signals, candidates, enough)]
+        curved += [(signals, offered, PRODUCTS_LEARNT) for offered in others]
+    least = np.inf
+    for stages, worst in ((sums, enough), (curved, PRODUCTS_LEARNT)):
+        best = Sum(own, ())
+        for among, offered, at_once in stages:
+            terms = offered(among, own)
+            chosen, misfit = chosen_terms(terms, Sum(own, tuple(terms)).values(x, inputs), target)
+            if misfit < least:
+                best, least = Sum(own, tuple(terms[one] for one in chosen)), misfit
+            if misfit <= at_once:
+                break
+        if least <= worst and best.terms:
+            return best, least
+    return Sum(own, ()), least
+
+
+def _flow(signals: StateSignals, structure: Structure) -> LinearFlow | SteppedFlow:
+    derivatives = structure.sums[: len(signals.states)]
+    return LinearFlow.of(signals, derivatives) or SteppedFlow(signals, derivatives)
 
 
 def _targets(rows: StateRows) -> list[FloatArray]:
@@ -169,8 +256,7 @@ class StateEquations:
         start = tuple(Coefficient.fit(points, column, products) for column in starts.T)
         is_exact = all(one.is_exact for table in (*by_term, start) for one in table)
         is_told = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
-        derivatives = structure.sums[: len(signals.states)]
-        flow = LinearFlow.of(signals, derivatives) or SteppedFlow(signals, derivatives)
+        flow = _flow(signals, structure)
         equations = cls(signals, structure, by_term, start, flow, is_exact and is_told)
         if isinstance(flow, LinearFlow):
             return equations
@@ -178,6 +264,21 @@ class StateEquations:
         with np.errstate(all="ignore"):
             fine = flow.fine_enough(equations._at_start(some), equations._rates(some))
         return None if fine is None else replace(equations, flow=fine)
+
+    def driven_by(self, driven: FloatArray) -> Self:
+        """Return the same equations with other inputs over the communication steps. Shape (m, q)."""
+        signals = replace(self.signals, driven=driven)
+        flow = _flow(signals, self.structure)
+        if isinstance(flow, SteppedFlow) and isinstance(self.flow, SteppedFlow):
+            flow = replace(flow, n_parts=self.flow.n_parts)
+        return replace(self, signals=signals, flow=flow)
+
+    def missed(self, points: Points, x: FloatArray) -> float:
+        """Return how solved states differ from simulated ones (n, t, s), as a share of their squares. [1]."""
+        with np.errstate(all="ignore"):
+            error = np.square(self._states(points) - x).mean(axis=1)
+            share = float((error / (x.var(axis=1) + np.finfo(float).tiny)).mean())
+        return share if np.isfinite(share) else np.inf
 
     def outputs(self, points: Points) -> FloatArray:
         """Solve the equations.

@@ -17,11 +17,13 @@ from simulation.errors import InputError
 from studies.calibration.coefficient import Points
 from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationModel
+from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_laws import Products
 from studies.calibration.proposals import SAME_POINT
 from studies.calibration.residual_process import Expansion
-from studies.calibration.state_equations import LEARNT, LEAST_TO_LEARN, StateEquations, Structure
+from studies.calibration.state_equations import LEAST_TO_LEARN, StateEquations, Structure
+from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
 # Random points that are looked at before and after the guide has been right once, and how many of the best of
@@ -36,6 +38,8 @@ MISSED, N_MISSED = 0.5, 4
 # exact equations tell it, and up to which they are believed: what is beyond, as a state that jumps, they do
 # not know. So many of the last rows are looked at; an error counts the first of their median more.
 TOLD, BELIEVED, N_TOLD = 1e-3, 2e-2, 16
+# A course of hidden inputs is taken for another one that misses this part of it or less.
+CLEARLY = 0.8
 # Range of a state that hardly moves, as a share of its size.
 AT_REST = 1e-6
 
@@ -66,6 +70,8 @@ class StateGuide:
             problem: The problem.
         """
         self._signals = signals
+        self._locals = LocalVariables(signals)
+        self._course: Course | None = None
         self._seen = seen
         self._problem = problem
         self._products = Products.of(problem.space)
@@ -122,6 +128,21 @@ class StateGuide:
     def is_learnt(self) -> bool:
         """Whether it has equations, believed or not."""
         return self._equations is not None
+
+    @property
+    def hidden_inputs(self) -> tuple[str, ...]:
+        """Names of the variables of the FMU that the equations take as inputs beside the declared ones."""
+        signals = self._signals
+        return signals.inputs[len(signals.inputs) - signals.n_hidden :] if self.is_learnt else ()
+
+    @property
+    def error_at_best(self) -> float:
+        """How solved equations differ from the best simulation, as a share of its squared residuals. [1]."""
+        mse = np.mean(self._answered**2, axis=1)
+        best = int(np.argmin(mse))
+        error = np.mean((self._residuals(self._u[[best]])[0] - self._answered[best]) ** 2)
+        share = float(error / (mse[best] + np.finfo(float).tiny))
+        return share if np.isfinite(share) else np.inf
 
     @property
     def without_effect(self) -> tuple[str, ...]:
@@ -210,12 +231,13 @@ class StateGuide:
             is_told = bool(good[0]) and error <= MISSED * answer.mse[0]
             self._n_missed = 0 if is_told else self._n_missed + 1
         rows = self._seen(answer.theta)
-        told = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows], axis=0)
+        told = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows[:3]], axis=0)
         if not told.any():
             return
         is_missed = was_confirmed and self._untold_of(answer.u[told], answer.residuals[told]) > TOLD
         self._u = np.concatenate([self._u, answer.u[told]])
-        self._rows.append(StateRows(*(part[told] for part in rows)))
+        self._rows.append(StateRows(*(part[told] for part in rows[:3])))
+        self._locals.note(None if rows.locals is None else rows.locals[told])
         self._answered = np.concatenate([self._answered, answer.residuals[told]])
         self._equations = self._learnt()
         if is_missed and self._equations is not None and not self._equations.is_exact:
@@ -225,31 +247,55 @@ class StateGuide:
         self._untold = self._untold_of(self._u[-N_TOLD:], self._answered[-N_TOLD:])
 
     def _learnt(self) -> StateEquations | None:
-        rows = StateRows(*(np.concatenate(parts) for parts in zip(*self._rows, strict=True)))
-        signals, n = self._signals, len(self._u)
+        parts = zip(*(rows[:3] for rows in self._rows), strict=True)
+        rows, n = StateRows(*(np.concatenate(part) for part in parts)), len(self._u)
         if self._structure is None:
             # What follows no such equations is looked at again when twice as much is known.
             if n < max(2 * self._n_examined, LEAST_TO_LEARN):
                 return None
             self._n_examined = n
+            signals = self._locals.as_inputs()
             structure = Structure.of(signals, rows)
             self.misfit = structure.misfit
-            if not structure.misfit <= LEARNT:
-                self.why_not = "no sums of states, inputs, products and functions make them up"
+            if structure.lacking:
+                self.why_not = structure.why_not(signals)
                 return None
-            self._structure = structure
-        found, self.misfit = self._structure.fitted(signals, rows)
-        if not self.misfit <= LEARNT:
+            self._signals, self._structure = structure.of_used(signals)
+            self._course = None
+        found, self.misfit = self._structure.fitted(self._signals, rows)
+        if not self.misfit <= self._structure.most_left:
             self._structure = None
             self.why_not = "not all simulations follow the same ones"
             return None
         points = Points.of(self._problem.space, self._u)
         equations = StateEquations.learn(
-            signals, self._structure, points, rows.x[:, 0], found, self._products
+            self._signals, self._structure, points, rows.x[:, 0], found, self._products
         )
         if equations is None:
             self._structure = None
             self.why_not = "they move too fast to be solved in time"
+        elif self._signals.n_hidden and self._course is None:
+            equations = self._with_course(equations, points, rows.x)
+        return equations
+
+    def _with_course(self, equations: StateEquations, points: Points, x: FloatArray) -> StateEquations:
+        """Find what hidden inputs do between the outputs; return equations that follow it."""
+        signals = self._signals
+        n_declared = len(signals.inputs) - signals.n_hidden
+        some = spread(len(x), LEAST_TO_LEARN)
+        points, x = points.part(some), x[some]
+        course = Course(signals.at_outputs[:, n_declared:], signals.every)
+        least, before = equations.missed(points, x), np.inf
+        while least < CLEARLY * before:
+            before = least
+            for one in range(signals.n_hidden):
+                for other in course.others(one):
+                    driven = np.concatenate([signals.driven[:, :n_declared], other.driven], axis=1)
+                    changed = equations.driven_by(driven)
+                    missed = changed.missed(points, x)
+                    if missed < CLEARLY * least:
+                        equations, course, least = changed, other, missed
+        self._course, self._signals = course, equations.signals
         return equations
 
     def _untold_of(self, u: FloatArray, answered: FloatArray) -> float:

@@ -101,10 +101,18 @@ def candidates(signals: StateSignals, own: int) -> list[Term]:
         return [*(Term(column) for column in columns), Term(-1)]
     plain = [Term(column, signals.units[column] == signals.units[own]) for column in columns if column != own]
     switches = [column for column in columns if column >= n_states and signals.units[column] in DIMENSIONLESS]
+    # Hidden inputs without unit may be dozens; those that switch have two values.
+    if len(switches) * len(plain) > MOST_CANDIDATES and signals.n_hidden:
+        switches = [one for one in switches if len(np.unique(signals.at_outputs[:, one - n_states])) <= 2]
     switched = [
         term._replace(factors=(switch,)) for switch in switches for term in plain if term.column != switch
     ]
     return [*plain, *switched, Term(own), Term(-1)]
+
+
+def candidates_without_switches(signals: StateSignals, own: int) -> list[Term]:
+    """Return the same, none of them times an input without unit."""
+    return [term for term in candidates(signals, own) if not term.factors]
 
 
 def candidates_with_products(signals: StateSignals, own: int) -> list[Term]:
@@ -177,8 +185,13 @@ def candidates_with_functions(signals: StateSignals, own: int) -> list[Term]:
 def _allowed(signals: StateSignals, own: int) -> list[int]:
     """Return the positions of the states and inputs that a sum may depend on."""
     allowed = signals.depends_on[own] if own >= 0 else None
-    names = enumerate((*signals.states, *signals.inputs))
-    return [column for column, name in names if allowed is None or name in allowed]
+    names = (*signals.states, *signals.inputs)
+    n_declared = len(names) - signals.n_hidden
+    return [
+        column
+        for column, name in enumerate(names)
+        if allowed is None or name in allowed or column >= n_declared
+    ]
 
 
 def spread(n: int, most: int) -> IntArray:

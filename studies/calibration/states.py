@@ -18,6 +18,9 @@ from simulation.trajectories import Trajectories, wrong_output
 MOST_STATES = 64
 """States above which none is watched: rows grow with their number, equations' costs with its third power."""
 
+MOST_LOCALS = 256
+"""Variables beside states that are watched, the first ones of the FMU: a row keeps each at every output."""
+
 
 @dataclass(frozen=True, eq=False)
 class StateSignals:
@@ -39,6 +42,10 @@ class StateSignals:
         accepted: Bands outside of which an output makes its row a failed one, None for none. Shape (k, 2).
         seen: Inputs that the watched outputs see, None where these see their step's. Shape (t, q). [FMU's
             units]
+        locals: Names of l other variables that are watched: weather, schedules and gains may be among them.
+        local_units: Their units, "" for none. Length l.
+        n_hidden: How many of the inputs, the last ones, are variables that follow time (hidden_inputs.py).
+        tolerance: Relative tolerance of the FMU's solver. [1]
     """
 
     states: tuple[str, ...]
@@ -54,6 +61,10 @@ class StateSignals:
     conversions: FloatArray
     accepted: FloatArray | None = None
     seen: FloatArray | None = None
+    locals: tuple[str, ...] = ()
+    local_units: tuple[str, ...] = ()
+    n_hidden: int = 0
+    tolerance: float = 0.0
 
     @classmethod
     def of(cls, case: Case) -> Self:
@@ -66,6 +77,7 @@ class StateSignals:
             raise InputError(f"{reason}; leave --state-equations away")
         fmu, scenario = case.fmu, case.scenario
         named = (*fmu.states, *scenario.input_names)
+        others = _locals(case)
         edges, every = scenario.time_communication, scenario.output_every
         # A row's own warm-up is watched from its start, where states are simple functions of the parameters.
         factors, n_outputs = case.settings.output_factors, len(case.settings.output_names)
@@ -86,6 +98,9 @@ class StateSignals:
             ),
             case.settings.accepted,
             None if scenario.inputs_at_edges is None else scenario.inputs_at_edges[n_unseen * every :: every],
+            others,
+            tuple(fmu.variables[name].unit for name in others),
+            tolerance=case.settings.relative_tolerance or fmu.default_experiment.tolerance or 0.0,
         )
 
     @property
@@ -103,11 +118,13 @@ class StateRows(NamedTuple):
         x: States. Shape (n, t, s). [FMU's units]
         slope: Their derivatives by time. Shape (n, t, s). [FMU's units per second]
         y: Outputs. Shape (n, t, k). [per output]
+        locals: Other variables, None where none is watched. Shape (n, t, l). [FMU's units]
     """
 
     x: FloatArray
     slope: FloatArray
     y: FloatArray
+    locals: FloatArray | None = None
 
 
 def why_unwatched(case: Case) -> str:
@@ -123,6 +140,21 @@ def why_unwatched(case: Case) -> str:
     return ""
 
 
+def _locals(case: Case) -> tuple[str, ...]:
+    """Return variables that may follow time alone: numbers that change, each once, and no states."""
+    fmu, scenario = case.fmu, case.scenario
+    taken = (*fmu.states, *fmu.derivatives, *scenario.input_names, *case.settings.output_names)
+    known = {(fmu.variables[name].kind, fmu.variables[name].reference) for name in taken}
+    found = list[str]()
+    for name, one in fmu.variables.items():
+        is_signal = one.causality in ("local", "output") and one.variability in ("continuous", "discrete")
+        is_number = one.kind in ("Real", "Float64") and not one.shape
+        if is_signal and is_number and (one.kind, one.reference) not in known:
+            known.add((one.kind, one.reference))
+            found.append(name)
+    return tuple(found[:MOST_LOCALS])
+
+
 def watching_states(case: Case) -> Case:
     """Return a case whose model answers its states and their derivatives, too.
 
@@ -130,7 +162,7 @@ def watching_states(case: Case) -> Case:
         InputError: If states cannot be watched, see `why_unwatched`.
     """
     signals, settings = StateSignals.of(case), case.settings
-    named = (*signals.states, *signals.derivatives)
+    named = (*signals.states, *signals.derivatives, *signals.locals)
     watched = tuple(name for name in named if name not in settings.output_names)
     n = len(watched)
 
@@ -166,7 +198,8 @@ class WatchedModel(WrappedModel):
         super().__init__(model)
         self.signals = signals
         self._n_outputs = len(signals.outputs)
-        self._columns = [model.output_names.index(name) for name in (*signals.states, *signals.derivatives)]
+        named = (*signals.states, *signals.derivatives, *signals.locals)
+        self._columns = [model.output_names.index(name) for name in named]
         factors, offsets = np.ones(len(model.output_names)), np.zeros(len(model.output_names))
         factors[: self._n_outputs], offsets[: self._n_outputs] = signals.conversions.T
         self._factors, self._offsets = factors[self._columns], offsets[self._columns]
@@ -227,5 +260,7 @@ class WatchedModel(WrappedModel):
         unknown = np.full((len(self._model.time), len(self._model.output_names)), np.nan)
         rows = np.array([self._last.get(row.tobytes(), unknown) for row in theta]).reshape(-1, *unknown.shape)
         moved = (rows[..., self._columns] - self._offsets) / self._factors
-        n_states = len(self.signals.states)
-        return StateRows(moved[..., :n_states], moved[..., n_states:], rows[..., : self._n_outputs])
+        n = len(self.signals.states)
+        return StateRows(
+            moved[..., :n], moved[..., n : 2 * n], rows[..., : self._n_outputs], moved[..., 2 * n :]
+        )

@@ -23,6 +23,10 @@ SAME_TERM = 1e-10
 # A term without which less than this is left is none.
 NEEDLESS = 1e-10
 MOST_TERMS = 16
+# So many candidates, at twice as many times, are looked at all at once.
+MOST_AT_ONCE = 200
+# What is left of a column of size 1 beside others, at least.
+ROUNDING = 1e-13
 
 
 @np.errstate(all="ignore")
@@ -30,7 +34,8 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     """Choose the fewest terms that make up a target in every row, each row with coefficients of its own.
 
     They are chosen one after the other; where those are not all, once more from the two that explain most
-    together, of which neither may explain much alone.
+    together, of which neither may explain much alone. Where these are not all either and candidates are few,
+    as in a large network, needless ones are taken away from all of them.
 
     Args:
         terms: The f candidates, the last of them the constant.
@@ -49,7 +54,51 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
         again, left_again = _added(values, target, pair)
         if left_again < left:
             chosen, left = again, left_again
+    if left > NEARLY_COMPLETE and MOST_TERMS < len(terms) <= min(MOST_AT_ONCE, target.shape[1] // 2):
+        again, left_again = _taken_away(values, target)
+        if left_again < left and len(again) <= MOST_TERMS:
+            chosen, left = again, left_again
     return chosen, left
+
+
+def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], float]:
+    """Take needless terms away from all; return the others and what they leave."""
+    n = values.shape[2]
+    # Of every row a square matrix and as many numbers are enough.
+    pairs = [np.linalg.qr(one) for one in values]
+    columns = np.array([triangle for _, triangle in pairs])
+    goals = np.array([axes.T @ goal for (axes, _), goal in zip(pairs, target, strict=True)])
+    size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    out_of_reach = np.maximum(1.0 - np.square(goals).sum(axis=1) / size, 0.0).mean()
+
+    def left_by(chosen: list[int]) -> tuple[float, FloatArray]:
+        """Return what terms leave of the squares, and how much more each of them would, taken away."""
+        axes, triangle = np.linalg.qr(columns[..., chosen])
+        diagonal = np.arange(len(chosen))
+        pivots = triangle[:, diagonal, diagonal]
+        triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < ROUNDING, ROUNDING, pivots)
+        inverse = np.linalg.inv(triangle)
+        along = np.einsum("nij,ni->nj", axes, goals)
+        found = np.einsum("nij,nj->ni", inverse, along)
+        more = np.square(found) / np.square(inverse).sum(axis=2) / size[:, None]
+        left = (np.square(goals).sum(axis=1) - np.square(along).sum(axis=1)) / size
+        return float(out_of_reach + np.maximum(left, 0.0).mean()), more.mean(axis=0)
+
+    chosen = list(range(n))
+    left, more = left_by(chosen)
+    limit = max(NEEDLESS, 10.0 * left)
+    n_away = n // 2
+    while len(chosen) > 1 and n_away:
+        order = np.argsort(more, kind="stable")
+        fewer = [chosen[rank] for rank in sorted(order[n_away:].tolist())]
+        left, more_then = left_by(fewer)
+        if left <= limit:
+            chosen, more = fewer, more_then
+            n_away = min(n_away, len(chosen) // 2)
+        else:
+            n_away //= 2
+    chosen = _without_needless(values, target, chosen)
+    return chosen, unexplained(values, target, chosen)
 
 
 def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[list[int], float]:

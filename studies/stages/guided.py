@@ -55,6 +55,8 @@ def guided_numbers(guide: StateGuide | None, physical: StoredModel) -> dict[str,
             "n_states": guide.n_states,
             "n_calls": guide.n_asked,
             "misfit": guide.misfit if np.isfinite(guide.misfit) else None,
+            "hidden_inputs": list(guide.hidden_inputs),
+            "error_at_best": guide.error_at_best if guide.is_believed else None,
             "are_believed": guide.is_believed,
             "why_not": None if guide.is_learnt else why_not,
             "without_effect": list(guide.without_effect),
@@ -65,13 +67,20 @@ def guided_numbers(guide: StateGuide | None, physical: StoredModel) -> dict[str,
 def equations_in_words(found: Mapping[str, Any]) -> str:
     """Say what became of state equations."""
     states, calls = count(found["n_states"], "state"), count(found["n_calls"], "call")
+    # Results of version 0.2 name no hidden inputs.
+    hidden = found.get("hidden_inputs")
+    learnt = f"learnt with {listed(hidden)} of the FMU as {_inputs(len(hidden))}" if hidden else "learnt"
     if found["are_believed"]:
-        end = f"learnt, and {calls} went where they expect the lowest error"
+        end = f"{learnt}, and {calls} went where they expect the lowest error"
         if found.get("without_effect"):
             end += f"; {listed(found['without_effect'])} changed nothing in any simulation"
     elif found["why_not"] is None:
-        end = f"learnt, but their last predictions were wrong, after {calls}; the search went on without"
+        end = f"{learnt}, but their last predictions were wrong, after {calls}; the search went on without"
     else:
         how = f"given up after {calls}" if found["n_calls"] else "not learnt"
         end = f"{how}, for {found['why_not']}; the search did without"
     return f"State equations of {states}: {end}"
+
+
+def _inputs(n: int) -> str:
+    return "input" if n == 1 else "inputs"

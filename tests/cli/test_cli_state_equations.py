@@ -63,6 +63,22 @@ def test_it_goes_on_from_what_is_stored_and_says_what_the_equations_did(project:
     assert "state equations" in shown
 
 
+def test_weather_inside_the_fmu_takes_as_few_calls(project: Path, studies: Run) -> None:
+    inside = REPOSITORY / "tests" / "benchmarks" / "fewest_calls" / "wall_inside"
+    shutil.copytree(inside, project / "fmus" / "wall-inside")
+    answer = studies("calibrate", "wall-inside", "--jobs", "1")
+    assert answer.code == 0, answer.err
+    found = numbers_of(project, "wall-inside")
+    equations = found["state_equations"]
+    assert found["ledger"]["total_paper"] == 5
+    assert equations["are_believed"]
+    assert equations["hidden_inputs"] == ["TIn", "TOut"]
+    assert "learnt with TIn and TOut of the FMU as inputs, and 1 call went where" in answer.out
+    # 34 calls of the search without equations end at 0.006644.
+    assert found["mse"] < 0.00665
+    assert found["converged"]
+
+
 def test_it_is_made_again_to_the_last_digit(project: Path, studies: Run) -> None:
     assert studies(*WALL).code == 0
     answer = studies("reproduce", "wall-quick/adaptive")
@@ -72,7 +88,8 @@ def test_it_is_made_again_to_the_last_digit(project: Path, studies: Run) -> None
 def test_where_nothing_can_be_learnt_it_says_so(project: Path, studies: Run) -> None:
     answer = studies("calibrate", "thermostat", "--max-calls", "6", "--jobs", "1")
     assert answer.code == 0, answer.err
-    assert "State equations of 3 states: not learnt, for no sums of states, inputs" in answer.out
+    assert "State equations of 3 states: not learnt, for no sum of states, inputs" in answer.out
+    assert "makes up der(T): the best leaves" in answer.out
     assert not numbers_of(project, "thermostat")["state_equations"]["are_believed"]
 
 

@@ -2,7 +2,8 @@
 
 A fresh seed gives a fresh instance, so that no method can be tuned to the ones in a table. What the truth
 has and the model lacks: nodes where the model lumps (wall, slab, thermostat), other terms (oscillator),
-other weather and use than the model is told (white box, thermostat, wall), sensors that lag and drift.
+other weather and use than the model is told (white box, thermostat, wall), sensors that lag and drift (alone
+where the weather is inside the FMU).
 """
 
 from collections.abc import Callable
@@ -165,6 +166,21 @@ def thermostat(case: Case, p: dict[str, float], rng: np.random.Generator) -> Flo
     return np.column_stack([air, np.floor(y[:, 1] / 3.6e4) / 100.0])
 
 
+def weather_inside(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
+    """The FMU itself, as its weather cannot be disturbed from outside; its sensors lag and drift."""
+    with FmuModel(case.settings) as model:
+        answer = model.simulate(np.array([list(p.values())]))
+    if answer.failures[0]:
+        raise RuntimeError(f"the truth of {case.name} cannot be simulated: {answer.failures[0]}")
+    y = answer.y[0]
+    shown = [
+        _lagged(column, case.output_step_s, rng.uniform(0.1, 0.5) * case.output_step_s)
+        + sensor * rng.uniform(0.2, 0.6) * red_noise(rng, len(column), rng.uniform(3.0, 24.0))
+        for column, sensor in zip(y.T, case.measurement.uncertainty, strict=True)
+    ]
+    return np.column_stack(shown)
+
+
 def _lagged(values: FloatArray, step_s: float, lag_s: float) -> FloatArray:
     """Return what a sensor with a time constant shows. Shape (t,)."""
     share, shown = 1.0 - np.exp(-step_s / lag_s), [values[0]]
@@ -201,6 +217,9 @@ SENSORS: dict[str, tuple[Truth, tuple[float, ...]]] = {
     "slab": (slab, (0.04,)),
     "vanderpol": (oscillator, (0.15,)),
     "thermostat": (thermostat, (0.04, 0.0)),
+    "office-inside": (weather_inside, (0.04,)),
+    "wall-inside": (weather_inside, (0.02, 1.0)),
+    "house-inside": (weather_inside, (0.04, 0.04)),
 }
 
 

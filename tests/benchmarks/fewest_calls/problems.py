@@ -65,12 +65,18 @@ FAMILIES = {
     "vanderpol": "Van der Pol, nonlinear",
     "thermostat": "Thermostat, events",
     "two basins": "Slab, two basins",
+    "office inside": "Office, weather inside",
+    "wall inside": "Wall, weather inside",
+    "house inside": "House, weather inside",
 }
 _ONE_CASE = {
     "wall": (ROOT / "fmus" / "wall", 5000, 24, 0),
     "vanderpol": (ROOT / "fmus" / "vanderpol", 5000, 40, 1),
     "thermostat": (ROOT / "fmus" / "thermostat", 2000, 12, 2),
     "two basins": (HERE / "slab", 5000, 24, 0),
+    "office inside": (HERE / "office_inside", 5000, 8, 0),
+    "wall inside": (HERE / "wall_inside", 5000, 8, 0),
+    "house inside": (HERE / "house_inside", 5000, 8, 0),
 }
 
 

@@ -1,0 +1,127 @@
+"""Variables inside an FMU that follow time alone, and what they do between two outputs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulation.arrays import FloatArray
+from studies.calibration.hidden_inputs import Course, LocalVariables
+from studies.calibration.state_equations import Structure
+from studies.calibration.state_terms import Term
+from studies.calibration.states import StateRows, StateSignals
+
+N_OUTPUTS, EVERY, STEP_S = 145, 3, 600.0
+TIME = EVERY * STEP_S * np.arange(N_OUTPUTS)
+DAY = 2.0 * np.pi / 86400.0
+OUTDOOR = 278.0 + 5.0 * np.sin(DAY * TIME) + 2.0 * np.cos(DAY * TIME / 2.3)
+SUN = np.maximum(-300.0 * np.cos(DAY * TIME), 0.0)
+USE = ((TIME / 3600.0) % 24.0 >= 8.0).astype(float)
+
+
+ROOM = {Term(1, True), Term(2), Term(1, True, (3,))}
+
+
+def signals_of(names: tuple[str, ...], units: tuple[str, ...]) -> StateSignals:
+    """One state in K without declared inputs, and variables beside it."""
+    return StateSignals(
+        states=("T",),
+        derivatives=("der(T)",),
+        inputs=(),
+        units=("K",),
+        depends_on=(frozenset({"T"}),),
+        driven=np.empty((EVERY * (N_OUTPUTS - 1), 0)),
+        step_s=STEP_S,
+        every=EVERY,
+        n_before=0,
+        outputs=("T",),
+        conversions=np.array([[1.0, 0.0]]),
+        locals=names,
+        local_units=units,
+    )
+
+
+def in_rows(*columns: FloatArray, n: int = 4) -> FloatArray:
+    return np.tile(np.stack(columns, axis=-1), (n, 1, 1))
+
+
+def test_what_follows_time_is_an_input_each_thing_once() -> None:
+    names = ("sun", "sun in kW", "outdoor in degC", "constant", "flow", "sun and outdoor", "gain", "broken")
+    units = ("W/m2", "kW/m2", "degC", "1", "W", "1", "W", "1")
+    locals_ = LocalVariables(signals_of(names, units))
+    values = in_rows(
+        SUN, SUN / 1000.0, OUTDOOR - 273.15, 0.2 + 0.0 * SUN, SUN, SUN + 7.0 * OUTDOOR, USE, np.nan * SUN
+    )
+    # One flow follows the state of each row; a gain is scaled by a parameter, and is a new input once.
+    values[..., 4] += np.arange(4)[:, None] * np.sin(TIME / 7000.0)
+    values[..., 6] *= np.array([1.0, 3.0, 0.5, 12.0])[:, None]
+    locals_.note(values[:2])
+    locals_.note(values[2:])
+    found = locals_.as_inputs()
+    assert found.inputs == ("outdoor in degC", "sun", "gain")
+    assert found.units == ("K", "K", "W/m2", "W")
+    assert found.n_hidden == 3
+    np.testing.assert_allclose(found.at_outputs[:, 0], OUTDOOR)
+
+
+def test_what_a_later_row_shows_to_follow_parameters_is_no_input() -> None:
+    locals_ = LocalVariables(signals_of(("sun",), ("W/m2",)))
+    locals_.note(in_rows(SUN))
+    assert locals_.as_inputs().inputs == ("sun",)
+    locals_.note(in_rows(SUN + 1e-3 * OUTDOOR, n=1))
+    assert locals_.as_inputs().inputs == ()
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 3])
+def test_a_schedule_jumps_at_any_place_between_two_outputs(place: int) -> None:
+    steps = np.arange(EVERY * (N_OUTPUTS - 1))
+    driven = ((steps - place) // (8 * EVERY) % 2).astype(float)
+    seen = np.append(driven[::EVERY], driven[-1])
+    if place == EVERY:
+        # At an output itself the new value is seen.
+        driven = np.repeat(seen[:-1], EVERY)
+    else:
+        seen[1:] = driven[EVERY - 1 :: EVERY]
+    course = Course(seen[:, None], EVERY)
+    courses = [course, *course.others(0)]
+    assert any(np.array_equal(one.driven[:, 0], driven) for one in courses)
+
+
+def test_weather_is_smooth_between_outputs() -> None:
+    steps = STEP_S * (np.arange(EVERY * (N_OUTPUTS - 1)) + 0.5)
+    # The mean of a sine over a step is that in its middle, but for a few millionths.
+    expected = 278.0 + 5.0 * np.sin(DAY * steps) + 2.0 * np.cos(DAY * steps / 2.3)
+    driven = Course(OUTDOOR[:, None], EVERY).driven[:, 0]
+    assert np.abs(driven - expected).max() < 2e-3
+
+
+def rows_of_a_room(noise: float) -> tuple[StateSignals, StateRows]:
+    """A room that its weather, sun and use drive, none of them declared, and derivatives with an error."""
+    rng = np.random.default_rng(5)
+    signals = signals_of(("outdoor", "sun", "use"), ("K", "W/m2", "1"))
+    x = 293.0 + np.array([np.sin(TIME / s) + np.cos(TIME / (3.0 * s)) for s in (7e3, 9e3, 2e4, 4e4)])
+    by_row = rng.uniform(0.5, 2.0, (3, 4, 1))
+    slope = 1e-5 * (by_row[0] * (OUTDOOR - x) + 0.02 * by_row[1] * SUN + by_row[2] * USE * (OUTDOOR - x))
+    slope = slope + noise * slope.std() * rng.standard_normal(slope.shape)
+    locals_ = LocalVariables(signals)
+    locals_.note(in_rows(OUTDOOR, SUN, USE))
+    return locals_.as_inputs(), StateRows(x[..., None], slope[..., None], x[..., None])
+
+
+def test_equations_have_hidden_inputs_where_no_input_is_declared() -> None:
+    signals, rows = rows_of_a_room(noise=0.0)
+    structure = Structure.of(signals, rows)
+    fewer, used = structure.of_used(signals)
+    assert fewer.inputs == ("outdoor", "sun", "use")
+    assert set(used.sums[0].terms) == ROOM
+    assert used.misfit < 1e-20
+
+
+def test_tolerances_follow_the_solvers() -> None:
+    signals, rows = rows_of_a_room(noise=2e-4)
+    tight = Structure.of(signals, rows)
+    assert tight.lacking == "der(T)"
+    assert "makes up der(T): the best leaves" in tight.why_not(signals)
+    loose = Structure.of(replace(signals, tolerance=1e-6), rows)
+    assert not loose.lacking
+    assert set(loose.sums[0].terms) == ROOM
