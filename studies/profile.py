@@ -17,7 +17,6 @@ from studies.search_space import STRICT, Count, Positive, SearchParameter, Searc
 PROFILE_FOLDER = Path(__file__).resolve().parent / "profiles"
 
 SurrogateName = Literal["refined", "paper", "pca-gp"]
-SURROGATES: tuple[SurrogateName, ...] = ("refined", "paper", "pca-gp")
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -31,9 +31,8 @@ def headline_sentence(data: ReportData) -> str:
         return "Nothing has been calibrated yet."
     made = count(c.calls_paper, "model call") if c.calls_paper else "No model call"
     known = f" beside {count(c.n_known, 'stored simulation')}" if c.n_known else ""
-    few = "" if c.n_free is None else f"the {count(c.n_free)} most relevant of "
     return (
-        f"{made}{known} calibrated {few}"
+        f"{made}{known} calibrated "
         f"{count(len(data.parameters.names), 'parameter')} to an MSE of "
         f"{quantity(c.mse_polished, mse_unit(data.measurement))}."
     )

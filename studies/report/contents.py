@@ -13,14 +13,9 @@ from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.report.page import Picture, Section
 from studies.report.records import CalibrationRecord
-from studies.report.restricted import restriction_sentences, unrestricted
 from studies.report.tables import sensitivity_table, tuning_table, validation_table
 from studies.report.tables_of_calibrations import calibrations_table, intervals_table, parameters_table
-from studies.report.uncertainty import (
-    UncertaintyRecord,
-    box_of,
-    sentences,
-)
+from studies.report.uncertainty import UncertaintyRecord, sentences
 from studies.report.validation import validation_caption
 from studies.report.wording import count, difference_unit, quantity
 
@@ -96,12 +91,12 @@ def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
         heading,
         tuple(pictures),
         tuple(tables),
-        paragraphs=said + restriction_sentences(c, unrestricted(c, data.calibrations), mse_unit),
+        paragraphs=said,
     )
 
 
 def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
-    name, box, foot = record.calibration, box_of(data.parameters, record.names), _foot(data)
+    name, foot = record.calibration, _foot(data)
     pictures = [
         Picture(
             f"bands-{name}",
@@ -115,7 +110,7 @@ def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
             "Density and interval of the posterior, the linearised interval, and the calibrated value."
             if record.is_trusted
             else "The linearised interval and the calibrated value; too few calls to say more.",
-            lambda path: interval_figure(box, record, path, footnote=foot),
+            lambda path: interval_figure(data.parameters, record, path, footnote=foot),
         ),
     ]
     return Section(

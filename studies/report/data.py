@@ -45,7 +45,7 @@ class ReportData:
         note: The case's note (what must be known before reading a number), shown first; may be empty.
         measurement: What was calibrated against.
         parameters: What was calibrated.
-        calibrations: One per training-set size, an adaptive one of size 0, restricted ones; any order.
+        calibrations: One per training-set size, an adaptive one of size 0; any order.
         coverage: The training set to draw.
         sensitivity: Sobol indices, if they were asked for.
         tuned: The best surrogate of each training-set size.
@@ -78,16 +78,9 @@ class ReportData:
 
     def validation_of(self, calibration: CalibrationRecord) -> ValidationRecord | None:
         """Return how a calibration did on the validation period, None where there is none."""
-        return next(
-            (
-                v
-                for v in self.validations
-                if (v.n_train, v.n_free) == (calibration.n_train, calibration.n_free)
-            ),
-            None,
-        )
+        return next((v for v in self.validations if v.n_train == calibration.n_train), None)
 
     @property
     def by_size(self) -> tuple[CalibrationRecord, ...]:
         """The calibrations, the adaptive one first, then by training set."""
-        return tuple(sorted(self.calibrations, key=lambda c: (c.n_train, c.n_free or 0)))
+        return tuple(sorted(self.calibrations, key=lambda c: c.n_train))

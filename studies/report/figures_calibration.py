@@ -128,7 +128,7 @@ def calls_figure(
 ) -> Path:
     """Draw the best MSE over counted model calls, those before the search shaded.
 
-    These are the training set and the search for relevant parameters; of an adaptive one its first rows.
+    These are the training set, of an adaptive one its first rows.
 
     Args:
         calibration: The calibration to show.
@@ -144,7 +144,7 @@ def calls_figure(
     calls, best = c.history_calls, c.history_mse
     total = count(c.calls_paper, "model call")
     title = f"Best MSE over model calls: {quantity(final, mse_unit)} after {total}"
-    n_before, what = c.calls_to_screen, "training set" + (", relevance" if c.n_before else "")
+    n_before, what = c.n_train, "training set"
     if c.is_adaptive:
         n_before, what = int(calls[0]), "stored rows" if c.n_known else "first rows"
     last = max(c.calls_paper, int(calls.max(initial=0)), c.calls_to_polish + 1)

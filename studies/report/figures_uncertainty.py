@@ -24,7 +24,6 @@ from studies.report.records import MeasuredSeries
 from studies.report.uncertainty import UncertaintyRecord
 from studies.report.wording import (
     axis_label,
-    count,
     difference_unit,
     digits_between,
     percent,
@@ -50,7 +49,7 @@ def band_figure(
         The path.
     """
     n_outputs = len(measured.output_names)
-    title = f"{percent(record.level)} bands of the outputs{_if_fixed(record)}"
+    title = f"{percent(record.level)} bands of the outputs"
     with drawing(path, title=title, height_in=0.7 + 3.9 * n_outputs, footnote=footnote) as figure:
         panels = figure.subplots(
             2 * n_outputs, 1, sharex=True, height_ratios=[1.6, 1.2] * n_outputs, squeeze=False
@@ -108,7 +107,7 @@ def interval_figure(
         The path.
     """
     p = len(record.names)
-    title = f"Intervals of the parameters between their bounds{_if_fixed(record)}"
+    title = "Intervals of the parameters between their bounds"
     u, point = box.to_unit(record.particles), box.to_unit(record.calibrated)
     low, high = box.to_unit(record.interval)
     linear_low, linear_high = box.to_unit(record.linear)
@@ -150,11 +149,6 @@ def interval_figure(
         right.tick_params(axis="y", length=0, pad=8)
         right.spines["right"].set_visible(False)
     return path
-
-
-def _if_fixed(record: UncertaintyRecord) -> str:
-    """Say on a picture, which travels without its page, that not all parameters were judged."""
-    return f" ({count(record.n_fixed, 'parameter')} fixed and taken as right)" if record.n_fixed else ""
 
 
 def _short(value: float, other: float) -> str:

@@ -6,8 +6,7 @@ Shapes use t time steps, k outputs, p parameters, n parameter sets, h history en
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -56,11 +55,6 @@ class MeasuredSeries:
         """What was measured of each output: times and values, gaps left out."""
         return self.measurement.samples
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Shape (t, k) of a trajectory."""
-        return len(self.time), len(self.output_names)
-
     def residual(self, y: Floats, output: int) -> Floats:
         """Return simulated minus measured at the samples of an output.
 
@@ -73,44 +67,6 @@ class MeasuredSeries:
         """
         residual: Floats = self.measurement.differences(y[None], output)[0]
         return residual
-
-
-@dataclass(frozen=True)
-class RestrictionRecord:
-    """Which parameters a calibration left out, and what is known of that choice.
-
-    Attributes:
-        n_free: Parameters that were calibrated.
-        fixed: Names of the others.
-        shares: Share of each parameter in what varies, by name; None where it is not known. [1]
-        source: What says so: "Sobol" or "Morris".
-        n_calls: Calls for that, made first of all.
-        n_calls_before: Calls that stored Sobol indices had cost before.
-        gain: Part of the error that freeing all others would take away; None where not checked. [1]
-        gain_alone: The same for each of them alone, by name; None where its simulation failed, empty where
-            not checked. [1]
-        n_check: Calls of that check.
-    """
-
-    n_free: int
-    fixed: tuple[str, ...]
-    shares: Mapping[str, float | None]
-    source: str
-    n_calls: int = 0
-    n_calls_before: int = 0
-    gain: float | None = None
-    gain_alone: Mapping[str, float | None] = field(default_factory=dict)
-    n_check: int = 0
-
-    @property
-    def closest_call(self) -> tuple[str, str] | None:
-        """The least relevant parameter that was calibrated and the most relevant one that was not."""
-        known = {name: share for name, share in self.shares.items() if share is not None}
-        fixed = [name for name in known if name in self.fixed]
-        free = [name for name in known if name not in self.fixed]
-        return (
-            (min(free, key=known.__getitem__), max(fixed, key=known.__getitem__)) if free and fixed else None
-        )
 
 
 @dataclass(frozen=True, eq=False)  # arrays cannot be compared: a record equals itself alone
@@ -138,12 +94,10 @@ class CalibrationRecord:
         test_mae: MAE of the surrogate on the test set; NaN if unknown. [output unit, differences]
         test_p90: 90th percentile of the row-wise MAE on the test set; NaN if unknown.
         stop_reason: Why the calibration ended, in words.
-        surrogate: Which surrogate it was (trial, alias, folder), in words.
         method: How it was calibrated.
         n_adaptive: Calls of an adaptive calibration.
         n_known: Stored simulations that it began with, which are none of its calls.
-        restriction: What was fixed; None where all parameters were calibrated.
-        knowledge: What was known of each parameter, or that it was fixed; empty where nothing was.
+        knowledge: What was known of each parameter; empty where nothing was.
         state_equations: What became of state equations, in a sentence; empty where none were looked for.
         left_open: What the data do not determine, in sentences; empty where nothing is known of that.
     """
@@ -166,11 +120,9 @@ class CalibrationRecord:
     test_mae: float = float("nan")
     test_p90: float = float("nan")
     stop_reason: str = ""
-    surrogate: str = ""
     method: Method = "paper"
     n_adaptive: int = 0
     n_known: int = 0
-    restriction: RestrictionRecord | None = None
     knowledge: tuple[str, ...] = ()
     state_equations: str = ""
     left_open: tuple[str, ...] = ()
@@ -181,31 +133,14 @@ class CalibrationRecord:
         return self.method == "adaptive"
 
     @property
-    def n_free(self) -> int | None:
-        """Parameters that were calibrated, the others fixed; None for all."""
-        return None if self.restriction is None else self.restriction.n_free
-
-    @property
-    def n_before(self) -> int:
-        """Calls that found, first of all, which parameters matter."""
-        return 0 if self.restriction is None else self.restriction.n_calls
-
-    @property
-    def n_relevance(self) -> int:
-        """Calls that found, and checked, which parameters matter."""
-        return 0 if self.restriction is None else self.restriction.n_calls + self.restriction.n_check
-
-    @property
     def name(self) -> str:
         """What files and anchors of this calibration are called."""
-        part = "" if self.n_free is None else f"-relevant{self.n_free}"
-        return ("adaptive" if self.is_adaptive else f"n{self.n_train:04d}") + part
+        return "adaptive" if self.is_adaptive else f"n{self.n_train:04d}"
 
     @property
     def shown_name(self) -> str:
         """What readers call it."""
-        part = "" if self.n_free is None else f", {self.n_free} most relevant parameters"
-        return ("adaptive" if self.is_adaptive else f"n = {self.n_train}") + part
+        return "adaptive" if self.is_adaptive else f"n = {self.n_train}"
 
     @property
     def final(self) -> str:
@@ -213,14 +148,9 @@ class CalibrationRecord:
         return "calibrated" if self.is_adaptive else "polished"
 
     @property
-    def calls_to_screen(self) -> int:
-        """Model calls before the screened point was checked."""
-        return self.n_before + self.n_train
-
-    @property
     def calls_to_polish(self) -> int:
         """Model calls before the polish began."""
-        return self.calls_to_screen + self.n_screen_checks
+        return self.n_train + self.n_screen_checks
 
     @property
     def screening_gap(self) -> float:
@@ -249,14 +179,12 @@ class CalibrationRecord:
 
 @dataclass(frozen=True)
 class CoverageSet:
-    """A simulated set of trajectories, to see whether it covers parameters and measurement.
+    """A simulated set of trajectories, to see whether it covers the measurement.
 
     Attributes:
         name: What the set is, e.g. "training".
-        theta: Shape (n, p). [parameter units]
         y: Failed rows are NaN throughout. Shape (n, t, k). [output units]
     """
 
     name: str
-    theta: Floats
     y: Floats

@@ -10,7 +10,7 @@ from studies.report.data import ReportData
 from studies.report.findings import at_bound
 from studies.report.records import CalibrationRecord
 from studies.report.tables import Cell, Column, Table
-from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord, box_of
+from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
 from studies.report.wording import (
     count,
     declared,
@@ -30,7 +30,7 @@ _CALIBRATIONS_TITLE = (
 
 def calibrations_table(data: ReportData) -> Table:
     """Tabulate the calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
-    unit, p = difference_unit(data.measurement.units[0]), len(data.parameters.names)
+    unit = difference_unit(data.measurement.units[0])
     mse_unit, all_of_them = squared(unit), data.by_size
     with_surrogate: list[tuple[Column, Reader]] = [
         (Column("n_train", "training set", "", count), lambda c: c.n_train),
@@ -53,7 +53,6 @@ def calibrations_table(data: ReportData) -> Table:
         (Column("n_known", "stored before", "", count), lambda c: c.n_known),
         (Column("wall_s", "time", "s", _two), lambda c: c.wall_s),
         (Column("method", "method"), lambda c: c.method),
-        (Column("n_free", "parameters calibrated", "", count), lambda c: c.n_free or p),
     ]
     rows = tuple(tuple(read(c) for _, read in columns) for c in all_of_them)
     emphasized = all_of_them.index(data.headline) if data.headline and len(rows) > 1 else None
@@ -73,13 +72,6 @@ def parameters_table(parameters: ParameterSpace, calibration: CalibrationRecord)
     units = [one.unit for one in parameters.parameters]
     screened = [] if calibration.is_adaptive else [calibration.theta_screened.tolist()]
     known = [calibration.knowledge] if calibration.knowledge else []
-    shares: list[tuple[Column, list[float | None]]] = []
-    if (r := calibration.restriction) is not None:
-        shown = (("share", "relevance", r.shares), ("gain_if_free", "gain if free", r.gain_alone))
-        shares = [
-            (Column(key, title, "", percent), [of.get(name) for name in parameters.names])
-            for key, title, of in shown
-        ]
     columns = (
         Column("name", "parameter"),
         Column("unit", "unit"),
@@ -90,13 +82,11 @@ def parameters_table(parameters: ParameterSpace, calibration: CalibrationRecord)
         Column(calibration.final, calibration.final, "", _four),
         Column("at_bound", "at a bound"),
         *(Column("knowledge", "known before") for _ in known),
-        *(column for column, _ in shares),
     )
     values = zip(
         parameters.names, map(shown_unit, units), [one.estimate for one in parameters.parameters],
         parameters.lower.tolist(), parameters.upper.tolist(), *screened,
-        calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known,
-        *(cells for _, cells in shares), strict=True,
+        calibration.theta_polished.tolist(), at_bound(parameters, calibration), *known, strict=True,
     )  # fmt: skip
     how = f"from {count(calibration.n_train, 'training simulation')}"
     title = f"Parameters, calibrated {'adaptively' if calibration.is_adaptive else how}"
@@ -108,8 +98,8 @@ def _four(value: float) -> str:
 
 
 def intervals_table(box: ParameterSpace, record: UncertaintyRecord) -> Table:
-    """Tabulate the intervals, one row per parameter that was judged."""
-    r, box = record, box_of(box, record.names)
+    """Tabulate the intervals, one row per parameter."""
+    r = record
     units = [shown_unit(one.unit) for one in box.parameters]
     share = percent(r.level)
     columns = (

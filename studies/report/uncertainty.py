@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from simulation.parameters import ParameterSpace
 from studies.calibration.doubt import doubtful_mse
 from studies.report.records import Floats
 from studies.report.wording import (
@@ -36,15 +35,6 @@ HOW_KNOWN = {
 
 
 @dataclass(frozen=True)
-class PairNote:
-    """Two parameters that compensate each other, and the sentence that says so."""
-
-    first: str
-    second: str
-    sentence: str
-
-
-@dataclass(frozen=True)
 class UncertaintyRecord:
     """The uncertainty of one calibration.
 
@@ -57,13 +47,12 @@ class UncertaintyRecord:
         linear: Linearised intervals. Shape (2, p). [per parameter]
         interval: Intervals of the posterior, NaN where it is not trusted. Shape (2, p). [per parameter]
         known: A key of `HOW_KNOWN`, one per parameter.
-        pairs: Which parameters compensate each other, the clearest first; none where it is not trusted.
+        pairs: Which two compensate each other, in words, the clearest first; none where it is not trusted.
         null_directions: Combinations that hardly change any output near the point, in words.
         particles: A sample of the posterior by the surrogate. Shape (c, p). [per parameter]
         weights: What each counts; sum 1. Shape (n,). [1]
         simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
         predictive: The same with noise. Shape (2, t, k). [per output]
-        share_predictive: Share of the measured values within it, one per output. [1]
         n_effective: Parameter sets of equal weight that the sample is worth.
         is_trusted: Whether that is enough.
         mse: Error of the calibration. [first output's unit squared]
@@ -71,8 +60,6 @@ class UncertaintyRecord:
         has_prior: Whether anything was known beforehand.
         sensor: Uncertainty of the first output's sensor, infinite where it is not known. [its unit]
         ledger: Calls by what they were for.
-        n_fixed: Parameters that were not calibrated and are not judged.
-        condition: On what fixed values everything rests, in words; "" where nothing was fixed.
     """
 
     calibration: str
@@ -83,13 +70,12 @@ class UncertaintyRecord:
     linear: Floats
     interval: Floats
     known: tuple[str, ...]
-    pairs: tuple[PairNote, ...]
+    pairs: tuple[str, ...]
     null_directions: tuple[str, ...]
     particles: Floats
     weights: Floats
     simulated: Floats
     predictive: Floats
-    share_predictive: tuple[float, ...]
     n_effective: float
     is_trusted: bool
     mse: float
@@ -97,8 +83,6 @@ class UncertaintyRecord:
     has_prior: bool
     sensor: float
     ledger: Mapping[str, int]
-    n_fixed: int = 0
-    condition: str = ""
 
     @property
     def digits(self) -> tuple[int, ...]:
@@ -122,7 +106,6 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
     """
     parameters, local = numbers["parameters"], numbers["identifiability"]
     is_trusted, interval = numbers["sample"]["is_trusted"], [one["interval"] for one in parameters.values()]
-    restriction = numbers.get("restriction", {"fixed": {}, "in_words": ""})
     n_null = local["n_null_directions"]
     directions = local["directions"]
     return UncertaintyRecord(
@@ -134,16 +117,13 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         linear=np.array([one["linear"] for one in parameters.values()]).T,
         interval=np.array(interval).T if is_trusted else np.full((2, len(parameters)), np.nan),
         known=tuple(one["known"] if is_trusted else "unsure" for one in parameters.values()),
-        pairs=tuple(
-            PairNote(one["first"], one["second"], one["in_words"]) for one in numbers["pairs"] if is_trusted
-        ),
+        pairs=tuple(one["in_words"] for one in numbers["pairs"] if is_trusted),
         # Results of earlier versions say only how many of the last ones they are.
         null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
         particles=arrays["particles_theta"],
         weights=arrays["weights"],
         simulated=arrays["simulated"],
         predictive=arrays["predictive"],
-        share_predictive=tuple(one["share_within_predictive"] for one in numbers["outputs"].values()),
         n_effective=numbers["sample"]["n_effective"],
         is_trusted=is_trusted,
         mse=numbers["mse"],
@@ -152,14 +132,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         # Results of earlier versions do not say.
         sensor=numbers.get("sensor") or math.inf,
         ledger=numbers["ledger"],
-        n_fixed=len(restriction["fixed"]),
-        condition=restriction["in_words"],
     )
-
-
-def box_of(space: ParameterSpace, names: Sequence[str]) -> ParameterSpace:
-    """Return the box of the parameters that are named, in the order of the names."""
-    return ParameterSpace(tuple(space.parameters[space.names.index(name)] for name in names))
 
 
 def noise_sentence(noise: Mapping[str, Any], unit: str) -> str:
@@ -213,7 +186,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
             said.append(text.format(names=listed(names)))
     if r.is_trusted and not r.called("determined"):
         said.insert(1, "The data determine no parameter on its own.")
-    said += [f"{pair.sentence}." for pair in r.pairs]
+    said += [f"{pair}." for pair in r.pairs]
     if r.is_trusted:
         said += [
             f"Near the calibrated point moving these together hardly changes any output: {direction} (shares "
@@ -234,7 +207,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
         )
     # What nothing below may be trusted without comes first.
     said.insert(len(said) if r.is_trusted else 0, sample_sentence(r))
-    return tuple([r.condition, *said] if r.condition else said)
+    return tuple(said)
 
 
 def sample_sentence(record: UncertaintyRecord) -> str:

@@ -62,7 +62,6 @@ class ValidationRecord:
         y_polished: The physical model at the polished point. Shape (t, k).
         points: The parameter sets by name ("estimate", "screened", "polished" or "calibrated"), the one that
             the calibration ended with last.
-        n_free: Parameters that were calibrated, None for all.
     """
 
     n_train: int
@@ -71,7 +70,6 @@ class ValidationRecord:
     y_screened: Floats
     y_polished: Floats
     points: Mapping[str, ValidatedPoint]
-    n_free: int | None = None
 
     def shown_as(self, calibration: CalibrationRecord) -> CalibrationRecord:
         """Return the calibration with the trajectories and errors of the validation period, to be drawn."""

@@ -1,6 +1,5 @@
 """The doctor as a stage: examined once per case and profile, unless asked for."""
 
-
 from studies.doctor import Diagnosis, Finding, examine
 from studies.report.wording import count
 from studies.stages.knowledge import declared_inputs

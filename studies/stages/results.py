@@ -52,7 +52,7 @@ class ResultFiles:
 
     @classmethod
     def of(cls, study: Study, kind: str, name: str) -> "ResultFiles":
-        """Return the files of a "calibration" or a "posterior", of all parameters "adaptive" or "n0064"."""
+        """Return the files of a "calibration" or a "posterior", of "adaptive" or "n0064"."""
         stem = study.results / f"{kind}-{name}"
         return cls(stem.with_suffix(".json"), stem.with_suffix(".npz"))
 
@@ -221,8 +221,7 @@ def measured_series(case: Case) -> MeasuredSeries:
 def calibration_record(stored: StoredResult) -> CalibrationRecord:
     """Return a calibration as a record; an adaptive one has no training set and no screened point."""
     numbers, arrays, ledger = stored.numbers, stored.arrays, stored.numbers["ledger"]
-    errors, surrogate = numbers.get("surrogate_errors", {}), numbers.get("surrogate")
-    equations = numbers.get("state_equations")
+    errors, equations = numbers.get("surrogate_errors", {}), numbers.get("state_equations")
     nowhere = np.nan
     return CalibrationRecord(
         n_train=numbers["n_train"],
@@ -244,7 +243,6 @@ def calibration_record(stored: StoredResult) -> CalibrationRecord:
         test_mae=errors.get("test/mae", nowhere),
         test_p90=errors.get("test/p90", nowhere),
         stop_reason=numbers["stop_reason" if stored.is_adaptive else "polish_stop_reason"],
-        surrogate=f"trial {surrogate['trial']} of {surrogate['study']}" if surrogate else "",
         method="adaptive" if stored.is_adaptive else "paper",
         n_known=numbers.get("n_known", 0),
         knowledge=known_before(numbers),
@@ -292,8 +290,7 @@ def coverage_set(study: Study) -> CoverageSet | None:
     file = study.paths.root / manifest["summary"]["files"]["train"]
     if not file.is_file():
         return None
-    rows = RowSet.load(file).read(N_COVERAGE)
-    return CoverageSet("training", rows.theta, rows.y)
+    return CoverageSet("training", RowSet.load(file).read(N_COVERAGE).y)
 
 
 def _number(value: float | None) -> float:

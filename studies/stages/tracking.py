@@ -83,16 +83,15 @@ def log_posterior(study: Study, stored: StoredResult, digest: str) -> None:
         digest: digest of the stage's inputs.
     """
     from studies.report.figures_uncertainty import band_figure, interval_figure
-    from studies.report.uncertainty import box_of, uncertainty_record
+    from studies.report.uncertainty import uncertainty_record
 
     numbers = stored.numbers
     record = uncertainty_record(numbers, stored.arrays)
-    box = box_of(study.case.parameter_space, record.names)
     known = [one["known"] for one in numbers["parameters"].values()]
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
         band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
-        interval_figure(box, record, figures[1], footnote=study.label)
+        interval_figure(study.case.parameter_space, record, figures[1], footnote=study.label)
         _log_result(
             study,
             stored,

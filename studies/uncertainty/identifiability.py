@@ -83,8 +83,6 @@ class Identifiability:
         spread: Standard deviation of each parameter, as a share of its range. Shape (p,). [1]
         before: The same without data, of the range or a prior within it. Shape (p,). [1]
         correlation: Of the estimates. Shape (p, p). [1]
-        alignment: Cosine between the columns of the Jacobian: what two parameters do to the outputs,
-            all others held. Shape (p, p). [1]
         n_samples: Residuals.
         n_independent: Independent samples that they are worth.
         n_calls: Rows asked of the model.
@@ -102,7 +100,6 @@ class Identifiability:
     spread: FloatArray
     before: FloatArray
     correlation: FloatArray
-    alignment: FloatArray
     n_samples: int
     n_independent: float
     n_calls: int
@@ -279,7 +276,6 @@ def judged_slopes(
     if prior is not None:
         known = known + prior.width**-2.0
         covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(prior.width**-2.0))
-    lengths = np.linalg.norm(jacobian, axis=0)
     return Identifiability(
         names=names,
         theta=np.full(p, np.nan),
@@ -291,24 +287,12 @@ def judged_slopes(
         spread=np.sqrt(np.diag(covariance)),
         before=1.0 / np.sqrt(known),
         correlation=_normed(covariance, np.sqrt(np.diag(covariance))),
-        alignment=_normed(jacobian.T @ jacobian, lengths),
         n_samples=len(jacobian),
         n_independent=float(len(jacobian)),
         n_calls=0,
         is_unknown=np.zeros(p, dtype=np.bool_),
         null=null,
     )
-
-
-def correlated_pairs(names: tuple[str, ...], correlation: FloatArray, least: float) -> tuple[Pair, ...]:
-    """Return the pairs whose correlation is at least so large, the largest first."""
-    first, second = np.triu_indices(len(names), k=1)
-    pairs = [
-        Pair(names[i], names[j], float(correlation[i, j]))
-        for i, j in zip(first, second, strict=True)
-        if abs(correlation[i, j]) >= least
-    ]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair.strength)))
 
 
 def _moved(u: FloatArray, to: FloatArray) -> FloatArray:

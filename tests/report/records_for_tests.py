@@ -15,9 +15,8 @@ from studies.report import (
     ReportData,
     TrialsRecord,
 )
-from studies.report.records import RestrictionRecord
 from studies.report.records_tuning import TunedSize
-from studies.report.uncertainty import UncertaintyRecord, box_of
+from studies.report.uncertainty import UncertaintyRecord
 from studies.sensitivity import SobolIndices
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
@@ -82,18 +81,8 @@ def calibration(
         mse_screened=mse_screened, mse_polished=mse_polished, y_screened=y_screened, y_polished=y_polished,
         history_calls=steps, history_mse=history, n_validation=320, n_test=320, n_screen_checks=1,
         n_polish=n_polish, wall_s=31.7, test_mae=6.0 / n_train**0.5, test_p90=11.0 / n_train**0.5,
-        stop_reason="the cost changes by less than ftol", surrogate="trial 7 of the study for 64",
+        stop_reason="the cost changes by less than ftol",
     )  # fmt: skip
-
-
-def restricted(n_train: int = 64, *, n_free: int = 6) -> CalibrationRecord:
-    """Return a calibration of the most relevant parameters: 60 calls found them, 15 checked the others."""
-    whole = calibration(n_train)
-    restriction = RestrictionRecord(
-        n_free, NAMES[n_free:], {name: 0.25 / 1.3**j for j, name in enumerate(NAMES)}, "Morris", 60,
-        gain=0.3, gain_alone=dict.fromkeys(NAMES[n_free:], 0.04), n_check=15,
-    )  # fmt: skip
-    return replace(whole, restriction=restriction, history_calls=whole.history_calls + 60)
 
 
 def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
@@ -108,31 +97,27 @@ def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
     )  # fmt: skip
 
 
-def uncertainty(names: tuple[str, ...] = NAMES[:3], *, calibration: str = "adaptive") -> UncertaintyRecord:
-    """Return how sure a calibration of some parameters is, the others of the box fixed."""
-    box, rng = box_of(parameter_box(), names), np.random.default_rng(5)
-    p, t = len(names), len(time_axis())
+def uncertainty() -> UncertaintyRecord:
+    """Return how sure the adaptive calibration is."""
+    box, rng = parameter_box(), np.random.default_rng(5)
+    p, t = len(NAMES), len(time_axis())
     low, high = box.lower + 0.3 * (box.upper - box.lower), box.lower + 0.6 * (box.upper - box.lower)
     ends = np.stack([low, high])
     particles = rng.uniform(low, high, (200, p))
     band = 21.5 + np.stack([-0.2 * np.ones((t, 1)), 0.2 * np.ones((t, 1))])
-    n_fixed = len(NAMES) - p
     noise = {"kind": "white", "deviation": 0.1, "n_samples": t, "n_independent": t}
-    ledger = {"total": 30, "n_differences": 2 * p, "n_taught": 10 - 2 * p, "n_sample": 20, "n_known": 14}
+    ledger = {"total": 2 * p + 22, "n_differences": 2 * p, "n_taught": 2, "n_sample": 20, "n_known": 14}
     return UncertaintyRecord(
-        calibration=calibration, level=0.9, noise=noise, names=names, linear=ends,
+        calibration="adaptive", level=0.9, noise=noise, names=NAMES, linear=ends,
         calibrated=ends.mean(axis=0), interval=ends, known=("narrowed",) * p, pairs=(), null_directions=(),
         sensor=0.5, has_prior=False, particles=particles, weights=np.full(20, 0.05),
         simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
-        share_predictive=(0.9,), n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
-        n_fixed=n_fixed, condition="All this holds only if what was fixed is right." if n_fixed else "",
+        n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
     )  # fmt: skip
 
 
 def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> CoverageSet:
     rng = np.random.default_rng(2)
-    parameters = parameter_box()
-    theta = parameters.lower + (parameters.upper - parameters.lower) * rng.uniform(0, 1, (n, 14))
     days = time_axis(n_steps)[None, :, None] / 86400.0
     level, swing, drift = (
         rng.uniform(14, 30, (n, 1, 1)),
@@ -145,7 +130,7 @@ def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> Coverage
         + swing * np.sin(2 * np.pi * days)
         + 0.2 * drift * days
     )
-    return CoverageSet("training", theta, np.repeat(y, n_outputs, axis=2))
+    return CoverageSet("training", np.repeat(y, n_outputs, axis=2))
 
 
 def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SobolIndices:

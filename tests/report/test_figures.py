@@ -18,7 +18,6 @@ from records_for_tests import (
     measured,
     parameter_box,
     report_data,
-    restricted,
     sensitivity,
     trials,
 )
@@ -154,12 +153,12 @@ def test_the_screened_point_stands_where_the_polish_begins(
         save(canvas, *arguments, **more)
 
     monkeypatch.setattr(FigureCanvasAgg, "print_png", watched)
-    few = restricted(64)
-    calls_figure(few, (), tmp_path / "p.png", mse_unit="K²")
+    c = calibration()
+    calls_figure(c, (), tmp_path / "p.png", mse_unit="K²")
     lines = figures[0].axes[0].get_lines()
     (diamond,) = [line for line in lines if line.get_marker() == "D"]
     (steps,) = [line for line in lines if line.get_drawstyle() == "steps-post"]
-    assert np.asarray(diamond.get_xdata())[0] == np.asarray(steps.get_xdata())[0] == few.history_calls[0]
+    assert np.asarray(diamond.get_xdata())[0] == np.asarray(steps.get_xdata())[0] == c.history_calls[0]
 
 
 def test_a_residual_is_no_line_within_a_wide_band() -> None:

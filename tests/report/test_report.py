@@ -4,7 +4,6 @@ import csv
 import json
 import math
 from dataclasses import replace
-from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from records_for_tests import (
     measured,
     parameter_box,
     report_data,
-    restricted,
     sensitivity,
     trials,
     uncertainty,
@@ -29,7 +27,6 @@ from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.report import CoverageSet, MeasuredSeries, Provenance, ReportData, build, captions
 from studies.report.findings import at_bound, enclosed_fraction, within_sensor
-from studies.report.restricted import restriction_sentences
 from studies.report.tables import sensitivity_table, tuning_table
 from studies.report.tables_of_calibrations import calibrations_table, intervals_table, parameters_table
 from studies.report.wording import (
@@ -149,7 +146,7 @@ def test_progress_counts_every_file(tmp_path: Path) -> None:
 
 
 def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
-    c = replace(calibration(64), stop_reason=EVIL, surrogate=EVIL)
+    c = replace(calibration(64), stop_reason=EVIL)
     data = small(
         title=EVIL, label=EVIL, note=EVIL, calibrations=(c, calibration(128)),
         measurement=MeasuredSeries(replace(measured().measurement, output_names=(EVIL,)), (EVIL,)),
@@ -277,73 +274,18 @@ def test_the_result_is_one_sentence_with_the_numbers_of_the_data() -> None:
     assert sentence == "189 model calls calibrated 14 parameters to an MSE of 0.00642 K²."
 
 
-def test_a_restricted_calibration_is_told_from_the_one_of_all_parameters() -> None:
-    few, whole = restricted(64, n_free=6), calibration(64)
-    sentence = captions.headline_sentence(report_data(calibrations=(few,)))
-    assert "264 model calls calibrated the 6 most relevant of 14 parameters to" in sentence
-    few_calls = replace(few.restriction, n_calls=10, n_check=10) if few.restriction else None
-    found = replace(adaptive(), restriction=few_calls)
-    sentence = captions.headline_sentence(report_data(calibrations=(found,)))
-    assert "91 model calls calibrated the 6 most" in sentence
-    better = replace(few, mse_polished=0.9 * whole.mse_polished)
-    table = calibrations_table(report_data(calibrations=(whole, better)))
-    assert [row["n_free"] for row in table.records()] == [14, 6]
-    assert table.emphasized == 1
-    alone = report_data(calibrations=(adaptive(), found))
-    assert [row["n_free"] for row in calibrations_table(alone).records()] == [14, 6]
-
-
-def test_what_fixing_parameters_cost_stands_where_the_calibration_is_shown(tmp_path: Path) -> None:
-    few, whole = restricted(64), calibration(64)
-    page = build(report_data(calibrations=(few, whole)), tmp_path).read_text(encoding="utf-8")
-    relevance, cost = restriction_sentences(few, whole, "K²")
-    for sentence in (relevance, cost):
-        assert unescape(page).count(sentence) == 1
-    assert relevance == (
-        "Relevance by Morris, counted: 60 calls for Morris' elementary effects. "
-        "Least relevant calibrated: rExt1, 6.7 %; most relevant fixed: rExt2, 5.2 %."
-    )
-    assert "the MSE is 1 times the" in cost
-    assert "all parameters (189 calls); freed, they would gain 30 % of the error" in cost
-    rows = {row["name"]: row for row in parameters_table(parameter_box(), few).records()}
-    assert (rows["UWin"]["share"], rows["UWin"]["gain_if_free"]) == (0.25, None)
-    assert rows["qIntOcc"]["gain_if_free"] == 0.04
-    assert "share" not in parameters_table(parameter_box(), whole).records()[0]
-
-
-def test_a_close_call_keeps_the_digits_that_tell_it() -> None:
-    few = restricted(64)
-    assert few.restriction is not None
-    shares = few.restriction.shares | {"rExt1": 0.07912, "rExt2": 0.07908}
-    close = replace(few, restriction=replace(few.restriction, shares=shares))
-    sentence = restriction_sentences(close, None, "K²")[0]
-    assert "Least relevant calibrated: rExt1, 7.9120 %; most relevant fixed: rExt2, 7.9080 %." in sentence
-    unknown = replace(few.restriction, shares=dict.fromkeys(shares), source="Sobol", gain=None)
-    said = restriction_sentences(replace(few, restriction=unknown), None, "K²")
-    assert said == (
-        "Relevance by Sobol, not counted: the stored Sobol indices had cost 0 calls.",
-        "What the fixing cost: what freeing them would gain is not known, the optimum failed when simulated "
-        "again.",
-    )
-    unchecked = replace(unknown, n_check=0)
-    said = restriction_sentences(replace(few, restriction=unchecked), None, "K²")
-    assert said[1] == "What the fixing cost: not known, the budget held no check of it."
-
-
-def test_intervals_of_free_parameters_keep_their_ends_apart_and_say_what_they_rest_on(
-    tmp_path: Path,
-) -> None:
-    narrow = uncertainty(("rInt", "TTABSInit"), calibration="n0064-relevant2")
-    ends = np.array([[0.1, 301.15031], [0.9, 301.15037]])
-    record = replace(narrow, interval=ends, linear=ends, calibrated=ends.mean(axis=0))
-    texts = intervals_table(parameter_box(), record).texts()
-    assert texts[0][:5] == ["rInt", "m2.K/W", "0.5000", "0.1000", "0.9000"]
-    assert texts[1][3:5] == ["301.15031", "301.15037"]
-    data = report_data(calibrations=(restricted(64, n_free=2),), uncertainties=(record,))
-    page = build(data, tmp_path).read_text(encoding="utf-8")
-    assert "<p>All this holds only if what was fixed is right.</p>" in page
-    rows = {row["name"]: row for row in intervals_table(parameter_box(), record).records()}
-    assert (list(rows), rows["rInt"]["low"]) == (["rInt", "TTABSInit"], 0.1)
+def test_intervals_keep_their_ends_apart_and_are_on_the_page(tmp_path: Path) -> None:
+    record = uncertainty()
+    ends = record.interval.copy()
+    ends[:, 1:3] = [[301.15031, 0.1], [301.15037, 0.9]]
+    record = replace(record, interval=ends, linear=ends, calibrated=ends.mean(axis=0))
+    table = intervals_table(parameter_box(), record)
+    assert table.texts()[2][:5] == ["rInt", "m2.K/W", "0.5000", "0.1000", "0.9000"]
+    assert table.texts()[1][3:5] == ["301.15031", "301.15037"]
+    assert (table.records()[2]["name"], table.records()[2]["low"]) == ("rInt", 0.1)
+    page = build(report_data(calibrations=(adaptive(),), uncertainties=(record,)), tmp_path)
+    assert "How sure the adaptive calibration is" in checked(page).text
+    assert {"bands-adaptive.png", "intervals-adaptive.png"} <= {file.name for file in tmp_path.iterdir()}
 
 
 def test_the_share_within_the_sensors_uncertainty_is_what_numpy_says() -> None:
@@ -358,7 +300,7 @@ def test_enclosed_fraction_counts_measured_values() -> None:
     values = m.measurement.y
     y = np.stack([values - 1, values + 1])
     y[:, 0] = values[0] + 5
-    assert enclosed_fraction(m, CoverageSet("training", np.zeros((2, 14)), y)) == 0.75
+    assert enclosed_fraction(m, CoverageSet("training", y)) == 0.75
 
 
 @pytest.mark.parametrize(
