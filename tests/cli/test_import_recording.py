@@ -118,7 +118,7 @@ def use_fahrenheit(recording: Recording) -> None:
         (drop_variable, ["TSupply", "TRLTSupply"]),
         (put_nan, ["TEnv_degC", "nan", "12600"]),
         (shorten, ["days", "10"]),
-        (make_gap, ["IrrGH", "34200", "1800"]),
+        (make_gap, ["IrrGH", "37800", "1800", "36000"]),
         (use_fahrenheit, ["TRoom_degC", "unit"]),
     ],
 )

@@ -95,7 +95,7 @@ def test_the_default_of_a_narrow_space_is_its_nearest_point() -> None:
         "patience": {"kind": "int", "low": 1, "high": 2, "when": {"activation": "silu"}},
     }
     point = default_point(space(narrow), VARIANTS["refined"])
-    assert point == {"n_latent": 8, "beta": 200.0, "batch_size": 250, "activation": "relu"}
+    assert point == {"n_latent": 8, "beta": 200.0, "batch_size": 70, "activation": "relu"}
 
 
 @pytest.mark.parametrize(
