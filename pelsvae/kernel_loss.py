@@ -8,8 +8,6 @@ the n x f warped features, for with S = dL/dk symmetric and E = S B element by e
 
 for every feature. What S is, is Eq. 5.9 of Rasmussen and Williams 2006, Gaussian Processes for Machine
 Learning.
-
-Several kernels are looked at at once: on few rows what an operation costs is its call.
 """
 
 from __future__ import annotations

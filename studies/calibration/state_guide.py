@@ -231,14 +231,14 @@ class StateGuide:
             is_told = bool(good[0]) and error <= MISSED * answer.mse[0]
             self._n_missed = 0 if is_told else self._n_missed + 1
         rows = self._seen(answer.theta)
-        told = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows[:3]], axis=0)
-        if not told.any():
+        whole = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows[:3]], axis=0)
+        if not whole.any():
             return
-        is_missed = was_confirmed and self._untold_of(answer.u[told], answer.residuals[told]) > TOLD
-        self._u = np.concatenate([self._u, answer.u[told]])
-        self._rows.append(StateRows(*(part[told] for part in rows[:3])))
-        self._locals.note(None if rows.locals is None else rows.locals[told])
-        self._answered = np.concatenate([self._answered, answer.residuals[told]])
+        is_missed = was_confirmed and self._untold_of(answer.u[whole], answer.residuals[whole]) > TOLD
+        self._u = np.concatenate([self._u, answer.u[whole]])
+        self._rows.append(StateRows(*(part[whole] for part in rows[:3])))
+        self._locals.note(None if rows.locals is None else rows.locals[whole])
+        self._answered = np.concatenate([self._answered, answer.residuals[whole]])
         self._equations = self._learnt()
         if is_missed and self._equations is not None and not self._equations.is_exact:
             # Laws that held and hold no more: this row is of another regime, whatever it has in common.

@@ -167,7 +167,7 @@ class Work:
     Args:
         stage: the stage.
         started_s: when it began. [s since 1970, UTC]
-        counted_from: the same by a clock that nobody sets. [s]
+        counted_from: the same by a monotonic clock. [s]
     """
 
     stage: Stage
