@@ -9,6 +9,7 @@ import copy
 import functools
 import io
 import json
+import math
 import os
 import resource
 import shutil
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from simulation.errors import InputError
@@ -399,3 +401,22 @@ def listing(root: Path) -> list[str]:
         for file in whole.rglob("*")
         if not file.is_relative_to(mlruns) or file.is_relative_to(mlruns / "results")
     )
+
+
+def fuzz(root: Path, outcomes: Outcomes, n_inputs: int, first_seed: int, until_s: float = math.inf) -> None:
+    """Try inputs of a seed, and none after a moment on the monotonic clock [s]."""
+
+    @seed(first_seed)
+    @settings(
+        max_examples=n_inputs,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(inputs())
+    def one(given_: Input) -> None:
+        if time.monotonic() < until_s:
+            tried(root, given_, outcomes)
+
+    one()
