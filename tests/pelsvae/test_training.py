@@ -161,12 +161,13 @@ def test_a_training_loads_neither_torchs_compiler_nor_sympy(variant: str, tmp_pa
 import sys
 import numpy as np
 from pelsvae.config import VARIANTS
-from pelsvae.surrogate import Surrogate
+from pathlib import Path
+from pelsvae.surrogate_files import load_surrogate, save_surrogate
 from pelsvae.training import fit
 rows = np.linspace(1.0, 2.0, 8)[:, None], np.ones((8, 3, 1)) * np.linspace(0.0, 1.0, 8)[:, None, None]
 config = VARIANTS[{variant!r}].replace(max_epochs=2, device="cpu")
-fit(*rows, rows, config=config, seed=0).surrogate.save({str(tmp_path)!r})
-Surrogate.load({str(tmp_path)!r}).predict(rows[0])
+save_surrogate(fit(*rows, rows, config=config, seed=0).surrogate, Path({str(tmp_path)!r}))
+load_surrogate(Path({str(tmp_path)!r})).predict(rows[0])
 assert not {{"torch._dynamo", "sympy"}} & set(sys.modules)
 """
     subprocess.run([sys.executable, "-c", script], check=True)
