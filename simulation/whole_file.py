@@ -44,7 +44,7 @@ def _begin(path: Path) -> tuple[BinaryIO, Path]:
     while True:
         partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
         file = partial.open("wb")
-        with suppress(OSError):  # a file system without locks, on which nobody removes what is left
+        with suppress(OSError):  # a file system without locks, on which leftovers stay
             fcntl.flock(file, fcntl.LOCK_EX)
         if os.fstat(file.fileno()).st_nlink:
             return file, partial

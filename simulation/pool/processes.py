@@ -106,7 +106,7 @@ class Processes:
                 hang_up(connection)
 
     def close(self) -> None:
-        """End all processes and wait until they have gone; nobody may wait for an answer.
+        """End all processes and wait until they have gone; no thread may wait for an answer.
 
         Closing twice does no harm, and the next question starts new ones.
         """
