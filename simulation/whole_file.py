@@ -15,7 +15,7 @@ def whole_file(path: Path, *, synced: bool = False) -> Iterator[BinaryIO]:
     """Open a file that takes its place when the block ends without an error.
 
     A killed process leaves the old file or the new one, never half of one. What it had written beside it is
-    removed by whoever writes the file next.
+    removed when the file is written next.
 
     Args:
         path: File to write; its folder is created when missing.

@@ -99,7 +99,7 @@ class Processes:
             return self._all[-1]
 
     def end(self) -> None:
-        """Have all processes end, now; whoever waits for one gets a ProcessLostError."""
+        """Have all processes end, now; a thread that waits for one gets a ProcessLostError."""
         with self._lock:
             self._is_ending = True
             for connection in self._all:

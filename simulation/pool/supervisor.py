@@ -39,7 +39,7 @@ _PAUSES_S: Final = (0.25, 1.0)
 _CLOSING_S: Final = 1.0
 _CRASHING_S: Final = 10.0
 # No row kills its process by SIGKILL or between two rows: it was only running when another kill came.
-_MERCY: Final = 3
+_SPARE_TRIES: Final = 3
 _MAX_IN_VAIN: Final = 5
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S: Final = 0.05
@@ -61,7 +61,7 @@ def supervise(parent: Connection, job: Job) -> None:
         with contextlib.closing(_Supervisor(parent, job)) as supervisor:
             supervisor.serve()
     except (EOFError, OSError):
-        pass  # whoever asked is gone, or done
+        pass  # the process that asked is gone, or done
     except Exception as error:
         parent.send(error if isinstance(error, RuntimeError) else refusal(error))
 
@@ -246,11 +246,11 @@ class _Supervisor:
             elif end is End.HUNG:
                 self._end(worker, 0.0)
                 how = policy.why_stopped(self._slowest_s)
-                allowed = _MERCY * was_between
+                allowed = _SPARE_TRIES * was_between
             else:
                 exit_code, how = self._end(worker, _CRASHING_S)
-                how, is_mercy = f"the FMU {how}", was_between or exit_code == -signal.SIGKILL
-                allowed = policy.retries + _MERCY * is_mercy
+                how, was_killed = f"the FMU {how}", was_between or exit_code == -signal.SIGKILL
+                allowed = policy.retries + _SPARE_TRIES * was_killed
             tries[end] += 1
             if tries[end] > allowed:
                 failures[row] = (f"{tries[end]} times: " if tries[end] > 1 else "") + how

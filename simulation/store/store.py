@@ -259,7 +259,7 @@ def _keys(theta: FloatArray) -> list[bytes]:
 
 def _connect(file: Path) -> sqlite3.Connection:
     is_fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
-    # Where nothing can be written, SQLite's files beside it cannot be made; nor does another process change it.
+    # Where nothing can be written, SQLite's files beside it cannot be made; no other process writes either.
     place = f"{file.absolute().as_uri()}{'?immutable=1' if is_fixed else ''}"
     database = sqlite3.connect(place, uri=True, timeout=_PATIENCE_S, isolation_level=None)
     # A damaged text has another checksum: it need not stop the reading of others.
