@@ -87,14 +87,6 @@ HEAD = (
 WRONG_MODELS = {
     "nonlinear loop": (HEAD + "equation\n  der(x) = -x;\n  y + y^3 = x;\nend M;", "nonlinear"),
     "undetermined": (HEAD + "equation\n  der(x) = -x;\n  x = 1;\nend M;", "no equation determines"),
-    "output without unit": (
-        HEAD.replace('y(unit="1")', "y") + "equation\n  der(x) = -x;\n  y = x;\nend M;",
-        "no unit",
-    ),
-    "array": (
-        HEAD + '  Real z[2](each unit="1") "A";\nequation\n  der(x) = -x;\n  y = x;\n  z = {1, 2};\nend M;',
-        "array",
-    ),
 }
 
 
@@ -112,9 +104,7 @@ def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
     ("settings", "message"),
     [
         ('model = "M"\nsolver = "euler"', "solver = 'euler' is unknown"),
-        ('model = "M"\nsubstep = 3', "unknown key 'substep'"),
         ('model = "M"\nsolver = "exact"', "not affine"),
-        ('model = "Other"', "Other"),
     ],
 )
 def test_a_wrong_build_file_is_one_clear_line(build, settings, message):
@@ -123,22 +113,6 @@ def test_a_wrong_build_file_is_one_clear_line(build, settings, message):
     with pytest.raises(CompileError, match=message) as caught:
         build(COOLING, settings)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("unit", "powers", "factor"),
-    [
-        ("W/(m2.K)", {"kg": 1, "s": -3, "K": -1}, 1.0),
-        ("J/(kg.K)", {"m": 2, "s": -2, "K": -1}, 1.0),
-        ("m3/h", {"m": 3, "s": -1}, 1.0 / 3600.0),
-    ],
-)
-def test_units_resolve_into_base_units(compiler, unit, powers, factor):
-    from fmus.compiler.units import parse_unit
-
-    base = parse_unit(unit)
-    assert base.powers == powers
-    assert base.factor == pytest.approx(factor, rel=1e-15)
 
 
 def test_the_office_answers_the_same_bits_in_both_versions(compiler, tmp_path):
