@@ -66,6 +66,6 @@ def keep_freed_memory() -> None:
 
     It hands blocks back until one of their size was released once, 32 MB at most; the system gives every page
     of a new one zeroed, which costs more than what is computed on it. One empty block of that size, of which
-    no page is touched, ends that. Elsewhere it does nothing.
+    no page is touched, ends that. On other systems it does nothing.
     """
     torch.empty(_LARGEST_KEPT, dtype=torch.uint8)

@@ -54,9 +54,6 @@ Prior = tuple[Array, Array]
 class Kernel:
     """The form of the kernel; its hyperparameters are a flat vector, h of them: logarithms, and warps.
 
-    Where a shape begins with dots, several kernels of the form may stand there, whose answers do not depend
-    on each other.
-
     Attributes:
         n_features: f.
         n_scales: Sums of bumps, each with f lengths.
@@ -86,9 +83,8 @@ class Kernel:
         return list(zip(mean - _REACH * deviation, mean + _REACH * deviation, strict=True))
 
     def lengths(self, hyper: Tensor) -> Tensor:
-        """Return every scale's lengths: (..., h) -> (..., s, f)."""
-        lengths = hyper[..., : self.n_scales * self.n_features]
-        return lengths.reshape(*hyper.shape[:-1], self.n_scales, self.n_features).exp()
+        """Return every scale's lengths: (h,) -> (s, f)."""
+        return hyper[: self.n_scales * self.n_features].reshape(self.n_scales, self.n_features).exp()
 
     def stretched(self, hyper: Array, factor: float) -> Array:
         """Return hyperparameters with every length multiplied: (h,) -> (h,)."""
@@ -97,17 +93,16 @@ class Kernel:
         return longer
 
     def weights(self, hyper: Tensor) -> Tensor:
-        """Return b_s²: (..., h) -> (..., s)."""
+        """Return b_s²: (h,) -> (s,)."""
         start = self.n_scales * self.n_features
-        others = hyper[..., start : start + self.n_scales - 1]
-        return torch.cat([torch.zeros_like(hyper[..., :1]), others], dim=-1).exp()
+        return torch.cat([torch.zeros_like(hyper[:1]), hyper[start : start + self.n_scales - 1]]).exp()
 
     def polynomial(self, hyper: Tensor) -> Tensor:
-        """Return the squares of slope and bend: (..., h) -> (..., degree)."""
-        return (2.0 * hyper[..., -1 - self.degree : -1]).exp()
+        """Return the squares of slope and bend: (h,) -> (degree,)."""
+        return (2.0 * hyper[-1 - self.degree : -1]).exp()
 
     def warped(self, hyper: Tensor, x: Tensor) -> Tensor:
-        """Return warped features: (..., h), (n, f) -> (..., n, f)."""
+        """Return warped features: (h,), (n, f) -> (n, f)."""
         warp = self._warp(hyper)
         return torch.expm1(warp * x) / warp
 
@@ -118,33 +113,28 @@ class Kernel:
         return torch.where(warp == _LEAST_WARP, torch.zeros_like(slope), slope)
 
     def _warp(self, hyper: Tensor) -> Tensor:
-        warp = hyper[..., None, -1 - self.degree - self.n_features : -1 - self.degree]
+        warp = hyper[-1 - self.degree - self.n_features : -1 - self.degree]
         return torch.where(warp.abs() < _LEAST_WARP, torch.full_like(warp, _LEAST_WARP), warp)
 
     def near(self, hyper: Tensor, warped: Tensor) -> Tensor:
-        """Return what bumps take of points, for all scales: (..., h), (..., b, f) -> (..., b, f + 1 + s)."""
+        """Return what bumps take of points, for all scales: (h,), (b, f) -> (b, f + 1 + s)."""
         halves = warped.square() @ (-0.5 * self.lengths(hyper).square().reciprocal()).mT
         return torch.cat([warped, torch.ones_like(warped[..., :1]), halves], dim=-1)
 
     def far(self, hyper: Tensor, warped: Tensor) -> Tensor:
-        """Return what they take of rows; `near` times this is log2 of bumps.
+        """Return what bumps take of rows, for each scale: (h,), (n, f) -> (s, f + 1 + s, n).
 
-        Args:
-            hyper: Hyperparameters. Shape (..., h).
-            warped: Warped features of the rows. Shape (..., n, f).
-
-        Returns:
-            For every scale. Shape (..., s, f + 1 + s, n).
+        `near` times this is the logarithm, to base 2, of the bumps.
         """
         inverse, rows = self.lengths(hyper).square().reciprocal(), warped.mT
-        halves = self.weights(hyper).log()[..., None] - 0.5 * (inverse @ rows.square())  # (..., s, n)
+        halves = self.weights(hyper).log()[:, None] - 0.5 * (inverse @ rows.square())  # (s, n)
         own = torch.eye(self.n_scales, dtype=rows.dtype, device=rows.device)
         parts = [
-            inverse[..., None] * rows[..., None, :, :],
-            halves[..., None, :],
-            own[:, :, None].expand(*halves.shape[:-1], -1, rows.shape[-1]),
+            inverse[..., None] * rows,
+            halves[:, None],
+            own[:, :, None].expand(-1, -1, rows.shape[1]),
         ]
-        return torch.cat(parts, dim=-2) * _LOG2_E
+        return torch.cat(parts, dim=1) * _LOG2_E
 
     def bumps(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
         """Return the sum over the scales, of warped features: (h,), (n, f), (m, f) -> (n, m)."""
@@ -154,8 +144,8 @@ class Kernel:
         return total
 
     def products(self, hyper: Tensor, near: Tensor, far: Tensor) -> Tensor:
-        """Return <w, w'>_1 of warped features: (..., h), (..., n, f), (..., m, f) -> (..., n, m)."""
-        return (near / self.lengths(hyper)[..., :1, :].square()) @ far.mT
+        """Return <w, w'>_1 of warped features: (h,), (n, f), (m, f) -> (n, m)."""
+        return (near / self.lengths(hyper)[0].square()) @ far.mT
 
     def matrix(self, hyper: Tensor, x: Tensor, others: Tensor) -> Tensor:
         """Return the covariances without noise: (h,), (n, f), (m, f) -> (n, m)."""
@@ -168,17 +158,16 @@ class Kernel:
         return self.on_trunk(hyper, self.weights(hyper).sum(), product)
 
     def on_trunk(self, hyper: Tensor, bumps: Tensor, product: Tensor) -> Tensor:
-        """Add constant and polynomial; the products are divided by the first scale's lengths.
+        """Add constant and polynomial.
 
         Args:
-            hyper: Hyperparameters. Shape (..., h).
+            hyper: Hyperparameters. Shape (h,).
             bumps: Their sum. Shape of the products, or a number.
-            product: Of warped features, one or two dimensions for each kernel.
+            product: Products of warped features, which are divided by the first scale's lengths.
         """
-        to_products = (..., *(None,) * (product.ndim - hyper.ndim + 1))
-        *squares, last = (square[to_products] for square in self.polynomial(hyper).unbind(-1))
+        *squares, last = self.polynomial(hyper)
         for square in reversed(squares):
-            last = (last * product).add_(square)
+            last = last * product + square
         return torch.addcmul(bumps, product, last).add_(CONSTANT)
 
     def noisy(self, hyper: Tensor, x: Tensor) -> Tensor:
@@ -187,5 +176,5 @@ class Kernel:
         return matrix + self.noise(hyper, matrix) * torch.eye(len(x), dtype=x.dtype, device=x.device)
 
     def noise(self, hyper: Tensor, matrix: Tensor) -> Tensor:
-        """Return what is added on the diagonal of covariances: (..., h), (..., n, n) -> (...)."""
-        return (2.0 * hyper[..., -1]).exp() + JITTER * matrix.diagonal(dim1=-2, dim2=-1).sum(-1)
+        """Return what is added on the diagonal of covariances: (h,), (n, n) -> ()."""
+        return (2.0 * hyper[-1]).exp() + JITTER * matrix.diagonal().sum()

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from pelsvae.kernel import N_INDEPENDENT, Kernel, Prior
-from pelsvae.kernel_loss import kernel_losses
+from pelsvae.kernel_loss import kernel_loss
 from pelsvae.standardize import Array
 
 # Rows on which kernels are searched for, and how many of them go on from each to the next: a search on few
@@ -34,11 +34,11 @@ class Candidate(NamedTuple):
 
     Attributes:
         place: Its own among candidates: group of codes, stage and rank; single codes come after all groups.
-        hyper: They. Shape (h,).
-        columns: The codes.
+        hyper: The hyperparameters. Shape (h,).
+        columns: The codes that they are likely for.
         is_final: Whether they are among the likeliest two of a group's last searches.
-        n_rows: That were searched on; None for a single code.
-        loss: Per row.
+        n_rows: Rows of the search; None for a single code.
+        loss: Minus the logarithm of the posterior density, per row.
         done: Part of all searches that is done with this one.
     """
 
@@ -151,10 +151,7 @@ def _most_probable(
     known = known * torch.sqrt(len(x) / total)
 
     def loss(hyper: Array) -> tuple[float, Array]:
-        value, gradient = kernel_losses(
-            kernel, hyper[None], x, known[None], search.prior, search.n_independent
-        )
-        return float(value[0]), gradient[0]
+        return kernel_loss(kernel, hyper, x, known, search.prior, search.n_independent)
 
     found = minimize(
         loss,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pelsvae.surrogate import Surrogate
+from pelsvae.surrogate_files import load_surrogate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,7 +20,7 @@ class PyfuncSurrogate:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._surrogate = Surrogate.load(folder, device="cpu")
+        self._surrogate = load_surrogate(folder, device="cpu")
 
     def predict(
         self, model_input: "pd.DataFrame", params: dict[str, Any] | None = None

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pelsvae.config import Device, SurrogateConfig
+from pelsvae.config import SurrogateConfig
 from pelsvae.device import n_threads_set
 from pelsvae.linear_vae import LinearVae
 from pelsvae.network import PelsVae
@@ -117,35 +116,6 @@ class Surrogate:
         shape = (self.shape.n_times, self.shape.n_outputs, self.shape.n_parameters)
         standardized: Array = transposed.T.cpu().numpy().astype(np.float64).reshape(shape)
         return standardized * self.output_standardizer.deviation[:, None]
-
-    def save(self, folder: str | Path) -> None:
-        """Write weights.npz and surrogate.json into a folder, without pickle.
-
-        Args:
-            folder: Made if it is missing; holds all that `load` needs, wherever it is moved.
-        """
-        from pelsvae.surrogate_files import save_surrogate
-
-        save_surrogate(self, Path(folder))
-
-    @staticmethod
-    def load(folder: str | Path, device: Device = "auto") -> Surrogate:
-        """Read what `save` wrote; predictions on the same device are the same bits.
-
-        Args:
-            folder: Where weights.npz and surrogate.json lie.
-            device: Where to put the network.
-
-        Returns:
-            The surrogate.
-
-        Raises:
-            FileNotFoundError: One of the two files is missing.
-            ValueError: A file is damaged, or the two do not belong together.
-        """
-        from pelsvae.surrogate_files import load_surrogate
-
-        return load_surrogate(Path(folder), device)
 
     def _in_chunks(
         self,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,11 @@ _NETWORK = "network."  # prefix of the weights among the arrays
 
 
 def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
-    """Write both files, each put in place by a rename, the description last.
+    """Write both files without pickle, the description last: it has the checksum of the weights.
 
     Args:
         surrogate: What to save.
-        folder: Made if it is missing.
+        folder: Made if it is missing; holds all that `load_surrogate` needs, wherever it is moved.
     """
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -46,26 +45,20 @@ def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
     }
     for name, value in surrogate.network.state_dict().items():
         arrays[_NETWORK + name] = value.cpu().numpy()
-    part = folder / f".{WEIGHTS}.{os.getpid()}.part"
-    with part.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    digest = hashlib.sha256(part.read_bytes()).hexdigest()
-    part.replace(folder / WEIGHTS)
+    np.savez(folder / WEIGHTS, allow_pickle=False, **arrays)
     description = {
         "format": _FORMAT,
         "n_parameters": surrogate.shape.n_parameters,
         "n_times": surrogate.shape.n_times,
         "n_outputs": surrogate.shape.n_outputs,
         "config": surrogate.config.to_dict(),
-        "weights_sha256": digest,
+        "weights_sha256": hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest(),
     }
-    part = folder / f".{DESCRIPTION}.{os.getpid()}.part"
-    part.write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
-    part.replace(folder / DESCRIPTION)
+    (folder / DESCRIPTION).write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
 
 
-def load_surrogate(folder: Path, device: Device) -> Surrogate:
-    """Read both files and check them against each other.
+def load_surrogate(folder: Path, device: Device = "auto") -> Surrogate:
+    """Read both files and check them against each other; predictions on the same device are the same bits.
 
     Args:
         folder: Where they lie.

@@ -28,7 +28,7 @@ def with_units(fmu: FmuDescription, units: Mapping[str, str]) -> FmuDescription:
 
     Args:
         fmu: The description.
-        units: Units by variable; of names that there are not, is said elsewhere.
+        units: Units by variable; unknown names are reported by `conversions`.
 
     Raises:
         InputError: If the FMU declares another one.
@@ -81,7 +81,7 @@ def check_inputs(file: CaseFile, fmu: FmuDescription) -> None:
         if name in calibrated:
             raise InputError(f"inputs[{name}] is also under [[parameters]]; drop one of the two")
     for name in fmu.names("input"):
-        # What nothing can set must not stand in the way of the others; the doctor tells of it.
+        # An input that nothing can set must not stop the others; `studies check` reports it.
         has_source = name in driven or name in file.fixed or name in calibrated
         if not has_source and not fmu.variables[name].is_out_of_reach:
             raise InputError(

@@ -34,7 +34,7 @@ def read_case_file(path: Path) -> CaseFile:
 def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
     """Say the first fault as key, value and remedy; an unknown key may be a missing one, misspelt."""
     faults = error.errors(include_url=False)
-    # Of a union (number or table) each branch tells its own, which says nothing of the key.
+    # Each branch of a union (number or table) reports a fault of its own, without the key.
     unknown = (one for one in faults if one["type"] == "unknown_key" and one["loc"][:1] != ("fixed",))
     fault = next(unknown, faults[0])
     location, kind, value = fault["loc"], fault["type"], fault["input"]
@@ -65,7 +65,7 @@ _PLAIN = {
     "string_type": "is no text; write it in quotes",
     "string_pattern_mismatch": "a name has letters, digits, - and _ only",
 }
-"""What to say of faults that the schema tells in words of Python."""
+"""Messages for faults that pydantic reports in words of Python."""
 _FIXED_REMEDY = (
     'give a number, true or false, a text, { value = 20.0, unit = "degC" } or { first_measured = "<output>" }'
 )

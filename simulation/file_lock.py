@@ -9,7 +9,7 @@ from typing import Final
 
 from simulation.errors import MachineError
 
-# What systems say of a lock that somebody else holds.
+# What systems report of a lock that another process holds.
 _HELD: Final = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 
 

@@ -23,7 +23,7 @@ def escaped(text: str, *, keep_lines: bool = False) -> str:
 
 
 def has_control(text: str) -> bool:
-    """Tell whether a text has a sign that a terminal obeys, or an end of a line."""
+    """Return whether a text has a sign that a terminal obeys, or an end of a line."""
     return _CONTROL.search(text) is not None
 
 

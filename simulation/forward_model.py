@@ -14,7 +14,7 @@ class ForwardModel(Protocol):
     Promises of every implementation: the row order is kept; rows are independent of each other; the same
     row gives the same answer at any time; a bad row does not raise, it is NaN throughout and says why. A row
     that only another process can answer raises NeedsFreshProcess, unless the model has such processes.
-    Bounds are not enforced: they belong to whoever chooses the rows.
+    Bounds are not enforced: they belong to what chooses the rows.
     """
 
     @property

@@ -174,7 +174,7 @@ class ParameterSpace:
         return clipped
 
     def contains(self, theta: FloatArray) -> BoolArray:
-        """Tell which rows lie inside the bounds (bounds included, NaN outside).
+        """Return which rows lie inside the bounds (bounds included, NaN outside).
 
         Args:
             theta: Parameters. Shape (n, p) or (p,). [per parameter]

@@ -79,7 +79,7 @@ def values_at_edges(
 
 
 def covers(time: FloatArray, edges: FloatArray, interpolation: Interpolation) -> bool:
-    """Tell whether a series is known over all communication steps.
+    """Return whether a series is known over all communication steps.
 
     A held sample is good for one usual (median) step beyond its time, the others end with the last sample.
 

@@ -38,7 +38,7 @@ class ScratchFolder:
             unseen = Path(tempfile.mkdtemp(prefix=f".{prefix}"))
             self._lock = FileLock(unseen / _LOCK)
             self._lock.acquire()
-            # Nobody who sweeps ever meets it without its lock.
+            # So no sweep ever meets it without its lock.
             self.folder = unseen.rename(unseen.with_name(unseen.name[1:]))
         except (OSError, MachineError) as error:
             if unseen is not None:
@@ -66,7 +66,7 @@ def sweep(prefix: str) -> None:
             # Everybody may make one in the temporary folder, or a link to somewhere else.
             if folder.lstat().st_uid != os.getuid() or folder.is_symlink():
                 continue
-            # Between its making and its lock an unseen one may belong to somebody.
+            # Between its making and its lock a hidden one may belong to a living process.
             if folder.name.startswith(".") and time.time() - folder.stat().st_mtime < UNSEEN_S:
                 continue
             lock = FileLock(folder / _LOCK)

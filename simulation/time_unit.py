@@ -1,4 +1,4 @@
-"""Units in which long times are written and read: a case that lives for seconds is not told in days."""
+"""Units in which long times are written and read: a case of seconds is not written in days."""
 
 from dataclasses import dataclass
 
@@ -48,7 +48,7 @@ UNITS = {unit.symbol: unit for unit in (SECONDS, MINUTES, HOURS, DAYS)}
 
 
 def unit_for(span_s: float) -> TimeUnit:
-    """Choose the unit in which a span reads well: nearly half a day is told in days, two hours in hours."""
+    """Choose the unit in which a span reads well: half a day is written in days, two hours in hours."""
     if span_s >= 0.45 * DAY_S:
         return DAYS
     return next((unit for unit in (HOURS, MINUTES) if span_s >= 2.0 * unit.seconds), SECONDS)

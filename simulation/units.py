@@ -159,7 +159,7 @@ def _check_definition(name: str, defined: UnitDefinition, where: str) -> None:
 
 
 def _agree(first: Unit, second: Unit, *, is_difference: bool = False) -> bool:
-    """Tell whether two units are the same, written with some digits; some tools leave the angle out."""
+    """Return whether two units are the same, written with some digits; some tools leave the angle out."""
     powers = [[power for power in unit.exponents if power[0] != "rad"] for unit in (first, second)]
     return (
         powers[0] == powers[1]

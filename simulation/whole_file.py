@@ -15,7 +15,7 @@ def whole_file(path: Path, *, synced: bool = False) -> Iterator[BinaryIO]:
     """Open a file that takes its place when the block ends without an error.
 
     A killed process leaves the old file or the new one, never half of one. What it had written beside it is
-    removed by whoever writes the file next.
+    removed when the file is written next.
 
     Args:
         path: File to write; its folder is created when missing.
@@ -44,7 +44,7 @@ def _begin(path: Path) -> tuple[BinaryIO, Path]:
     while True:
         partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
         file = partial.open("wb")
-        with suppress(OSError):  # a file system without locks, on which nobody removes what is left
+        with suppress(OSError):  # a file system without locks, on which leftovers stay
             fcntl.flock(file, fcntl.LOCK_EX)
         if os.fstat(file.fileno()).st_nlink:
             return file, partial

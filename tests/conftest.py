@@ -31,11 +31,16 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
 LONGEST = (
     "test_cli_resume",
     "test_quick_profile",
-    "test_reproduce",
     "test_killed",
-    "test_server",
+    "test_state_functions",
+    "test_browser",
     "test_doctor",
+    "test_reproduce_paper",
+    "test_pool",
     "test_house",
+    "test_reproduce",
+    "test_server",
+    "test_safe_start",
 )
 
 

@@ -1,4 +1,4 @@
-"""Make the virtual office campaign: `python data/office/generate.py` rewrites its two CSV files bit for bit.
+"""Make the virtual measurement: `python data/office/generate.py` rewrites its two CSV files bit for bit.
 
 Weather, schedules and people are drawn from a fixed seed, the sun comes from pvlib, the room answers through
 the white-box FMU in fmus/office-whitebox, and a sensor with noise and bias reads its temperature.
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
-from grid import CAMPAIGN_DAYS, DAY_S, STEP_S, Array, hour_of_day, red_noise, time_grid
+from grid import DAY_S, RECORDED_DAYS, STEP_S, Array, hour_of_day, red_noise, time_grid
 from operation import Operation, make_operation
 from weather import KELVIN, Weather, make_weather
 
@@ -147,15 +147,15 @@ def guess_occupancy(rng: np.random.Generator, t: Array, operation: Operation) ->
     """
     load = 0.82 + 0.18 * np.cos(2 * np.pi * (hour_of_day(t) - 13.0) / 12.0)
     load += 0.08 * red_noise(rng, t.size, 3600.0)
-    last = CAMPAIGN_DAYS * DAY_S - RECORDING_STEP_S
+    last = RECORDED_DAYS * DAY_S - RECORDING_STEP_S
     rows = np.flatnonzero((t >= 0) & (t <= last) & (np.mod(t, OCCUPANCY_STEP_S) == 0))
     presence = operation.people[rows[:, None] + np.arange(OCCUPANCY_STEP_S // STEP_S)].mean(axis=1)
     occupancy = np.clip(presence * load[rows], 0.0, 1.0)
     return pd.DataFrame({"time_s": t[rows].astype(np.int64), "Occupancy": occupancy})
 
 
-def make_campaign() -> tuple[Array, Weather, Operation]:
-    """Draw weather and operation of the campaign: grid (shape (t,), s), weather, operation."""
+def make_measurement() -> tuple[Array, Weather, Operation]:
+    """Draw weather and operation of the measurement: grid (shape (t,), s), weather, operation."""
     t = time_grid()
     weather_rng, operation_rng = np.random.default_rng([SEED, 0]), np.random.default_rng([SEED, 1])
     weather = make_weather(weather_rng, t)
@@ -165,7 +165,7 @@ def make_campaign() -> tuple[Array, Weather, Operation]:
 def generate(folder: Path) -> None:
     """Write the recording and the occupancy into a folder, which is made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
-    t, weather, operation = make_campaign()
+    t, weather, operation = make_measurement()
     room = simulate_room(t, boundary_signals(weather, operation)) - KELVIN
     tables = {
         RECORDING: read_sensors(np.random.default_rng([SEED, 2]), t, weather, operation, room),
@@ -179,7 +179,9 @@ def generate(folder: Path) -> None:
 
 def main() -> None:
     """Parse the command line and generate."""
-    parser = argparse.ArgumentParser(description="Rewrite the two CSV files of the virtual office campaign.")
+    parser = argparse.ArgumentParser(
+        description="Rewrite the two CSV files of the virtual measurement."
+    )
     here = Path(__file__).parent
     parser.add_argument("--to", type=Path, default=here, metavar="FOLDER", help="where they go")
     generate(parser.parse_args().to)

@@ -1,4 +1,4 @@
-"""Time grid, place and noise that weather and operation of the virtual campaign share."""
+"""Time grid, place and noise that weather and operation of the virtual measurement share."""
 
 from typing import Final
 
@@ -12,12 +12,12 @@ FIRST_DAY: Final = pd.Timestamp("2018-02-21", tz="Etc/GMT-1")  # a Wednesday, Ce
 STEP_S: Final = 60
 DAY_S: Final = 86400
 WARM_UP_DAYS: Final = 12  # simulated before the first row, so that walls and slab have a history
-CAMPAIGN_DAYS: Final = 22
+RECORDED_DAYS: Final = 22
 
 
 def time_grid() -> Array:
     """Return the start of every simulation step, zero at the first row. Shape (t,). [s]."""
-    return np.arange(-WARM_UP_DAYS * DAY_S, CAMPAIGN_DAYS * DAY_S, STEP_S, dtype=np.float64)
+    return np.arange(-WARM_UP_DAYS * DAY_S, RECORDED_DAYS * DAY_S, STEP_S, dtype=np.float64)
 
 
 def hour_of_day(t: Array) -> Array:

@@ -1,12 +1,12 @@
-"""Building services and people of the virtual campaign."""
+"""Building services and people of the virtual measurement."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from grid import (
-    CAMPAIGN_DAYS,
     DAY_S,
     FIRST_DAY,
+    RECORDED_DAYS,
     STEP_S,
     WARM_UP_DAYS,
     Array,
@@ -17,7 +17,7 @@ from grid import (
 )
 from weather import Weather
 
-DAYS = range(-WARM_UP_DAYS, CAMPAIGN_DAYS)
+DAYS = range(-WARM_UP_DAYS, RECORDED_DAYS)
 WINDOW_OPENED_H = (20 * 24 + 13.5, 20 * 24 + 13.9)  # once, on day 20, as people do on a mild day
 
 

@@ -1,4 +1,4 @@
-"""Weather of the virtual campaign: a cold, clear spell between two mild, cloudy weeks in Hamburg.
+"""Weather of the virtual measurement: a cold, clear spell between two mild, cloudy weeks in Hamburg.
 
 Only this module knows pvlib.
 """

@@ -65,7 +65,7 @@ class Cvode:
         n, n_indicators = max(1, int(table[calls.N_STATES])), int(table[calls.N_INDICATORS])
         context, core = _Pointer(), libraries.sundials_core
         _check(sundials.SUNContext_Create(0, ctypes.byref(context)))
-        # Its messages would go to the terminal; the flags tell what happened.
+        # Its messages would go to the terminal; the flags show what happened.
         _check(core.SUNContext_ClearErrHandlers(context))
         vectors = [sundials.N_VNew_Serial(n, context) for _ in range(3)]
         self.vectors = tuple(np.ctypeslib.as_array(sundials.NV_DATA_S(one), (n,)) for one in vectors)

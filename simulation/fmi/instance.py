@@ -81,7 +81,7 @@ class FmuInstance:
             )
 
     def has(self, name: str) -> bool:
-        """Tell whether the library has a function of this name."""
+        """Return whether the library has a function of this name."""
         return hasattr(self._library, self.full_name(name))
 
     def full_name(self, name: str) -> str:

@@ -68,7 +68,7 @@ def _unpack(path: Path, folder: Path) -> None:
             # zipfile forgets that a resource is a program.
             if mode & stat.S_IXUSR and target.is_file():
                 target.chmod(0o700)
-    # The FMU is told the address of this folder, present or not.
+    # The FMU gets the address of this folder, present or not.
     (folder / "resources").mkdir(exist_ok=True)
 
 

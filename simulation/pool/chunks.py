@@ -14,7 +14,7 @@ _LEAST: Final = 0.1
 
 
 class RowQueue:
-    """The rows of a batch that nobody has, handed out in chunks of consecutive ones.
+    """The rows of a batch that no process has, handed out in chunks of consecutive ones.
 
     Attributes:
         n_waiting: How many.

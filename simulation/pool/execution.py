@@ -61,7 +61,7 @@ class ExecutionPolicy:
         return None if self.timeout_s is None or math.isinf(self.timeout_s) else self.timeout_s
 
     def is_hopeless(self, n: int, n_failed: int) -> bool:
-        """Tell whether so many of n rows failed that going on would waste simulations."""
+        """Return whether so many of n rows failed that going on would waste simulations."""
         share = self.max_failed_share
         return n >= MIN_ROWS and n_failed > share * n + DEVIATIONS * math.sqrt(share * (1.0 - share) * n)
 

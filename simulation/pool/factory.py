@@ -29,7 +29,7 @@ class Facts:
 
 
 def known_facts(make_model: Factory) -> Facts | None:
-    """Return what the owner of a factory says of its model; None where only the open model can tell.
+    """Return what the owner of a factory declares of its model; None where only the open model knows.
 
     Args:
         make_model: The factory; its owner is the object that it is a bound method of.

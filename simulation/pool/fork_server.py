@@ -119,7 +119,7 @@ def end_fork_servers() -> None:
 
 
 def main(descriptor: int) -> None:
-    """Be the fork server at the far end of a connection, until that closes or nobody needs it for long.
+    """Be the fork server at the far end of a connection, until that closes or stays idle for long.
 
     Args:
         descriptor: The connection's file descriptor.

@@ -72,7 +72,7 @@ class PoolModel:
             policy: What happens to rows that hang, crash or fail; max_workers limits n_workers.
             executor: Who simulates, each chunk in a supervised process there; it stays the caller's. None for
                 processes of this machine.
-            on_warning: Told, in one line, what a user should know at once; None for the log.
+            on_warning: Called with one line that a user should see at once; None for the log.
         """
         if not callable(make_model):
             raise InputError(
@@ -180,7 +180,7 @@ class PoolModel:
                     yield from batch.finished(future)
                 batch.warn_of_slow_row()
         except KeyboardInterrupt:
-            # Nobody waits for what still runs; what is there has been paid for.
+            # What still runs is not waited for; what has finished has been paid for.
             for future in [future for future in batch.running if future.done()]:
                 yield from batch.finished(future)
             raise
@@ -226,7 +226,7 @@ class PoolModel:
 
 
 class _Batch:
-    """The rows of one call: those that wait and those that somebody has."""
+    """The rows of one call: those that wait and those that a process has."""
 
     def __init__(self, model: PoolModel, theta: FloatArray) -> None:
         self._model = model
@@ -316,7 +316,7 @@ class _Batch:
         return now - min((since for _, since, _ in self.running.values()), default=now)
 
     def warn_of_slow_row(self) -> None:
-        """Tell, once, of a row that takes much longer than others, or of a model that does not open."""
+        """Warn, once, of a row that takes much longer than others, or of a model that does not open."""
         model, spent_s = self._model, self._longest_s
         if model._has_warned or spent_s < _SLOW_S:
             return

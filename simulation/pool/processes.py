@@ -99,14 +99,14 @@ class Processes:
             return self._all[-1]
 
     def end(self) -> None:
-        """Have all processes end, now; whoever waits for one gets a ProcessLostError."""
+        """Have all processes end, now; a thread that waits for one gets a ProcessLostError."""
         with self._lock:
             self._is_ending = True
             for connection in self._all:
                 hang_up(connection)
 
     def close(self) -> None:
-        """End all processes and wait until they have gone; nobody may wait for an answer.
+        """End all processes and wait until they have gone; no thread may wait for an answer.
 
         Closing twice does no harm, and the next question starts new ones.
         """

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Final
 
 _VARIABLE: Final = "PYTHONSAFEPATH"
-_OURS: Final = "studies"  # Python heeds any text
+_OURS: Final = "studies"  # any text switches it on
 
 
 def start_safely() -> None:

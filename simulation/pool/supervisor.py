@@ -38,8 +38,8 @@ _PAUSES_S: Final = (0.25, 1.0)
 # What a worker may take to close its model, and the system to write down what is left of one that crashed.
 _CLOSING_S: Final = 1.0
 _CRASHING_S: Final = 10.0
-# Nothing kills itself like this, or between two rows: the row was only there when somebody came.
-_MERCY: Final = 3
+# No row kills its process by SIGKILL or between two rows: it was only running when another kill came.
+_SPARE_TRIES: Final = 3
 _MAX_IN_VAIN: Final = 5
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S: Final = 0.05
@@ -61,13 +61,13 @@ def supervise(parent: Connection, job: Job) -> None:
         with contextlib.closing(_Supervisor(parent, job)) as supervisor:
             supervisor.serve()
     except (EOFError, OSError):
-        pass  # whoever asked is gone, or done
+        pass  # the process that asked is gone, or done
     except Exception as error:
         parent.send(error if isinstance(error, RuntimeError) else refusal(error))
 
 
 def no_process(error: OSError) -> MachineError:
-    """Return what the user is told of a process that cannot be started.
+    """Return the error for a process that cannot be started.
 
     Args:
         error: Why.
@@ -177,7 +177,7 @@ class _Supervisor:
             if exit_code == -ENDED_BY:
                 has_hung, limit_s = True, timeout_s
             if has_hung:
-                # Whoever hung will hang again, and nobody waits for that twice.
+                # A model that hung will hang again; it is not waited for twice.
                 raise InputError(
                     f"{what}: did not open within {limit_s:g} s and was stopped; raise simulation.timeout_s"
                 ) from None
@@ -187,10 +187,10 @@ class _Supervisor:
         return answer
 
     def _has_spoken(self, worker: _Worker, patience_s: float | None) -> bool:
-        """Wait for a worker to speak or end, as long as there is somebody to work for."""
+        """Wait until a worker answers or ends, as long as the process that asks is there."""
         ready = wait([self._parent, worker.connection], patience_s)
         if self._parent in ready:
-            raise EOFError  # nobody speaks to who is at work
+            raise EOFError  # a message while a row runs can only be the end of the connection
         return bool(ready)
 
     def _end(self, worker: _Worker, patience_s: float) -> tuple[int, str]:
@@ -246,11 +246,11 @@ class _Supervisor:
             elif end is End.HUNG:
                 self._end(worker, 0.0)
                 how = policy.why_stopped(self._slowest_s)
-                allowed = _MERCY * was_between
+                allowed = _SPARE_TRIES * was_between
             else:
                 exit_code, how = self._end(worker, _CRASHING_S)
-                how, is_mercy = f"the FMU {how}", was_between or exit_code == -signal.SIGKILL
-                allowed = policy.retries + _MERCY * is_mercy
+                how, was_killed = f"the FMU {how}", was_between or exit_code == -signal.SIGKILL
+                allowed = policy.retries + _SPARE_TRIES * was_killed
             tries[end] += 1
             if tries[end] > allowed:
                 failures[row] = (f"{tries[end]} times: " if tries[end] > 1 else "") + how

@@ -122,7 +122,7 @@ def work(
 
 
 def refusal(error: Exception) -> Exception:
-    """Return what the user is told of an error that kept a model from being opened.
+    """Return the error to report where a model could not be opened.
 
     Args:
         error: The error.

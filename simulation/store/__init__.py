@@ -1,1 +1,1 @@
-"""Keeping every simulated row once."""
+"""A store that holds every simulated row once."""

@@ -259,7 +259,7 @@ def _keys(theta: FloatArray) -> list[bytes]:
 
 def _connect(file: Path) -> sqlite3.Connection:
     is_fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
-    # Where nothing can be written, SQLite's files beside it cannot be made; nobody else changes it either.
+    # Where nothing can be written, SQLite's files beside it cannot be made; no other process writes either.
     place = f"{file.absolute().as_uri()}{'?immutable=1' if is_fixed else ''}"
     database = sqlite3.connect(place, uri=True, timeout=_PATIENCE_S, isolation_level=None)
     # A damaged text has another checksum: it need not stop the reading of others.
@@ -310,7 +310,7 @@ def _check_model(file: Path, described: dict[str, object]) -> None:
 def _columns(parameter_names: Iterable[str], output_names: Iterable[str]) -> tuple[list[str], list[str]]:
     """Return the columns of outputs and parameters, as SQL quotes them.
 
-    SQL does not tell "C" from "c", and an initial state may have the name of an output: who comes later has
+    SQL takes "C" and "c" for one name, and an initial state may have the name of an output: the later one has
     underscores before it.
     """
     taken = set(_OWN_COLUMNS)

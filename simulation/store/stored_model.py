@@ -15,7 +15,7 @@ BLOCK_ROWS: Final = 64
 
 
 class StoredModel(WrappedModel):
-    """A model around a store: known rows are read, the others simulated and stored as they come.
+    """A model around a store: stored rows are read, the others simulated and stored as they come.
 
     Calls are counted above it, as asked: what a calibration costs does not depend on what is stored already.
 
@@ -61,7 +61,7 @@ class StoredModel(WrappedModel):
         return ~self._store.find(theta, failed_after=self._retry_up_to)
 
     def watched(self, theta: FloatArray) -> BoolArray:
-        """Say which rows are stored with what the model's states did: none, where nobody watches them.
+        """Return which rows are stored with the courses of the model's states: none, in a model without them.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]

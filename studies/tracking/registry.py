@@ -27,12 +27,12 @@ def load_surrogate(runs: RunStore, run_id: str) -> "Surrogate":
     Raises:
         InputError: the run has no weights, or they are damaged or out of reach.
     """
-    from pelsvae.surrogate import Surrogate
+    from pelsvae import surrogate_files
 
     with tempfile.TemporaryDirectory(prefix="studies-surrogate-") as scratch:
         folder = runs.fetch(run_id, SURROGATE, Path(scratch))
         try:
-            return Surrogate.load(folder, device="cpu")
+            return surrogate_files.load_surrogate(folder, device="cpu")
         except (ValueError, FileNotFoundError) as error:
             raise InputError(f"the surrogate of MLflow's run {run_id} cannot be loaded: {error}") from None
 

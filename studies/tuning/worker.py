@@ -21,6 +21,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.device import resolve_device
 from pelsvae.epochs import EpochReport
+from pelsvae.surrogate_files import save_surrogate
 from simulation.errors import InputError
 from simulation.pool.family import end_with_parent
 from studies.paths import ProjectPaths, find_project
@@ -165,7 +166,7 @@ class Worker:
             raise TrialFailedError(reason) from error
         with tempfile.TemporaryDirectory(prefix="studies-weights-") as scratch:
             folder = Path(scratch) / SURROGATE
-            fitted.surrogate.save(folder)
+            save_surrogate(fitted.surrogate, folder)
             weights = file_digest(folder / "weights.npz")
             if metrics["val/mae"] < self._best():
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)

@@ -30,13 +30,6 @@ def office(tmp_path):
 
 
 @pytest.fixture
-def office_exchange(tmp_path):
-    driver = Driver(OFFICE, tmp_path / "exchange", kind="model exchange")
-    yield driver
-    driver.close()
-
-
-@pytest.fixture
 def build(compiler, tmp_path):
     """Compile a Modelica text; the settings are lines of a build file."""
 

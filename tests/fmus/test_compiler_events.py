@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
-from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from fmu_for_tests import Driver
 
@@ -105,36 +104,3 @@ end M;
     expected = np.interp(np.arange(18) / 10, [1.0, 1.4, 1.6, 1.7], [0.0, 0.4, 0.4, 0.5])
     expected = np.append(expected, 0.75 + 10 * 0.0125)
     np.testing.assert_allclose(y, expected, rtol=0, atol=1e-9)
-
-
-HEAD = """
-model M "Test"
-  Real x(unit="1", start=0, fixed=true) "State";
-  discrete Real d(unit="1", start=1, fixed=true) "Discrete";
-  output Real y(unit="1") "Output";
-equation
-  der(x) = d;
-  y = x;
-"""
-
-
-def test_whens_that_set_each_other_off_are_an_error_and_no_endless_loop(build, tmp_path):
-    source = HEAD.replace(
-        "output Real", 'discrete Real c(unit="1", start=1, fixed=true) "Other";\n  output Real'
-    )
-    source += """
-  when x > 0.5 and abs(c - d) < 0.5 then
-    c = 1 - pre(c);
-  end when;
-  when x > 0.5 and abs(c - d) > 0.5 then
-    d = 1 - pre(d);
-  end when;
-end M;
-"""
-    driver = Driver(build(source, EVENTS), tmp_path / "unpacked")
-    driver.initialize()
-    driver.fmu.doStep(0.0, 0.25)
-    with pytest.raises(FMICallException):
-        driver.fmu.doStep(0.25, 0.5)
-    driver.close()
-    assert "event at 0.5 s does not end" in driver.messages[0]

@@ -35,24 +35,3 @@ def test_after_a_failure_a_reset_instance_is_as_new(office):
     office.initialize()
     office.fmu.doStep(0.0, 600.0)
     assert office.get("TAir") == expected
-
-
-@pytest.mark.parametrize(
-    ("t", "h", "message"),
-    [(600.0, 600.0, "but the time is"), (0.0, -1.0, "not a duration"), (0.0, math.nan, "not a duration")],
-)
-def test_a_wrong_step_is_refused(office, t, h, message):
-    office.initialize()
-    with pytest.raises(FMICallException):
-        office.fmu.doStep(t, h)
-    assert message in office.messages[-1]
-
-
-def test_a_step_past_the_stop_time_is_refused(office):
-    office.fmu.setupExperiment(startTime=0.0, stopTime=900.0)
-    office.fmu.enterInitializationMode()
-    office.fmu.exitInitializationMode()
-    office.fmu.doStep(0.0, 600.0)
-    with pytest.raises(FMICallException):
-        office.fmu.doStep(600.0, 600.0)
-    assert "stop time" in office.messages[-1]

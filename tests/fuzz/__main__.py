@@ -11,8 +11,7 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).resolve().parent)]
 
-from hypothesis import HealthCheck, Phase, given, seed, settings  # noqa: E402
-from inputs_for_tests import Input, Outcomes, inputs, project, tried  # noqa: E402
+from inputs_for_tests import Outcomes, fuzz, project  # noqa: E402
 
 ROUND = 500
 """Inputs of one seed; Hypothesis remembers all that it has drawn from one."""
@@ -28,20 +27,7 @@ def main() -> int:
     warnings.simplefilter("ignore")
     with project() as root:
         while n < chosen.inputs:
-
-            @seed(1_000_003 * chosen.seed + number)
-            @settings(
-                max_examples=min(ROUND, chosen.inputs - n),
-                database=None,
-                deadline=None,
-                phases=[Phase.generate],
-                suppress_health_check=list(HealthCheck),
-            )
-            @given(inputs())
-            def fuzz(given_: Input) -> None:
-                tried(root, given_, outcomes)
-
-            fuzz()
+            fuzz(root, outcomes, min(ROUND, chosen.inputs - n), 1_000_003 * chosen.seed + number)
             n, number = sum(outcomes.counts.values()), number + 1
             n_right = sum(count for (kind, _), count in outcomes.counts.items() if kind.endswith("right"))
             print(

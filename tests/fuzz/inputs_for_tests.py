@@ -5,11 +5,12 @@ obeys; no file outside the project; less than a time and an amount of memory. Wh
 """
 
 import contextlib
-import copy
 import functools
 import io
 import json
+import math
 import os
+import re
 import resource
 import shutil
 import signal
@@ -21,8 +22,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape
 
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from simulation.errors import InputError
@@ -110,106 +112,64 @@ def mangled(draw: st.DrawFn, content: bytes) -> bytes:
             return draw(st.binary(max_size=300))
 
 
+LINES = ["", "[", "[[x]]", "a." * 70 + "a = 1", "sep=;", ",,,", "&x;"]
+BOMB = '<!DOCTYPE a [<!ENTITY x "' + "y" * 1000 + '">' + "".join(
+    f'<!ENTITY x{i} "{f"&x{i - 1 if i else str()};" * 10}">' for i in range(9)
+) + ']>'  # fmt: skip
+# Where the values of a file stand, and what takes their place.
+TOML = (r"(?<= = ).*", texts.map(json.dumps) | values)
+PLACES = {
+    "case": TOML,
+    "profile": TOML,
+    "recording": (r"[^,\n]+", cells),
+    "FMU": (
+        r'(?<==")[^"]*',
+        numbers | texts.map(escape) | st.sampled_from(["input", "output", "local", "&x;"]),
+    ),
+}
+
+
 @st.composite
-def toml(draw: st.DrawFn, text: str) -> bytes:
-    """Change some lines of a TOML file."""
-    lines = text.splitlines()
+def changed(draw: st.DrawFn, kind: str) -> bytes:
+    """Change some values or lines of a file, or its encoding."""
+    text = (members()["modelDescription.xml"] if kind == "FMU" else original(kind)).decode()
+    pattern, strange = PLACES[kind]
     for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(lines) - 1))
-        key, is_pair, _ = lines[at].partition(" = ")
+        lines, places, at = text.split("\n"), [*re.finditer(pattern, text)], draw(st.integers(0, 10**6))
         match draw(st.integers(0, 6)):
-            case 0 | 1 if is_pair:
-                lines[at] = f'{key} = "{draw(texts)}"'
-            case 2 | 3 if is_pair:
-                lines[at] = f"{key} = {draw(values)}"
-            case 4:
-                del lines[at]
-            case 5:
-                lines.insert(at, lines[draw(st.integers(0, len(lines) - 1))])
-            case _:
-                lines.insert(
-                    at, f"{draw(st.sampled_from(['a', 'a.' * 70 + 'a', '[', '[[x]]', key]))} = {draw(values)}"
-                )
-        if not lines:
-            break
-    return "\n".join(lines).encode("utf-8", "replace")
+            case 0:
+                del lines[at % len(lines)]
+            case 1:
+                lines.insert(at % len(lines), draw(st.sampled_from([*LINES, lines[at % len(lines)]])))
+            case _ if places:
+                place = places[at % len(places)]
+                lines = [text[: place.start()] + draw(strange) + text[place.end() :]]
+        text = "\n".join(lines)
+    if kind == "FMU":
+        return packed(
+            text.replace("?>", "?>" + draw(st.sampled_from(["", "", BOMB]))).encode("utf-8", "replace")
+        )
+    return text.encode(draw(st.sampled_from(["utf-8", "utf-8", "utf-8", "utf-16", "utf-32"])), "replace")
 
 
-@st.composite
-def recording(draw: st.DrawFn) -> bytes:
-    """Change some cells or lines of a recording."""
-    lines = original("recording").decode().splitlines()
-    for _ in range(draw(st.integers(1, 4))):
-        at = draw(st.integers(0, min(len(lines) - 1, 40)))
-        row = lines[at].split(",")
-        match draw(st.integers(0, 4)):
-            case 0 | 1:
-                row[draw(st.integers(0, len(row) - 1))] = draw(cells)
-                lines[at] = ",".join(row)
-            case 2:
-                del lines[at]
-            case 3:
-                lines.insert(at, draw(st.sampled_from([lines[at], "", ",,,", draw(cells), "sep=;"])))
-            case _:
-                lines[at] = draw(
-                    st.sampled_from([";".join(row), "\t".join(row), ",".join([*row, "1"]), row[0]])
-                )
-        if not lines:
-            break
-    encoding = draw(st.sampled_from(["utf-8", "utf-8", "utf-8", "utf-16", "utf-8-sig", "utf-32"]))
-    return "\n".join(lines).encode(encoding, "replace")
-
-
-@st.composite
-def description(draw: st.DrawFn) -> bytes:
-    """Change some attributes of a modelDescription.xml, or its elements."""
-    text = members()["modelDescription.xml"].decode()
-    for _ in range(draw(st.integers(1, 3))):
-        parts = text.split('="')
-        at = draw(st.integers(1, len(parts) - 1))
-        value, _, rest = parts[at].partition('"')
-        match draw(st.integers(0, 4)):
-            case 0 | 1:
-                new = draw(numbers)
-            case 2:
-                new = quoteattr(draw(texts))[1:-1].replace('"', "")
-            case 3:
-                new = draw(
-                    st.sampled_from(["parameter", "input", "output", "local", "independent", "&amp;", "&x;"])
-                )
-            case _:
-                new = value * 2
-        parts[at] = f'{new}"{rest}'
-        text = '="'.join(parts)
-    if draw(st.integers(0, 9)) == 0:
-        bomb = '<!DOCTYPE a [<!ENTITY x "' + "y" * 1000 + '">' + "".join(
-            f'<!ENTITY x{i} "{f"&x{i - 1 if i else str()};" * 10}">' for i in range(9)
-        ) + ']>'  # fmt: skip
-        head, _, body = text.partition("?>")
-        text = f"{head}?>{bomb}{body.replace('description=', 'description=', 1)}"
-    return packed(text.encode("utf-8", "replace"))
+def places(content: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield every place in nested dictionaries and lists: what holds it, and its key."""
+    for key in content if isinstance(content, dict) else range(len(content)):
+        yield content, key
+        if isinstance(content[key], dict | list):
+            yield from places(content[key])
 
 
 @st.composite
 def record(draw: st.DrawFn) -> bytes:
     """Change some values of a calibration's record."""
-    content = json.loads(original("record"))
+    text = original("record").decode()
     for _ in range(draw(st.integers(1, 3))):
-        place: Any = content
-        if not content:
-            break
-        while True:
-            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-            key = draw(st.sampled_from(keys))
-            inner = place[key]
-            if not isinstance(inner, dict | list) or not inner or draw(st.integers(0, 4)) == 0:
-                break
-            place = inner
-        if isinstance(place, dict) and draw(st.integers(0, 4)) == 0:
-            del place[key]
-        else:
-            place[key] = copy.deepcopy(draw(jsons))
-    return json.dumps(content).encode()
+        content = json.loads(text)
+        holder, key = draw(st.sampled_from([*places(content)] or [([None], 0)]))
+        holder[key] = draw(jsons)
+        text = json.dumps(content)
+    return text.encode()
 
 
 @st.composite
@@ -264,10 +224,7 @@ def inputs(draw: st.DrawFn) -> Input:
         return Input(kind, draw(url()), False)
     if draw(st.integers(0, 4)) == 0:
         return Input(kind, draw(mangled(original(kind))), False)
-    if kind in ("case", "profile"):
-        return Input(kind, draw(toml(original(kind).decode())), False)
-    made = {"recording": recording, "FMU": description, "record": record}[kind]
-    return Input(kind, draw(made()), False)
+    return Input(kind, draw(record() if kind == "record" else changed(kind)), False)
 
 
 class TooSlowError(BaseException):
@@ -399,3 +356,22 @@ def listing(root: Path) -> list[str]:
         for file in whole.rglob("*")
         if not file.is_relative_to(mlruns) or file.is_relative_to(mlruns / "results")
     )
+
+
+def fuzz(root: Path, outcomes: Outcomes, n_inputs: int, first_seed: int, until_s: float = math.inf) -> None:
+    """Try inputs of a seed, and none after a moment on the monotonic clock [s]."""
+
+    @seed(first_seed)
+    @settings(
+        max_examples=n_inputs,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(inputs())
+    def one(given_: Input) -> None:
+        if time.monotonic() < until_s:
+            tried(root, given_, outcomes)
+
+    one()

@@ -36,9 +36,3 @@ def rc_step(n: int, seed: int, n_outputs: int = 1) -> tuple[npt.NDArray[np.float
     temperature = 20.0 + 5.0 * (1.0 - decay)
     flow = 1e4 * 5.0 * decay / theta[:, :1]
     return theta, np.stack([temperature, flow], axis=2)[:, :, :n_outputs]
-
-
-def waves(n: int, seed: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return theta (n, 2), frequency and phase, and waves (n, 21, 1) that shift by many periods."""
-    theta = np.random.default_rng(seed).uniform([0.5, 1.0], [2.0, 4.0], size=(n, 2))
-    return theta, np.sin(theta[:, :1] * TIME_S / 2.0 + theta[:, 1:])[:, :, None]

@@ -42,14 +42,6 @@ def test_shares_are_those_of_a_general_solver() -> None:
         np.testing.assert_allclose(share[:, code], found.x, atol=1e-5)
 
 
-def test_few_rows_move_shares_little_and_many_as_far_as_they_say() -> None:
-    believed = np.full((2, 2), 0.5)
-    few, many = (best_shares(*members(n, 2), believed, 2).share for n in (2, 4000))
-    assert np.abs(few - 0.5).max() < 0.1
-    # Independent errors of deviations 0.2 and 1: shares as the inverse variances, 25 to 1.
-    np.testing.assert_allclose(many[0], 25.0 / 26.0, atol=0.02)
-
-
 def test_members_that_matter_least_are_left_out() -> None:
     predicted, true = members(300, 9)
     chosen = best_shares(predicted, true, np.full((9, 2), 1.0 / 9.0), 3)

@@ -109,14 +109,6 @@ def test_several_outputs_of_different_size_are_learned_alike() -> None:
     assert (np.abs(predicted - y).mean(axis=(0, 1)) < 0.25 * scale).all()
 
 
-def test_one_training_row_is_reproduced() -> None:
-    result = trained(n=1)
-    theta, y = rc_step(1, seed=1)
-    assert np.isfinite(result.history["loss"]).all()
-    # Every standardized output is 0 here; what is left is a network near 0 at the scale of 1 K.
-    assert np.abs(result.surrogate.predict(theta) - y).max() < 0.5
-
-
 def test_logarithms_are_taken_where_values_allow() -> None:
     theta, y = rc_step(24, seed=1)
     theta = np.column_stack([theta, np.linspace(-1.0, 1.0, 24)])
@@ -152,12 +144,6 @@ def test_rows_that_are_all_the_same_teach_no_process(n: int) -> None:
         fit(same, y[:n], (theta, y), config=config, seed=0)
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="asks what happens where there is no CUDA device")
-def test_cuda_asked_for_where_there_is_none() -> None:
-    with pytest.raises(ValueError, match="no CUDA device here"):
-        trained(device="cuda")
-
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
 def test_cuda_trains_and_predicts_like_the_cpu() -> None:
     cpu, cuda = trained(max_epochs=5), trained(max_epochs=5, device="cuda")
@@ -175,12 +161,13 @@ def test_a_training_loads_neither_torchs_compiler_nor_sympy(variant: str, tmp_pa
 import sys
 import numpy as np
 from pelsvae.config import VARIANTS
-from pelsvae.surrogate import Surrogate
+from pathlib import Path
+from pelsvae.surrogate_files import load_surrogate, save_surrogate
 from pelsvae.training import fit
 rows = np.linspace(1.0, 2.0, 8)[:, None], np.ones((8, 3, 1)) * np.linspace(0.0, 1.0, 8)[:, None, None]
 config = VARIANTS[{variant!r}].replace(max_epochs=2, device="cpu")
-fit(*rows, rows, config=config, seed=0).surrogate.save({str(tmp_path)!r})
-Surrogate.load({str(tmp_path)!r}).predict(rows[0])
+save_surrogate(fit(*rows, rows, config=config, seed=0).surrogate, Path({str(tmp_path)!r}))
+load_surrogate(Path({str(tmp_path)!r})).predict(rows[0])
 assert not {{"torch._dynamo", "sympy"}} & set(sys.modules)
 """
     subprocess.run([sys.executable, "-c", script], check=True)

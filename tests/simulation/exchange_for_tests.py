@@ -1,5 +1,6 @@
 """The FMUs made of exchange.c, one for each FMI version and number of states, and settings around them."""
 
+import re
 import shutil
 import subprocess
 import zipfile
@@ -14,22 +15,8 @@ from simulation import FmuModel, Parameter, ParameterSpace
 from simulation.fmi.fmu import FmuSettings
 from simulation.scenario import Scenario
 
-# In the order of exchange.c.
-MODES = (
-    *(
-        "BALL",
-        "THERMOSTAT",
-        "TRIANGLE",
-        "SAW",
-        "NOT_A_NUMBER",
-        "BROKEN",
-        "FUSSY",
-        "ESCAPE",
-        "ENDS",
-        "RESTLESS",
-    ),
-    *("CHATTERS", "OSCILLATOR", "NOISY", "SAMPLED", "LATE", "LINEAR", "PULSED"),
-)
+SOURCE = Path(__file__).with_name("exchange.c")
+MODES = re.findall(r"^    ([A-Z_]+)", SOURCE.read_text().split("enum {\n")[1].split("};")[0], re.MULTILINE)
 NAMES = ("mode", "a", "b", "u", "x0", "x1", "der(x0)", "der(x1)", "y", "n", "nominal")
 PARAMETERS = ("mode", "a", "b", "nominal")
 
@@ -42,8 +29,7 @@ def build(folder: Path, version: str, n_states: int, n_indicators: int = 1) -> P
     library = folder / "exchange.so"
     flags = ["-DFMI3"] if version == "3.0" else []
     headers = Path(fmpy.__file__).parent / "c-code"
-    source = Path(__file__).parent / "exchange.c"
-    command = [compiler, "-O1", "-shared", "-fPIC", f"-I{headers}", *flags, "-o", library, source, "-lm"]
+    command = [compiler, "-O1", "-shared", "-fPIC", f"-I{headers}", *flags, "-o", library, SOURCE, "-lm"]
     subprocess.run(command, check=True)
     describe, platform = (_description_3, "x86_64-linux") if version == "3.0" else (_description_2, "linux64")
     path = folder / f"exchange{version[0]}_{n_states}.fmu"

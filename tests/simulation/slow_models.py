@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
@@ -154,31 +153,10 @@ class PickyToy(SlowToy):
 
 
 @dataclass(frozen=True, eq=False)
-class SlowlyOpeningToy(SlowToy):
-    opening_s: float = 0.5
-
-    def open(self) -> "SlowlyOpeningToy":
-        time.sleep(self.opening_s)
-        return self
-
-
-@dataclass(frozen=True, eq=False)
 class DyingAtOpeningToy(SlowToy):
     def open(self) -> "DyingAtOpeningToy":
         os.kill(os.getpid(), signal.SIGABRT)
         return self
-
-
-@dataclass(frozen=True, eq=False)
-class FamilyToy(SlowToy):
-    """Starts a process of its own with every row, and leaves a file behind."""
-
-    row_s: float = 0.0
-
-    def simulate(self, theta: np.ndarray) -> Trajectories:
-        subprocess.Popen(["sleep", "1000"])
-        Path("left.txt").write_text("behind")
-        return super().simulate(theta)
 
 
 def count_begun(file: Path) -> dict[str, int]:

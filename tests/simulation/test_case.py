@@ -1,6 +1,5 @@
 """Cases: what a good one holds, and the real office through the whole chain."""
 
-import pickle
 import shutil
 from pathlib import Path
 
@@ -44,18 +43,13 @@ def test_a_window_of_the_caller_replaces_the_file_s(decay_case: Path):
     ("old", "new", "same", "same_model"),
     [
         ('title = "One state"', 'title = "Another"', True, True),
-        ('description = "rate"', 'description = "the rate"', True, True),
         ("estimate = 1e-4", "estimate = 2e-4", True, True),
         ("uncertainty = 0.5", "uncertainty = 0.7\nweight = 2", True, True),
-        ('scale = "log"', 'scale = "log"\nprior = { within_factor = 1.5 }', True, True),
         ("[time]\n", "[time]\nvalidation_d = [0.75, 1.0]\n", True, True),
         ("lower = 2e-5", "lower = 3e-5", False, True),
         ("communication_step_s = 600", "communication_step_s = 300", False, False),
-        ("output_step_s = 1800", "output_step_s = 1200", False, False),
-        ("[0.25, 0.75]", "[0.25, 0.5]", False, False),
         ("[time]\n", "[time]\nstart_d = 0\n", False, False),
         ('"linear"', '"smooth"', False, False),
-        ('{ first_measured = "y" }', "290.0", False, False),
         ('unit = "degC"', 'unit = "K"', False, False),
         ("schema = 1", "schema = 1\nrelative_tolerance = 1e-8", False, False),
         ("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [-50, 90]", False, False),
@@ -137,14 +131,6 @@ def test_a_sum_of_columns_is_interpolated_then_summed_then_converted(decay_case:
     (decay_case / "case.toml").write_text(text.replace('column = "heating"', 'column = "T_degC"'))
     warmth = load_case(decay_case).scenario.inputs
     np.testing.assert_allclose(single.scenario.inputs, 2.0 * heating + 0.5 * warmth, rtol=1e-12)
-
-
-def test_the_recipe_of_the_model_travels(decay_case: Path):
-    case = load_case(decay_case)
-    make_model = pickle.loads(pickle.dumps(case.make_model))
-    row = np.array([[1e-4, 0.0]])
-    with make_model() as model, case.open_model() as other:
-        assert model.simulate(row).digest == other.simulate(row).digest
 
 
 @pytest.fixture(scope="module")

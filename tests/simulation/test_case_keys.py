@@ -6,20 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case_for_tests import edit
 
 from simulation import InputError, load_case
 from simulation.case_parts import with_units
 from simulation.pool.execution import ExecutionPolicy
-
-
-def edit(folder: Path, *pairs: tuple[str, str]) -> None:
-    """Replace text in the case file."""
-    text = (folder / "case.toml").read_text()
-    for old, new in pairs:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "case.toml").write_text(text)
-
 
 ROWS = np.array([[1e-4, 0.0], [3e-5, 0.0]])
 
@@ -57,18 +48,6 @@ def test_the_same_case_in_other_units_answers_the_same(decay_case: Path):
     # In other words, the errors are the same too: 1.8^2 times.
     mse = case.measurement.mse(before * 1.8 + 32)
     np.testing.assert_allclose(mse, 1.8**2 * plain.measurement.mse(before), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("value", "kelvin"),
-    [
-        ('{ value = 7.0, unit = "degC" }', 280.15),
-        ("280", 280.0),
-    ],
-)
-def test_a_fixed_value_may_have_a_unit(decay_case: Path, value: str, kelvin: float):
-    edit(decay_case, ('{ first_measured = "y" }', value))
-    assert load_case(decay_case).fixed == {"x0": pytest.approx(kelvin)}
 
 
 def test_an_input_is_calibrated_as_a_constant(decay_case: Path):
@@ -152,18 +131,6 @@ def test_validation_goes_on_where_the_window_ends(decay_case: Path):
     with case.open_model() as model, validation.open_model() as longer:
         np.testing.assert_array_equal(longer.simulate(ROWS).y[:, :n], model.simulate(ROWS).y)
     assert case.model_digest != validation.model_digest
-
-
-def test_validation_before_the_window_is_possible_where_the_simulation_starts_earlier(decay_case: Path):
-    edit(
-        decay_case,
-        ("[0.25, 0.75]", "[0.5, 1.0]"),
-        ("[time]\n", "[time]\nstart_d = 0\nvalidation_d = [0.25, 0.5]\n"),
-    )
-    validation = load_case(decay_case).validation
-    assert validation is not None
-    assert validation.scenario.time[[0, -1]].tolist() == [21600, 43200]
-    assert validation.scenario.n_warmup == 12
 
 
 def test_a_window_of_the_caller_may_leave_no_validation(decay_case: Path):

@@ -1,25 +1,17 @@
 """Recordings as loggers write them: own times, gaps, other separators, timestamps, clocks set back."""
 
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from case_for_tests import edit
 
 from simulation import InputError, load_case
 from simulation.recording import read_recording
 
 DAY = 86400
-
-
-def edit(folder: Path, *pairs: tuple[str, str]) -> None:
-    """Replace text in the case file."""
-    text = (folder / "case.toml").read_text()
-    for old, new in pairs:
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "case.toml").write_text(text)
 
 
 def write(folder: Path, name: str, header: str, rows: list[str], encoding: str = "utf-8") -> None:
@@ -68,32 +60,6 @@ def test_an_input_may_bridge_a_gap_that_is_declared(decay_case: Path):
     assert differs.min() >= 21
     assert differs.max() <= 26
     assert bridged.measurement.n_samples == 24
-
-
-def test_a_gap_after_the_days_is_none_for_a_held_input(decay_case: Path):
-    edit(decay_case, ('"linear"', '"held"'))
-    path = decay_case / "data" / "recording.csv"
-    before, text = load_case(decay_case), path.read_text()
-    # The window ends at 64800 s, and the value of 63000 s holds until then.
-    path.write_text(re.sub(r"(?m)^((?:64800|66600|68400),[^,]*),.*$", r"\1,", text))
-    np.testing.assert_array_equal(load_case(decay_case).scenario.inputs, before.scenario.inputs)
-    path.write_text(re.sub(r"(?m)^((?:61200|63000|64800|66600),[^,]*),.*$", r"\1,", text))
-    with pytest.raises(InputError, match=r"from 59400 to 68400 s; .* max_gap_s = 5400$"):
-        load_case(decay_case)
-
-
-def test_sampling_that_jitters_is_no_gap(decay_case: Path):
-    rng = np.random.default_rng(0)
-    times = np.arange(0, DAY + 1, 600) + np.concatenate([[0], rng.uniform(-120, 120, 143), [0]])
-    write(
-        decay_case,
-        "recording.csv",
-        "time_s,T_degC,heating",
-        [f"{t:.3f},{20 + t / 1e5},{t / 1e9}" for t in times],
-    )
-    case = load_case(decay_case)
-    middles = case.scenario.time_communication[:-1] + 300
-    np.testing.assert_allclose(case.scenario.inputs[:, 0], middles / 1e9, rtol=1e-6)
 
 
 def test_a_german_export_is_read(decay_case: Path):
@@ -166,26 +132,6 @@ def test_the_model_s_time_zero_can_be_declared(decay_case: Path):
     assert case.measurement.n_samples == 25
 
 
-def test_a_clock_that_is_set_back_is_followed_where_the_time_zone_is_known(decay_case: Path):
-    moments = [datetime(2018, 10, 27, 22, tzinfo=UTC) + timedelta(minutes=30 * i) for i in range(49)]
-    # 02:00 to 02:30 stands twice: clocks in Berlin went back at 03:00.
-    local = [
-        (moment + timedelta(hours=2 if moment < datetime(2018, 10, 28, 1, tzinfo=UTC) else 1)).strftime(
-            "%Y-%m-%d %H:%M"
-        )
-        for moment in moments
-    ]
-    assert len(set(local)) == 47
-    before = load_case(decay_case)
-    stamped(decay_case, local)
-    with pytest.raises(
-        InputError, match=r"column time = 2018-10-28 02:00 comes before .*clocks were set back"
-    ):
-        load_case(decay_case)
-    edit(decay_case, ("schema = 1", 'schema = 1\ntimezone = "Europe/Berlin"'))
-    assert load_case(decay_case).measurement.digest == before.measurement.digest
-
-
 def test_what_a_clock_change_makes_of_a_clock_is_told(decay_case: Path):
     # Clocks in Berlin went forward on 25 March 2018 at 02:00.
     begin = datetime(2018, 3, 24, 18)
@@ -237,34 +183,16 @@ def test_the_first_measured_value_is_the_nearest_to_the_start(decay_case: Path):
     assert load_case(decay_case).fixed["x0"] == pytest.approx(20.22 + 273.15, abs=1e-12)
 
 
-def wrong(decay_case: Path, stamps: list[str], message: str) -> None:
-    stamped(decay_case, stamps)
-    with pytest.raises(InputError, match=message) as caught:
-        load_case(decay_case)
-    assert "\n" not in str(caught.value)
-
-
 GOOD = [(START + timedelta(minutes=30 * i)).strftime("%Y-%m-%d %H:%M") for i in range(49)]
 
 
-@pytest.mark.parametrize(
-    ("row", "stamp", "message"),
-    [
-        (
-            5,
-            "21/02/2018 02:30",
-            r"line 7, column time: '21/02/2018 02:30' is no timestamp; write 2018-02-21T00:30",
-        ),
-        (
-            5,
-            GOOD[4],
-            r"line 7: column time = 2018-02-21 02:00 repeats the line above \(2018-02-21 02:00\); sort",
-        ),
-        (5, GOOD[5] + "Z", r"line 7, column time: 2018-02-21 02:30Z is not written like the first"),
-    ],
-)
-def test_a_wrong_timestamp_is_one_line(decay_case: Path, row: int, stamp: str, message: str):
-    wrong(decay_case, [*GOOD[:row], stamp, *GOOD[row + 1 :]], message)
+def test_a_wrong_timestamp_is_one_line(decay_case: Path):
+    stamped(decay_case, [*GOOD[:5], "21/02/2018 02:30", *GOOD[6:]])
+    with pytest.raises(InputError, match=r"line 7, column time: '21/02/2018 02:30' is no timestamp; write"):
+        load_case(decay_case)
+    stamped(decay_case, [*GOOD[:5], GOOD[5] + "Z", *GOOD[6:]])
+    with pytest.raises(InputError, match=r"line 7, column time: 2018-02-21 02:30Z is not written like the"):
+        load_case(decay_case)
 
 
 def test_files_with_different_clocks_are_refused(decay_case: Path):
@@ -273,11 +201,6 @@ def test_files_with_different_clocks_are_refused(decay_case: Path):
         InputError, match=r"recording\.csv counts seconds and .*room\.csv has timestamps without"
     ):
         load_case(decay_case)
-
-
-def test_a_quoted_semicolon_in_a_header_separates_nothing(decay_case: Path):
-    own_file(decay_case, [f"{t},1,x" for t in range(0, DAY + 1, 1800)], 'time_s,T_degC,"note; by hand"')
-    assert len(load_case(decay_case).measurement.samples[0].values)
 
 
 def test_a_start_without_a_measured_value_needs_a_number(decay_case: Path):

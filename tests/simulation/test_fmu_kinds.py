@@ -13,7 +13,6 @@ import pytest
 
 from simulation import InputError
 from simulation.fmi.description import read_description
-from simulation.fmi.fmu import FmuSettings
 
 FIXED = {"n": 3, "b": True, "c": "high", "s": "four"}
 ROWS = np.array([[1e-4, 300.0], [4e-4, 290.0], [1e-4, 310.0]])
@@ -48,48 +47,6 @@ def test_every_kind_of_parameter_arrives_and_a_start_value_is_calibrated(fmu: Pa
         expected = kinds_fmu.closed_form(settings, *row) + 3 + 7 + 4 + 1000 + 2
         # The same formula in the same order; exp differs by an ulp between C and NumPy.
         np.testing.assert_allclose(y, expected, rtol=1e-13)
-
-
-def _driven(settings: FmuSettings, **signals: np.ndarray) -> FmuSettings:
-    """The same with more inputs."""
-    scenario = settings.scenario
-    inputs = np.column_stack([scenario.inputs, *signals.values()])
-    names = (*scenario.input_names, *signals)
-    return dataclasses.replace(
-        settings, scenario=dataclasses.replace(scenario, inputs=inputs, input_names=names)
-    )
-
-
-def test_inputs_of_every_type_arrive_with_their_step(fmu: Path):
-    plain = kinds_fmu.kinds_settings(fmu)
-    on, level = np.arange(72) % 2.0, np.arange(72.0) - 30.0
-    settings = _driven(plain, level=level, on=on)
-    with settings.open() as model:
-        answer = model.simulate(ROWS)
-    # An output still sees the inputs of the step that ends with it; the first sees those of the first step.
-    last = np.concatenate([[0], np.arange(2, 72, 3)])
-    for row, y in zip(ROWS, answer.y[:, :, 0], strict=True):
-        expected = kinds_fmu.closed_form(settings, *row) + 2 + level[last] + 10 * on[last]
-        # y passes through zero here, so that its last digits are those of its large terms.
-        np.testing.assert_allclose(y, expected, rtol=0, atol=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("on", 0.5, r"input on is 0\.5 at 3000 s, and the FMU's on is of type Boolean; give 0 or 1"),
-        (
-            "level",
-            1e10,
-            r"input level is 1e\+10 at 3000 s, .* give whole numbers from -\d+ to",
-        ),
-        ("word", 0.0, r"word is of type String"),
-    ],
-)
-def test_an_input_that_does_not_fit_is_refused(fmu: Path, name: str, value: float, message: str):
-    signal = np.where(np.arange(72) == 5, value, 0.0)
-    with pytest.raises(InputError, match=message):
-        _driven(kinds_fmu.kinds_settings(fmu), **{name: signal}).open()
 
 
 def test_a_structural_parameter_is_set_in_its_own_mode(fmu_3: Path):

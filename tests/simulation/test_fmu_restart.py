@@ -36,6 +36,7 @@ def _expected(settings, rows=ROWS) -> np.ndarray:
         ("KEEPS_FIRST", {"state": True}, "state"),
         ("REFUSES", {}, "new instance"),
         ("REFUSES", {"state": True}, "state"),
+        ("ONE_INSTANCE", {"state": True, "once": True}, "state"),
     ],
 )
 def test_all_rows_are_right_however_the_fmu_has_to_be_started_over(
@@ -61,15 +62,6 @@ def test_where_only_another_process_helps_no_row_is_handed_out(tmp_path: Path, f
             with pytest.raises(NeedsFreshProcess):
                 model.simulate(ROWS[1:])
     np.testing.assert_allclose(first.y, _expected(settings, ROWS[:1]), rtol=1e-13)
-
-
-def test_one_instance_with_states_needs_no_other_process(tmp_path: Path, fmi: int):
-    fmu = kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi, again="ONE_INSTANCE", state=True, once=True)
-    settings = kinds_fmu.kinds_settings(fmu)
-    with settings.open() as model:
-        answer = model.simulate(ROWS)
-        assert model.way == "state"
-    np.testing.assert_allclose(answer.y, _expected(settings), rtol=1e-13)
 
 
 def test_rows_that_share_a_warm_up_start_from_its_end(tmp_path: Path, fmi: int):

@@ -62,14 +62,6 @@ def test_a_smooth_mean_is_the_quadrature_of_pchip():
 
 
 @settings(deadline=None)
-@given(st.sampled_from(["held", "linear", "smooth"]), st.floats(-1e4, 1e4), st.integers(0, 20))
-def test_a_constant_stays_what_it_is(interpolation: str, level: float, day: int):
-    time = TIME + day * 86400
-    values = values_over_steps(time, np.full(9, level), _edges(time[0], 600, 24), interpolation=interpolation)
-    np.testing.assert_allclose(values, level, rtol=1e-12)
-
-
-@settings(deadline=None)
 @given(
     st.sampled_from(["linear", "smooth"]),
     st.lists(st.floats(-50, 50).map(lambda value: round(value, 6)), min_size=9, max_size=9),

@@ -24,15 +24,14 @@ DESCRIPTION = SOURCE.with_name("bad.xml").read_text()
 def build_bad_fmu(behaviour: str, folder: Path) -> Path:
     """Compile one FMU, FMI 2.0 co-simulation; skips the test where there is no C compiler.
 
-    ``behaviour`` is GOOD, another name of bad.c, or ZIP_SLIP: a good one whose archive also holds a file
-    that an unpacker must not write, ``escaped.txt`` two folders above the target.
+    ``behaviour`` is GOOD or another name of bad.c.
     """
     compiler = shutil.which("gcc")
     if compiler is None or fmpy.platform != "linux64":
         pytest.skip("needs gcc on Linux to build the bad FMUs")
     library = folder / f"{behaviour}.so"
     headers = Path(fmpy.__file__).parent / "c-code"
-    define = "-DBEHAVIOUR=" + ("GOOD" if behaviour == "ZIP_SLIP" else behaviour)
+    define = f"-DBEHAVIOUR={behaviour}"
     flags = ["-std=gnu99", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-fno-builtin-memset"]
     subprocess.run([compiler, *flags, define, f"-I{headers}", "-o", library, SOURCE, "-lm"], check=True)
     once = ' canBeInstantiatedOnlyOncePerProcess="true"' if behaviour == "ONCE" else ""
@@ -40,8 +39,6 @@ def build_bad_fmu(behaviour: str, folder: Path) -> Path:
     with zipfile.ZipFile(fmu, "w") as archive:
         archive.writestr("modelDescription.xml", DESCRIPTION.format(once=once))
         archive.write(library, "binaries/linux64/bad.so")
-        if behaviour == "ZIP_SLIP":
-            archive.writestr("../../escaped.txt", "written outside the target\n")
     library.unlink()
     return fmu
 
