@@ -89,6 +89,8 @@ class CalibrationResult:
         trajectories: The columns (output, "measured") and (output, "calibrated") of each output. The index is
             the time of the case file in seconds; NaN where nothing was measured. Shape (t, 2 k). [per output]
         units: Unit of each output by its name.
+        reason: Why it ended.
+        note: What the case file says must stand beside its numbers; empty for nothing.
         numbers: All that the command says of it with `--json`.
     """
 
@@ -98,6 +100,8 @@ class CalibrationResult:
     calls: int
     trajectories: pd.DataFrame
     units: Mapping[str, str]
+    reason: str
+    note: str
     numbers: Mapping[str, Any]
 
     def plot(self) -> Any:
@@ -122,15 +126,18 @@ class CalibrationResult:
 
     def __repr__(self) -> str:
         """Return the error, the cost, and the parameters as a table."""
-        return f"{self._headline}\n{self.theta.to_string(float_format=_number)}"
+        return "\n".join([*self._sentences(), self.theta.to_string(float_format=_number)])
 
     def _repr_html_(self) -> str:
-        return f"<p>{escape(self._headline)}</p>{self.theta.to_html(float_format=_number)}"
+        said = "<br>".join(map(escape, self._sentences()))
+        return f"<p>{said}</p>{self.theta.to_html(float_format=_number)}"
 
-    @property
-    def _headline(self) -> str:
+    def _sentences(self) -> Iterator[str]:
         unit = squared(difference_unit(next(iter(self.units.values()))))
-        return f"{self.name}: MSE {quantity(self.mse, unit, 4)} after {self.calls} model calls"
+        error = quantity(self.mse, unit, 4)
+        yield f"{self.name}: MSE {error} after {self.calls} model calls; it ended because {self.reason}"
+        if self.note:
+            yield f"Note: {self.note}"
 
 
 def run(case: str | Path = "office", **options: Unpack[RunOptions]) -> CalibrationResult:
@@ -256,6 +263,8 @@ def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResu
         calls=sum(n for what, n in stage["ledger"].items() if what.startswith("n_")),
         trajectories=pd.DataFrame(series).rename_axis("time_s"),
         units={output.name: output.unit for output in case.outputs},
+        reason=stage["polish_stop_reason" if "polish_stop_reason" in stage else "stop_reason"],
+        note=case.note,
         numbers=stage,
     )
 

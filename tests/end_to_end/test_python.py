@@ -104,6 +104,7 @@ def test_a_result_is_drawn_and_shown(found: CalibrationResult) -> None:
     page = found._repr_html_()
     assert "wall-quick-seed1/adaptive: MSE 0.0019" in page
     assert f"<td>{found.theta.loc['GIn', 'value']:.6g}</td>" in page
+    assert f"Note: {load_case('wall').note}".replace("'", "&#x27;") in page
     assert repr(found).startswith("wall-quick-seed1/adaptive: MSE 0.0019")
 
 
