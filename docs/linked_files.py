@@ -1,9 +1,10 @@
-"""MkDocs hook: files of the repository outside `docs/` that pages link to become part of the site.
+"""MkDocs hook: linked files of the repository outside `docs/`, and notebooks, become part of the site.
 
 README, DECISIONS, the benchmarks and their pictures stay where they are. Each gets the address
-`repository/<its path>`, and each link to it leads there.
+`repository/<its path>`, and each link to it leads there. A notebook is a page with its stored outputs.
 """
 
+import json
 import os.path
 import re
 from pathlib import Path
@@ -20,8 +21,10 @@ _UNSEARCHED = ("CHANGELOG.md", "DECISIONS.md", "notes/")
 
 
 def on_files(files: Files, config: Any) -> None:
-    """Add the README, what pages link to, and what is linked from there."""
-    waiting = [Path(str(page.abs_src_path)) for page in files.documentation_pages()]
+    """Add notebooks as pages, the README, what pages link to, and what is linked from there."""
+    for notebook in sorted(DOCS.rglob("*.ipynb")):
+        files.append(File.generated(config, _address(notebook), content=_markdown(notebook)))
+    waiting = [DOCS / page.src_uri for page in files.documentation_pages() if page.abs_src_path]
     waiting.append(readme := ROOT / "README.md")
     files.append(File.generated(config, _address(readme), abs_src_path=str(readme)))
     seen = {readme}
@@ -38,7 +41,8 @@ def on_files(files: Files, config: Any) -> None:
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Let each link lead to the place that its file has in the site."""
-    source, here = Path(str(page.file.abs_src_path)), os.path.dirname(page.file.src_uri)  # noqa: PTH120
+    source = Path(page.file.abs_src_path or DOCS / page.file.src_uri)
+    here = os.path.dirname(page.file.src_uri)  # noqa: PTH120
     if page.file.src_uri.removeprefix("repository/").startswith(_UNSEARCHED):
         page.meta["search"] = {"exclude": True}
 
@@ -61,5 +65,27 @@ def _file(page: Path, target: str) -> Path | None:
 
 def _address(file: Path) -> str:
     if file.is_relative_to(DOCS):
-        return file.relative_to(DOCS).as_posix()
+        return file.relative_to(DOCS).as_posix().replace(".ipynb", ".md")
     return f"repository/{file.relative_to(ROOT).as_posix()}"
+
+
+def _markdown(notebook: Path) -> str:
+    """Return the cells of a notebook and what they showed when it was stored, as a page."""
+    parts = [f'<a href="{notebook.name}" download>Download this notebook</a>']
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(source)
+            continue
+        parts.append(f"```python\n{source}\n```")
+        for output in cell["outputs"]:
+            shown = output.get("data", {"text/plain": output.get("text", "")})
+            if "image/png" in shown:
+                image = "".join(shown["image/png"]).strip()
+                parts.append(f'<img alt="What the cell above draws" src="data:image/png;base64,{image}">')
+            elif "text/html" in shown:
+                parts.append(f"<div>{''.join(shown['text/html'])}</div>")
+            else:
+                parts.append(f"```text\n{''.join(shown['text/plain'])}\n```")
+    title, *others = parts[1].split("\n", 1)
+    return "\n\n".join([title, parts[0], *others, *parts[2:]])

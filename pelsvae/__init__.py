@@ -1,1 +1,33 @@
-"""How a surrogate learns: the physics-enhanced latent space variational autoencoder (PELS-VAE)."""
+"""How a surrogate learns: the physics-enhanced latent space variational autoencoder (PELS-VAE).
+
+`fit` trains a `Surrogate` from parameters and trajectories; its `FitResult` says how. A `SurrogateConfig`
+holds all settings, `VARIANTS` the named ones. A training that diverges raises `TrainingDiverged`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pelsvae.config import VARIANTS as VARIANTS
+    from pelsvae.config import SurrogateConfig as SurrogateConfig
+    from pelsvae.epochs import TrainingDiverged as TrainingDiverged
+    from pelsvae.surrogate import Surrogate as Surrogate
+    from pelsvae.training import FitResult as FitResult
+    from pelsvae.training import fit as fit
+
+_MODULES = {
+    "FitResult": "training",
+    "Surrogate": "surrogate",
+    "SurrogateConfig": "config",
+    "TrainingDiverged": "epochs",
+    "VARIANTS": "config",
+    "fit": "training",
+}
+__all__ = [*_MODULES]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is public when it is first used: torch takes seconds."""
+    if name in _MODULES:
+        return getattr(import_module(f"pelsvae.{_MODULES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -55,7 +55,7 @@ COMMANDS = (
 )
 
 
-class _UsageError(Exception):
+class _UsageError(InputError):
     """The command line cannot be understood."""
 
 

@@ -1,0 +1,327 @@
+"""The commands as functions, for scripts and notebooks: `run`, `tune`, `calibrate`, and `load_case`.
+
+Each function takes the words of its command as keywords and does what the command does: the same stages, the
+same numbers, the same files. What is finished is reused, and what was interrupted goes on.
+"""
+
+import shlex
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
+import pandas as pd
+
+from simulation.case import Case
+from simulation.case import load_case as load_case_file
+from simulation.time_unit import unit_for
+from studies.cli import build_parser, command_module
+from studies.console import Console, OnBar
+from studies.environment import check_surroundings
+from studies.interrupts import interrupts_kept
+from studies.paths import find_case, find_project
+from studies.report.wording import axis_label, difference_unit, quantity, squared
+from studies.stages.pipeline import StageError
+
+Size = int | Sequence[int]
+_REDRAW_EVERY_S = 0.2
+
+
+class Options(TypedDict, total=False):
+    """Keywords that all three functions take; the reference of the command line explains each of them."""
+
+    seed: int
+    jobs: int
+    profile: str | Path
+    window: str
+    surrogate: str
+    retry_failed: bool
+    dask: str
+    storage: str
+    quiet: bool
+
+
+class TuneOptions(Options, total=False):
+    """Keywords of `tune`."""
+
+    n_train: Size
+    trials: int
+    parallel: int
+    max_hours: float
+
+
+class RunOptions(TuneOptions, total=False):
+    """Keywords of `run`."""
+
+    max_calls: int
+    again: bool
+
+
+class CalibrateOptions(Options, total=False):
+    """Keywords of `calibrate`."""
+
+    method: str
+    n_train: Size
+    parallel: int
+    from_stored: bool
+    state_equations: bool
+    target: float
+    max_calls: int
+    again: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationResult:
+    """A finished calibration. A notebook shows it as a table.
+
+    Attributes:
+        name: By which `studies best` and `studies reproduce` know it, such as "office-quick/adaptive".
+        theta: Parameters by name, with the columns value, unit, lower, upper and determined. The last one is
+            False where the data leave a parameter open, and None where that was not judged. Shape (p, 5).
+        mse: Final error. [first output's unit squared]
+        calls: Model calls in all. Those that were stored before count too.
+        trajectories: The columns (output, "measured") and (output, "calibrated") of each output. The index is
+            the time of the case file in seconds; NaN where nothing was measured. Shape (t, 2 k). [per output]
+        units: Unit of each output by its name.
+        reason: Why it ended.
+        note: What the case file says must stand beside its numbers; empty for nothing.
+        numbers: All that the command says of it with `--json`.
+    """
+
+    name: str
+    theta: pd.DataFrame
+    mse: float
+    calls: int
+    trajectories: pd.DataFrame
+    units: Mapping[str, str]
+    reason: str
+    note: str
+    numbers: Mapping[str, Any]
+
+    def plot(self) -> Any:
+        """Draw measured and calibrated outputs over time, one panel per output.
+
+        Returns:
+            Matplotlib's axes, as pandas does. Shape (k,).
+        """
+        unit = unit_for(float(self.trajectories.index[-1]))
+        drawn = self.trajectories.set_axis(unit.of_seconds(self.trajectories.index.to_numpy()))
+        drawn.columns = [" ".join(column) for column in drawn.columns]
+        pairs = [(f"{name} measured", f"{name} calibrated") for name in self.units]
+        panels = drawn.plot(
+            subplots=pairs,
+            style={measured: "." for measured, _ in pairs},
+            figsize=(9, 3.2 * len(pairs)),
+            xlabel=f"time [{unit.symbol}]",
+        )
+        for axes, (name, of) in zip(panels, self.units.items(), strict=True):
+            axes.set_ylabel(axis_label(name, of))
+        return panels
+
+    def __repr__(self) -> str:
+        """Return the error, the cost, and the parameters as a table."""
+        return "\n".join([*self._sentences(), self.theta.to_string(float_format=_number)])
+
+    def _repr_html_(self) -> str:
+        said = "<br>".join(map(escape, self._sentences()))
+        return f"<p>{said}</p>{self.theta.to_html(float_format=_number)}"
+
+    def _sentences(self) -> Iterator[str]:
+        unit = squared(difference_unit(next(iter(self.units.values()))))
+        error = quantity(self.mse, unit, 4)
+        yield f"{self.name}: MSE {error} after {self.calls} model calls; it ended because {self.reason}"
+        if self.note:
+            yield f"Note: {self.note}"
+
+
+def run(case: str | Path = "office", **options: Unpack[RunOptions]) -> CalibrationResult:
+    """Do all stages of a study in order, as `studies run`, and skip finished ones.
+
+    Args:
+        case: Name, file or folder of a case.
+        options: As on the command line: `n_train=[32, 64]` is `--n-train 32 64`.
+
+    Returns:
+        The calibration of least error. `calibrate(case, n_train=64)` then returns that of a size, and
+        `tune(case)` the best model of each size.
+
+    Raises:
+        InputError: The case, an option or a file is wrong.
+        StageError: A stage failed, or `studies check` found errors.
+    """
+    return _best_of(*_done("run", case, options))
+
+
+def tune(case: str | Path = "office", **options: Unpack[TuneOptions]) -> pd.DataFrame:
+    """Tune one surrogate per training-set size with Optuna, as `studies tune`.
+
+    Args:
+        case: Name, file or folder of a case.
+        options: As on the command line: `n_train=[32, 64]` is `--n-train 32 64`.
+
+    Returns:
+        A row per size with the fields of `studies best --json`, among them the hyperparameters `params`, the
+        test errors `mae` and `p90`, and the `model_uri` by which MLflow loads the model.
+
+    Raises:
+        InputError: The case, an option or a file is wrong.
+        StageError: A stage failed.
+    """
+    _, document = _done("tune", case, options)
+    (tuned,) = (stage for stage in document["stages"] if stage["stage"] == "tune")
+    return pd.DataFrame(tuned["studies"]).set_index("n_train")
+
+
+def calibrate(case: str | Path = "office", **options: Unpack[CalibrateOptions]) -> CalibrationResult:
+    """Find the parameters that fit the measurement best, as `studies calibrate`.
+
+    Args:
+        case: Name, file or folder of a case.
+        options: As on the command line: `max_calls=60` is `--max-calls 60`.
+
+    Returns:
+        The calibration; with several sizes in `n_train` the one of least error.
+
+    Raises:
+        InputError: The case, an option or a file is wrong.
+        StageError: A stage failed.
+    """
+    return _best_of(*_done("calibrate", case, options))
+
+
+def load_case(case: str | Path = "office") -> Case:
+    """Read a case of the project or an embedded one.
+
+    Args:
+        case: Name, file or folder of a case.
+
+    Raises:
+        InputError: There is none, or something in its files is wrong.
+    """
+    return load_case_file(find_case(find_project(None), str(case)))
+
+
+def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[Case, dict[str, Any]]:
+    """Do a command in this process and return the case that it had and its JSON document."""
+    words = [command, str(case), *_words(command, options)]
+    chosen = build_parser().parse_args(words)
+    chosen.typed = shlex.join(["studies", *words])
+    console = _Listener(quiet=chosen.quiet)
+    with interrupts_kept():
+        check_surroundings()
+        code = command_module(command).run(chosen, console)
+    (document,) = console.documents
+    if code:
+        raise StageError(f"{document['label']}: studies check {case} found errors; type it, it says which")
+    file = find_case(find_project(chosen.storage), str(case))
+    return load_case_file(file, window_d=chosen.window and chosen.window.days), document
+
+
+def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
+    """Give keywords as the words of the command line."""
+    known = {"run": RunOptions, "tune": TuneOptions, "calibrate": CalibrateOptions}[command]
+    for name, value in options.items():
+        if name not in known.__annotations__:
+            raise TypeError(f"{command}() got an unexpected keyword argument {name!r}")
+        option = name.replace("_", "-")
+        if value is False and name == "state_equations":
+            yield f"--no-{option}"
+        elif value is True:
+            yield f"--{option}"
+        elif isinstance(value, list | tuple):
+            yield from (f"--{option}", *map(str, value))
+        elif value is not None and value is not False:
+            yield f"--{option}={value}"
+
+
+def _best_of(case: Case, document: Mapping[str, Any]) -> CalibrationResult:
+    """Return the calibration of least error among those that a command left."""
+    stages = [stage for stage in document["stages"] if stage["stage"].startswith("calibrate-")]
+    return min((_result(case, document["label"], stage) for stage in stages), key=lambda one: one.mse)
+
+
+def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResult:
+    """Read a calibration from its part of the document and from the file of arrays beside its own."""
+    mse = stage["mse_polished" if "mse_polished" in stage else "mse"]
+    with np.load(Path(stage["file"]).with_suffix(".npz"), allow_pickle=False) as arrays:
+        y = arrays["y_polished" if "y_polished" in arrays else "y"]
+    at, series = case.measurement.time, dict[tuple[str, str], "pd.Series[float]"]()
+    every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
+    for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
+        series[output.name, "measured"] = pd.Series(samples.values, samples.time)
+        series[output.name, "calibrated"] = pd.Series(np.interp(every, at, y[:, k]), every)
+    return CalibrationResult(
+        name=f"{label}/{stage['stage'].removeprefix('calibrate-')}",
+        theta=_theta(case, stage),
+        mse=np.inf if mse is None else float(mse),
+        calls=sum(n for what, n in stage["ledger"].items() if what.startswith("n_")),
+        trajectories=pd.DataFrame(series).rename_axis("time_s"),
+        units={output.name: output.unit for output in case.outputs},
+        reason=stage["polish_stop_reason" if "polish_stop_reason" in stage else "stop_reason"],
+        note=case.note,
+        numbers=stage,
+    )
+
+
+def _theta(case: Case, found: Mapping[str, Any]) -> pd.DataFrame:
+    left_open = found.get("determined_by_data", {}).get("open")
+    rows = {
+        one.name: (
+            found["theta"][one.name],
+            one.unit,
+            one.lower,
+            one.upper,
+            None if left_open is None else one.name not in left_open,
+        )
+        for one in case.parameter_space.parameters
+    }
+    columns = ["value", "unit", "lower", "upper", "determined"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("parameter")
+
+
+@dataclass(frozen=True)
+class _Listener(Console):
+    """Keeps the JSON document of a command, and draws its progress in a notebook as on a terminal."""
+
+    as_json: bool = True
+    documents: list[dict[str, Any]] = field(default_factory=list)
+
+    def document(self, content: dict[str, Any]) -> None:
+        self.documents.append(content)
+
+    @contextmanager
+    def bars(self) -> Iterator[OnBar]:
+        if self.quiet or not _is_notebook():
+            with super().bars() as show:
+                yield show
+            return
+        display = import_module("IPython.display")
+        shown, bars, drawn_at = display.display(display.HTML(""), display_id=True), dict[str, str](), 0.0
+
+        def draw(what: str, done: float, total: float, news: str = "") -> None:
+            nonlocal drawn_at
+            bars[what] = f'<progress value="{done}" max="{total}"></progress> {escape(what + news)}'
+            if time.monotonic() - drawn_at > _REDRAW_EVERY_S:
+                shown.update(display.HTML("<br>".join(bars.values())))
+                drawn_at = time.monotonic()
+
+        try:
+            yield draw
+        finally:
+            shown.update(display.HTML(""))
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def _is_notebook() -> bool:
+    """Say whether this process is the kernel of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")

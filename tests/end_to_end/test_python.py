@@ -1,0 +1,173 @@
+"""The commands as functions: the same numbers as the command line, from a script without a main guard."""
+
+import argparse
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mlflow_store_for_tests import give_store
+
+from studies import CalibrationResult, InputError, StageError, api, calibrate, load_case, run, tune
+from studies.cli import build_parser, main
+
+ROOT = Path(__file__).parents[2]
+TINY = """\
+name = "tiny"
+[data]
+n_train = [16]
+n_validation = 32
+n_test = 32
+[sensitivity]
+n_base = 8
+[tuning]
+n_trials = 2
+max_epochs = 10
+[screening]
+popsize = 4
+maxiter = 10
+[polish]
+max_calls = 20
+"""
+SCRIPT = """
+import sys
+sys.path.insert(0, {root!r})
+import studies
+assert "pandas" not in sys.modules and "numpy" not in sys.modules  # import studies is quick
+from studies import calibrate
+calibrate("wall", max_calls=30, seed=1)
+"""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in which a script has calibrated the wall with seed 1."""
+    root = tmp_path_factory.mktemp("python") / "project"
+    give_store(root)
+    (root / "tiny.toml").write_text(TINY, encoding="utf-8")
+    (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
+    (root / "script.py").write_text(SCRIPT.format(root=str(ROOT)), encoding="utf-8")
+    command = [sys.executable, "-W", "error", "script.py"]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    return root
+
+
+@pytest.fixture(autouse=True)
+def _here(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(project)
+
+
+@pytest.fixture
+def found(project: Path, capsys: pytest.CaptureFixture[str]) -> CalibrationResult:
+    result = calibrate("wall", max_calls=30, seed=1)
+    assert "finished before" in capsys.readouterr().err
+    return result
+
+
+def test_a_calibration_is_that_of_the_command_line(
+    found: CalibrationResult, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate", "wall", "--max-calls", "30", "--seed", "1", "--json"]) == 0
+    (stage,) = json.loads(capsys.readouterr().out)["stages"]
+    assert stage["finished_before"]
+    assert found.numbers["digest"] == stage["digest"]
+    assert found.theta["value"].to_dict() == stage["theta"]
+    assert found.mse == stage["mse"]
+    assert found.calls == stage["ledger"]["n_adaptive"] > 0
+
+
+def test_a_result_names_units_and_bounds(found: CalibrationResult) -> None:
+    conductance = found.theta.loc["GIn"]
+    assert (conductance["unit"], conductance["lower"], conductance["upper"]) == ("W/K", 7.5, 750.0)
+    assert found.theta["determined"].all()
+    assert found.units == {"TMasonry": "degC", "QRoom": "W"}
+
+
+def test_the_trajectories_give_the_error_again(found: CalibrationResult) -> None:
+    measurement, terms = load_case("wall").measurement, []
+    for name, sensor in zip(measurement.output_names, measurement.uncertainty, strict=True):
+        difference = found.trajectories[name, "calibrated"] - found.trajectories[name, "measured"]
+        assert 0 < difference.count() < len(difference)  # gaps, and times of the other output
+        terms.append(np.mean((difference.dropna() * measurement.uncertainty[0] / sensor) ** 2))
+    np.testing.assert_allclose(np.mean(terms), found.mse, rtol=1e-9)
+
+
+def test_a_result_is_drawn_and_shown(found: CalibrationResult) -> None:
+    panels = found.plot()
+    assert [axes.get_ylabel() for axes in panels] == ["TMasonry [degC]", "QRoom [W]"]
+    assert all(len(axes.lines) == 2 for axes in panels)
+    page = found._repr_html_()
+    assert "wall-quick-seed1/adaptive: MSE 0.0019" in page
+    assert f"<td>{found.theta.loc['GIn', 'value']:.6g}</td>" in page
+    assert f"Note: {load_case('wall').note}".replace("'", "&#x27;") in page
+    assert repr(found).startswith("wall-quick-seed1/adaptive: MSE 0.0019")
+
+
+def test_a_run_tunes_and_calibrates_each_size_and_is_found_again(capsys: pytest.CaptureFixture[str]) -> None:
+    profile = "tiny.toml"
+    ran = run(profile=profile, jobs=2)
+    capsys.readouterr()
+    sizes = tune(profile=profile, jobs=2)
+    assert "tune: finished before" in capsys.readouterr().err
+    assert list(sizes.index) == [16]
+    assert sizes.loc[16, "n_trials"] == 2
+    assert {"n_latent", "n_hidden", "beta"} <= set(sizes.loc[16, "params"])
+    again = calibrate(profile=profile, n_train=16)
+    assert again.name == ran.name == "office-tiny/n0016"
+    assert again.theta.equals(ran.theta)
+    assert ran.calls >= 16 + 32 + 32 + 2
+    assert ran.trajectories.columns.tolist() == [("TAir", "measured"), ("TAir", "calibrated")]
+
+
+@pytest.mark.parametrize("command", ["run", "tune", "calibrate"])
+def test_every_option_of_a_command_is_a_keyword(command: str) -> None:
+    (commands,) = (one for one in build_parser()._actions if isinstance(one, argparse._SubParsersAction))
+    options = {action.dest for action in commands.choices[command]._actions}
+    keywords = getattr(api, f"{command.capitalize()}Options").__annotations__
+    assert options - {"help", "case", "json", "dry_run"} == set(keywords)
+
+
+def test_keywords_are_words_of_the_command_line() -> None:
+    with pytest.raises(InputError, match="has no surrogate of this case for n_train = 32 64"):
+        calibrate("wall", n_train=(32, 64), from_stored=False, target=None)
+    with pytest.raises(InputError, match=r"^--no-state-equations belongs to --method adaptive"):
+        calibrate("wall", n_train=64, state_equations=False)
+    with pytest.raises(InputError, match=r"^--from-stored belongs to --method adaptive"):
+        calibrate("wall", n_train=64, from_stored=True)
+
+
+def test_what_is_wrong_is_said_in_a_line() -> None:
+    with pytest.raises(InputError, match="there is no case 'wal'; did you mean 'wall'"):
+        calibrate("wal")
+    with pytest.raises(InputError, match="there is no case 'wal'"):
+        load_case("wal")
+    with pytest.raises(InputError, match=r"argument --max-calls: .*-3"):
+        calibrate("wall", max_calls=-3)
+    with pytest.raises(TypeError, match=r"calibrate\(\) got an unexpected keyword argument 'trials'"):
+        calibrate("wall", trials=3)  # type: ignore[call-arg]
+
+
+def test_a_run_with_errors_in_the_case_is_a_stage_that_failed(project: Path) -> None:
+    text = (ROOT / "fmus" / "wall" / "case.toml").read_text("utf-8").replace('name = "wall"', 'name = "cold"')
+    text = text.replace('"Wall.fmu"', f'"{ROOT}/fmus/wall/Wall.fmu"').replace("../..", str(ROOT))
+    (project / "cold.toml").write_text(text.replace("[-50, 100]", "[12.8, 14.2]"), "utf-8")
+    with pytest.raises(StageError, match=r"^cold-quick: studies check cold\.toml found errors"):
+        run("cold.toml", jobs=2)
+
+
+@pytest.mark.parametrize("room", ["simulation", "pelsvae", "studies"])
+def test_public_names_are_few_and_in_the_reference(room: str) -> None:
+    package = importlib.import_module(room)
+    page = (ROOT / "docs" / "reference" / "python.md").read_text("utf-8")
+    others = {"Case", "InputError"} if room == "studies" else set()  # simulation's, in one more place
+    assert len(package.__all__) <= 12
+    for name in package.__all__:
+        assert getattr(package, name).__doc__
+        assert name in others or f"\n::: {room}.{name}\n" in page
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        package.nothing  # noqa: B018
