@@ -183,19 +183,13 @@ def shown(origin: Origin, sizes: Sequence[SizeTrials]) -> Shown:
     """
     window = f"days {origin.window_d[0]:g} to {origin.window_d[1]:g}"
     published = {n: (mae,) for n, mae in FIG_6_MAE.items()} | {FIG_6_RANGE[0]: FIG_6_RANGE[1:]}
-
-    def draw(folder: Path) -> list[Path]:
-        picture = mae_over_n_figure(
-            _record(sizes), folder / "mae-over-n.png", unit=origin.unit, published=published,
-            footnote=f"{origin.label}, {window}", beside=_lines(sizes),
-        )  # fmt: skip
-        return [picture]
-
     return Shown(
         f"Fig. 6: hyperparameters tuned on {window}; test errors [{origin.unit}] of the best by validation",
         COLUMNS,
         tuple(map(_row, sizes)),
-        draw,
+        "mae-over-n.png",
+        mae_over_n_figure(_record(sizes), unit=origin.unit, published=published, beside=_lines(sizes)),
+        f"{origin.label}, {window}",
         {"importances": importances_by_size(sizes)},
     )
 

@@ -16,7 +16,7 @@ from studies.paper.plan import Plan
 from studies.paper.published import N_IMPORTANT
 from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
 from studies.physical_model import open_physical_model
-from studies.report.drawing import decimal_log, drawing, legend, size_colors
+from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
 from studies.stages.calibrate import best_surrogate
 from studies.stages.pipeline import Study
@@ -117,26 +117,29 @@ def shown(origin: Origin, sizes: Sequence[SpreadSize]) -> Shown:
         f"Fig. 7: MAE [{origin.unit}] over the spread δ of the test set",
         ("restricted", "n_train", *(f"δ = {spread:.1f}" for spread in SPREADS)),
         tuple((kind, size.n_train, *size.mae[kind]) for kind in KINDS for size in sizes),
-        lambda folder: [_picture(origin, sizes, folder / "spread.png")],
+        "spread.png",
+        _figure(origin, sizes),
+        origin.label,
         {"important": list(sizes[0].important)},
     )
 
 
-def _picture(origin: Origin, sizes: Sequence[SpreadSize], path: Path) -> Path:
+def _figure(origin: Origin, sizes: Sequence[SpreadSize]) -> Figure:
     colors = size_colors([size.n_train for size in sizes])
+    panels: list[Panel] = []
+    for kind, name in KINDS.items():
+        series = []
+        for size in sizes:
+            color, label = colors[size.n_train], f"n = {count(size.n_train)}"
+            series.append(Series(label, color, SPREADS, size.mae[kind]))
+            dots = {"strokeDash": [2, 3]}
+            series.append(Series(f"{label}, P90", color, SPREADS, size.p90[kind], style=dots, is_named=False))
+        y = Axis(axis_label("error", origin.unit), LOG)
+        panels.append(
+            Panel(name, Axis("spread δ of the test set [1]"), y, series, 300, has_legend=not panels)
+        )
     title = "Fig. 7: error over the spread of the test set (— MAE, ··· 90th percentile)"
-    with drawing(path, title=title, height_in=4.3, footnote=origin.label) as figure:
-        panels = figure.subplots(1, len(KINDS), sharey=True)
-        for axes, (kind, heading) in zip(panels, KINDS.items(), strict=True):
-            decimal_log(axes)
-            for size in sizes:
-                color = colors[size.n_train]
-                axes.plot(SPREADS, size.mae[kind], color=color, label=f"n = {count(size.n_train)}")
-                axes.plot(SPREADS, size.p90[kind], color=color, linewidth=1.0, linestyle=":")
-            axes.set(title=heading, xlabel="spread δ of the test set [1]", xlim=(0.0, 1.0))
-        panels[0].set_ylabel(axis_label("error", origin.unit))
-        legend(panels[-1])
-    return path
+    return Figure(title, tuple(panels), columns=2, shows_names=True)
 
 
 def _judge(study: Study, n: int, important: tuple[str, ...]) -> tuple[By, By, int]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -13,7 +12,7 @@ from studies.paper.items import Cell, Shown
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_8_BEST, FIG_8_MEAN
 from studies.paper.table3 import SETTINGS
-from studies.report.drawing import SERIES, drawing, legend, shortened
+from studies.report.drawing import BETWEEN_BOUNDS, SERIES, Axis, Figure, Panel, Series
 from studies.report.wording import difference_unit, squared
 
 N_CLUSTERS, N_LARGEST, BEST_SHARE = 10, 3, 0.05
@@ -38,7 +37,9 @@ def run(plan: Plan) -> Shown:
             *((title, *_numbers(starts)) for title, starts in found),
             ("the paper", None, None, FIG_8_BEST, None, FIG_8_MEAN, None),
         ),
-        lambda folder: [_picture(space.names, u, best, folder / "optima.png", study.label)],
+        "optima.png",
+        _figure(space.names, u, best),
+        study.label,
     )
 
 
@@ -66,21 +67,28 @@ def largest_clusters(u: FloatArray, n_clusters: int, seed: int = 0) -> list[Floa
     return sorted((u[labels == k] for k in range(n_clusters)), key=len, reverse=True)
 
 
-def _picture(names: Sequence[str], u: FloatArray, best: IntArray, path: Path, note: str) -> Path:
-    """Draw optima as lines over the parameters, each from its lower to its upper bound."""
+def _figure(names: Sequence[str], u: FloatArray, best: IntArray) -> Figure:
+    """Show optima as lines over the parameters, each from its lower to its upper bound."""
     largest = largest_clusters(u, N_CLUSTERS)[:N_LARGEST]
-    panels = {
+    groups = {
         "(a) The largest clusters": {f"cluster {k + 1} ({len(one)})": one for k, one in enumerate(largest)},
         "(b) The best optima": {f"best 5 % ({len(best)})": u[best]},
     }
-    labels = [shortened(name, 12) for name in names]
-    with drawing(path, title=f"Fig. 8: {len(u)} optima of LS-TRF", height_in=6.4, footnote=note) as figure:
-        for axes, (heading, groups) in zip(figure.subplots(2, 1), panels.items(), strict=True):
-            for (name, group), color in zip(groups.items(), SERIES, strict=False):
-                of_lines = [name, *[None] * (len(group) - 1)]
-                axes.plot(group.T, color=color, linewidth=1.0, alpha=0.4, label=of_lines)
-            axes.set_xticks(range(len(names)), labels, rotation=30, ha="right")
-            axes.set_yticks([0.0, 0.5, 1.0], ["lower bound", "", "upper bound"])
-            axes.set_title(heading)
-            legend(axes)
-    return path
+    x, y = Axis("", is_of_names=True), Axis("lower to upper bound [1]", BETWEEN_BOUNDS)
+    thin = {"strokeWidth": 1.0, "opacity": 0.4}
+    panels = [
+        Panel(
+            heading,
+            x,
+            y,
+            [
+                Series(
+                    name, color, np.tile(names, len(group)), group.ravel(), style=thin,
+                    line=np.repeat(np.arange(len(group)), len(names)),
+                )
+                for (name, group), color in zip(clusters.items(), SERIES, strict=False)
+            ],
+        )
+        for heading, clusters in groups.items()
+    ]  # fmt: skip
+    return Figure(f"Fig. 8: {len(u)} optima of LS-TRF", tuple(panels), shows_names=True)

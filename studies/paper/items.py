@@ -1,7 +1,7 @@
 """The tables and figures that are repeated: by name, what each needs, and how one is made and shown."""
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
@@ -11,6 +11,7 @@ from simulation.errors import InputError
 if TYPE_CHECKING:
     from studies.paper.plan import Plan
     from studies.paper.unit_files import Origin
+    from studies.report.drawing import Figure
 
 ITEMS = {
     "fig6": "error of every trial over the training simulations, days 8 to 16",
@@ -37,24 +38,29 @@ class Shown:
         title: what the table holds.
         columns: headings of the table.
         rows: its cells; None where there is no number.
-        draw: draws the pictures into a folder and returns them.
+        file: file of the picture.
+        figure: the picture.
+        footnote: small print of the picture.
         more: further results as JSON values.
     """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    draw: Callable[[Path], list[Path]]
+    file: str
+    figure: "Figure"
+    footnote: str = ""
     more: dict[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path, command: str) -> list[Path]:
-        """Draw the pictures, write table and numbers, and return the files, the JSON file first."""
+        """Draw the picture, write table and numbers, and return the files, the JSON file first."""
+        from studies.report.drawing import write_png
         from studies.stages.pipeline import write_json
 
-        pictures = self.draw(folder)
+        picture = write_png(self.figure, folder / self.file, footnote=self.footnote)
         table = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         write_json(folder / RESULT, {"command": command, "title": self.title, "table": table, **self.more})
-        return [folder / RESULT, *pictures]
+        return [folder / RESULT, picture]
 
 
 class ItemModule(Protocol):

@@ -2,14 +2,26 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+
+import numpy as np
 
 from simulation.case import KnownError
 from studies.paper.direct import Row, Start, computed
 from studies.paper.items import Shown
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_3
-from studies.report.drawing import FAINT, SERIES, decimal_log, drawing, legend, mse_lines
+from studies.report.drawing import (
+    DOT,
+    FAINT,
+    HOLLOW,
+    LOG,
+    SERIES,
+    Axis,
+    Figure,
+    Panel,
+    Series,
+    reference_lines,
+)
 from studies.report.wording import axis_label, difference_unit, squared
 
 TOLERANCE_TRF = 1e-4
@@ -49,7 +61,8 @@ def run(plan: Plan) -> Shown:
         f"Table 3: optimizers on the FMU; of many starts the best; MSE [{unit}]",
         ("method", "calls", "MSE", "paper: calls", "paper: MSE"),
         tuple((row.title, *_sum(starts), n_calls, mse) for row, starts, n_calls, mse in found),
-        lambda folder: [_picture(found, study.case.references, folder / "calls-and-error.png", unit)],
+        "calls-and-error.png",
+        _figure(found, study.case.references, unit),
     )
 
 
@@ -57,23 +70,24 @@ def _sum(starts: Sequence[Start]) -> tuple[int, float]:
     return sum(one.n_calls for one in starts), min(one.mse for one in starts)
 
 
-def _picture(found: Found, references: Sequence[KnownError], path: Path, unit: str) -> Path:
-    colors = dict(zip(SETTINGS, SERIES, strict=False))
-    title = "Table 3: error over model calls (● here, with the number of starts, ◇ the paper)"
-    with drawing(path, title=title, height_in=4.4) as figure:
-        axes = figure.subplots()
-        axes.set_xscale("log")
-        decimal_log(axes)
-        mse_lines(axes, references)
-        for row, starts, paper_calls, paper_mse in found:
-            (n_calls, mse), color = _sum(starts), colors[row.method]
-            if paper_calls is not None and paper_mse is not None:
-                axes.plot([n_calls, paper_calls], [mse, paper_mse], color=FAINT, linewidth=1.2, zorder=2)
-                axes.plot(paper_calls, paper_mse, marker="D", color="white", markeredgecolor=color)
-            axes.plot(n_calls, mse, marker="o", markersize=7.5, color=color, zorder=4)
-            axes.annotate(str(row.n_starts), (n_calls, mse), (0, 7), textcoords="offset points", fontsize=8)
-        for method, color in colors.items():
-            axes.plot([], linestyle="none", marker="o", color=color, label=method)
-        axes.set(xlabel="model calls", ylabel=axis_label("MSE", unit))
-        legend(axes)
-    return path
+def _figure(found: Found, references: Sequence[KnownError], unit: str) -> Figure:
+    series, colors = reference_lines(references), dict(zip(SETTINGS, SERIES, strict=False))
+    for row, starts, paper_calls, paper_mse in found:
+        (n_calls, mse), color, name = _sum(starts), colors[row.method], row.title
+        if paper_calls is not None and paper_mse is not None:
+            both = ([n_calls, paper_calls], [mse, paper_mse])
+            series += [
+                Series(f"{name}, gap", FAINT, *both, is_named=False),
+                Series(
+                    f"{name}, the paper", color, [paper_calls], [paper_mse], "point", HOLLOW, is_named=False
+                ),
+            ]
+        series.append(
+            Series(name, color, [n_calls], [mse], "point", DOT, text=[str(row.n_starts)], is_named=False)
+        )
+    for method, color in colors.items():
+        series.append(Series(method, color, [np.nan], [np.nan], "point", DOT))
+    panel = Panel("MSE", Axis("model calls", LOG), Axis(axis_label("MSE", unit), LOG), series, 300)
+    return Figure(
+        "Table 3: error over model calls (● here, with the number of starts, ○ the paper)", (panel,)
+    )

@@ -18,7 +18,18 @@ from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
 from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
 from studies.physical_model import open_physical_model
-from studies.report.drawing import FAINT, decimal_log, drawing, legend, mse_lines, size_colors
+from studies.report.drawing import (
+    DIAMOND,
+    FAINT,
+    HOLLOW,
+    LOG,
+    Axis,
+    Figure,
+    Panel,
+    Series,
+    reference_lines,
+    size_colors,
+)
 from studies.report.wording import axis_label, count, squared
 from studies.stages.calibrate import calibrate_stage
 from studies.stages.pipeline import Study
@@ -212,7 +223,9 @@ def shown(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Shown:
         f"Table 4, medians over the seeds; MSE [{squared(origin.unit)}], calls of the training set included",
         COLUMNS,
         tuple(_row(origin, size) for size in sizes),
-        lambda folder: [_fig9(origin, sizes, folder / "fig9.png")],
+        "fig9.png",
+        _fig9(origin, sizes),
+        f"{origin.label}, seed {origin.seed}",
     )
 
 
@@ -263,30 +276,26 @@ def _known(value: float | None) -> float:
     return np.inf if value is None else value
 
 
-def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations], path: Path) -> Path:
-    """Draw the gap at the screened point by size, and the MSE over the calls of the polish: one seed."""
+def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Figure:
+    """Show the gap at the screened point by size, and the MSE over the calls of the polish: one seed."""
     colors = size_colors([size.n_train for size in sizes])
-    title, note = "Fig. 9: gap at the screened point, and polish", f"{origin.label}, seed {origin.seed}"
-    with drawing(path, title=title, height_in=4.4, footnote=note) as figure:
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.0, 1.5])
-        for axes in (left, right):
-            decimal_log(axes)
-            mse_lines(axes, [KnownError(*known) for known in sizes[0].references])
-        for place, size in enumerate(sizes):
-            color, one = colors[size.n_train], size.calibrations[0]
-            surrogate, model = _known(one.mse_surrogate), _known(one.mse_screened)
-            if np.isfinite(model):
-                left.plot([place] * 2, [surrogate, model], color=FAINT, linewidth=4, zorder=1)
-                left.plot(place, model, marker="D", markersize=6.5, color=color, zorder=4)
-            left.plot(place, surrogate, marker="o", markersize=7, color="white", markeredgecolor=color)
-            right.step(
-                one.polish_calls, one.polish_mse, where="post", color=color, linewidth=1.4, zorder=3,
-                label=f"n = {count(size.n_train)}",
-            )  # fmt: skip
-        names = [str(size.n_train) for size in sizes]
-        left.set_xticks(range(len(sizes)), names, rotation=45, ha="right")
-        left.set(title="○ surrogate   ◆ model", xlabel="training simulations")
-        left.set_ylabel(axis_label("MSE", squared(origin.unit)))
-        right.set(title="MSE during the polish", xlabel="model calls of the polish", xlim=(0.0, None))
-        legend(right)
-    return path
+    lines = reference_lines([KnownError(*known) for known in sizes[0].references])
+    gaps, polishes = [*lines], [*lines]
+    for size in sizes:
+        name, color, one = f"n = {count(size.n_train)}", colors[size.n_train], size.calibrations[0]
+        place, ends = [str(size.n_train)], [_known(one.mse_surrogate), _known(one.mse_screened)]
+        gaps += [
+            Series(f"{name}, gap", FAINT, place * 2, ends, style={"strokeWidth": 4}, is_named=False),
+            Series(f"{name}, model", color, place, ends[1:], "point", DIAMOND, is_named=False),
+            Series(f"{name}, surrogate", color, place, ends[:1], "point", HOLLOW, is_named=False),
+        ]
+        steps = {"interpolate": "step-after", "strokeWidth": 1.5}
+        polishes.append(Series(name, color, one.polish_calls, one.polish_mse, style=steps))
+    y = Axis(axis_label("MSE", squared(origin.unit)), LOG)
+    x_sizes = Axis("training simulations", is_of_names=True)
+    panels = (
+        Panel("○ surrogate   ◆ model", x_sizes, y, gaps, 300),
+        Panel("MSE during the polish", Axis("model calls of the polish"), y, polishes, 300),
+    )
+    title = "Fig. 9: gap at the screened point, and polish"
+    return Figure(title, panels, columns=2, shows_names=True, shares_x=False)

@@ -43,13 +43,13 @@ def build_report(data: ReportData, folder: Path, *, on_progress: OnProgress | No
     }
     content = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     work: list[Callable[[], object]] = [
-        *(partial(picture.draw, folder / picture.file) for picture in pictures),
+        *(partial(_write, folder / picture.file, picture.figure.to_csv()) for picture in pictures),
         *(partial(_write, folder / f"{table.name}.csv", table.to_csv()) for table in tables),
-        lambda: _write(index, page(data, lead, cards, sections, folder)),
+        lambda: _write(index, page(data, lead, cards, sections)),
         lambda: _write(folder / SUMMARY, content),
     ]
     folder.mkdir(parents=True, exist_ok=True)
-    for earlier in (*folder.glob("*.png"), *folder.glob("*.csv")):
+    for earlier in (*folder.glob("*.csv"), *folder.glob("*.png")):
         earlier.unlink()
     for n_done, write in enumerate(work, start=1):
         write()

@@ -7,8 +7,7 @@ from dataclasses import replace
 from studies.report import captions
 from studies.report.data import ReportData
 from studies.report.figures_calibration import calibration_figure, calls_figure
-from studies.report.figures_data import coverage_figure
-from studies.report.figures_sensitivity import sensitivity_figure
+from studies.report.figures_model import coverage_figure, sensitivity_figure
 from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.report.page import Picture, Section
@@ -47,26 +46,22 @@ def sections_of(data: ReportData) -> list[Section]:
     ]
 
 
-def _foot(data: ReportData) -> str:
-    return f"{data.label} · {data.note}" if data.note else data.label
-
-
 def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
     """Return a calibration as a part that can be folded."""
-    mse_unit, foot = captions.mse_unit(data.measurement), _foot(data)
+    mse_unit = captions.mse_unit(data.measurement)
     validation = data.validation_of(c)
     pictures = [
         Picture(
             f"calibration-{c.name}",
             f"Measured{'' if c.is_adaptive else ', screened'} and {c.final} ({c.shown_name})",
             captions.calibration_caption(data.measurement, c),
-            lambda path: calibration_figure(data.measurement, c, path, footnote=foot),
+            calibration_figure(data.measurement, c),
         ),
         Picture(
             f"{'convergence' if c.is_adaptive else 'polish'}-{c.name}",
             f"MSE over model calls ({c.shown_name})",
             f"The search ended because {c.stop_reason}." if c.stop_reason else "",
-            lambda path: calls_figure(c, data.references, path, mse_unit=mse_unit, footnote=foot),
+            calls_figure(c, data.references, mse_unit=mse_unit),
         ),
     ]
     tables = [parameters_table(data.parameters, c)]
@@ -76,9 +71,7 @@ def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
                 f"validation-{c.name}",
                 f"The part that was not calibrated ({c.shown_name})",
                 validation_caption(validation),
-                lambda path: calibration_figure(
-                    validation.measurement, validation.shown_as(c), path, footnote=foot
-                ),
+                calibration_figure(validation.measurement, validation.shown_as(c)),
             )
         )
         tables.append(validation_table(c, validation))
@@ -96,13 +89,13 @@ def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
 
 
 def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
-    name, foot = record.calibration, _foot(data)
+    name = record.calibration
     pictures = [
         Picture(
             f"bands-{name}",
             f"Equally good parameter sets over the measurement ({name})",
             "Dark: the simulations of equally good parameter sets. Light: measured values to be expected.",
-            lambda path: band_figure(data.measurement, record, path, footnote=foot),
+            band_figure(data.measurement, record),
         ),
         Picture(
             f"intervals-{name}",
@@ -110,7 +103,7 @@ def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
             "Density and interval of the posterior, the linearised interval, and the calibrated value."
             if record.is_trusted
             else "The linearised interval and the calibrated value; too few calls to say more.",
-            lambda path: interval_figure(data.parameters, record, path, footnote=foot),
+            interval_figure(data.parameters, record),
         ),
     ]
     return Section(
@@ -123,7 +116,7 @@ def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
 
 
 def _surrogate_pictures(data: ReportData) -> tuple[Picture, ...]:
-    unit, foot, trials = difference_unit(data.measurement.units[0]), _foot(data), data.trials
+    unit, trials = difference_unit(data.measurement.units[0]), data.trials
     pictures = []
     if trials is not None and trials.state:
         pictures.append(
@@ -131,7 +124,7 @@ def _surrogate_pictures(data: ReportData) -> tuple[Picture, ...]:
                 "mae-over-n",
                 "Error of every trial over the number of training simulations",
                 "The curves of each training are in MLflow: studies ui.",
-                lambda path: mae_over_n_figure(trials, path, unit=unit, footnote=foot),
+                mae_over_n_figure(trials, unit=unit),
             )
         )
 
@@ -139,7 +132,7 @@ def _surrogate_pictures(data: ReportData) -> tuple[Picture, ...]:
 
 
 def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
-    pictures, foot = [], _foot(data)
+    pictures = []
     coverage, sensitivity = data.coverage, data.sensitivity
     if coverage is not None:
         pictures.append(
@@ -147,7 +140,7 @@ def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
                 "coverage",
                 f"The {coverage.name} set and the measurement",
                 captions.coverage_caption(data.measurement, coverage),
-                lambda path: coverage_figure(data.measurement, coverage, path, footnote=foot),
+                coverage_figure(data.measurement, coverage),
             )
         )
     if sensitivity is not None:
@@ -156,8 +149,8 @@ def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
                 "sensitivity",
                 "Sobol indices over time",
                 f"From {count(sensitivity.n_calls, 'simulation')} of the FMU. What the first orders "
-                "miss to 1 are interactions.",
-                lambda path: sensitivity_figure(sensitivity, path, footnote=foot),
+                "miss to 1 are interactions. The six largest are shown.",
+                sensitivity_figure(sensitivity),
             )
         )
     return tuple(pictures)

@@ -1,24 +1,23 @@
-"""The look of every picture: palette, canvas, legends, and PNG files with repeatable bytes."""
+"""Pictures as data: panels of series, written as CSV, as a Vega-Lite specification, and as a PNG.
+
+The page draws the specification in the browser, where it zooms and shows values; MLflow and the pages of the
+documentation get the PNG of the same specification.
+"""
 
 from __future__ import annotations
 
-import re
+import csv
+import io
+import json
 import textwrap
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import style
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap, to_hex
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import ArrayLike
 
 from simulation.case import KnownError
 from simulation.time_unit import TimeUnit, unit_for
@@ -37,114 +36,322 @@ SCREENED = "#d27f2b"
 POLISHED = "#2a6a9e"
 TRAINING = "#dfe8ef"
 SIMULATED = "#7fa5c1"
-FAILED = "#b9566b"
-_FEW_TO_MANY = LinearSegmentedColormap.from_list("sizes", ["#e0a458", "#b5657a", "#5b4a8b", "#1d3557"])
 SERIES = ("#2a6a9e", "#d27f2b", "#3f9a8c", "#8b6bae", "#c3a23c", "#b9566b")
+FEW_TO_MANY = (
+    "#e0a458", "#cb8569", "#b5657a", "#935985", "#75508a", "#5b4a8b", "#47437a", "#323c69", "#1d3557",
+)  # fmt: skip
+"""Colors of training-set sizes, light for few simulations; as many as the paper has sizes."""
 
-WIDTH_IN = 8.0
-DPI = 150
+LOG: Mapping[str, Any] = {"type": "log", "nice": False, "padding": 10}
+LOG2: Mapping[str, Any] = {**LOG, "base": 2}
+BETWEEN_BOUNDS: Mapping[str, Any] = {"domain": [0.0, 1.0], "nice": False}
 
-_STYLE: dict[str, Any] = {
-    "axes.edgecolor": MUTED,
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.labelsize": 9.5,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 9.5,
-    "axes.titlecolor": INK,
-    "font.size": 9.5,
-    "legend.fontsize": 8.5,
-    "legend.frameon": False,
-    "grid.color": "#e9ecee",
-    "grid.linewidth": 0.7,
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.6,
-    "text.color": INK,
-    # Names come from files: a dollar sign in one of them is a dollar sign.
-    "text.parse_math": False,
-    "xtick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "xtick.labelsize": 9,
-    "ytick.color": MUTED,
-    "ytick.labelcolor": INK,
-    "ytick.labelsize": 9,
-}
+HOLLOW: Mapping[str, Any] = {"filled": False, "size": 70, "strokeWidth": 2, "opacity": 1}
+DIAMOND: Mapping[str, Any] = {"filled": True, "shape": "diamond", "size": 80, "opacity": 1}
+DOT: Mapping[str, Any] = {"filled": True, "size": 70, "opacity": 1}
+"""Points that stand out: the surrogate's own error, the model's."""
+
+WIDTH = 640
+"""Width of the panels of a row together. [CSS pixel]"""
+PIXELS_PER_UNIT = 1.5
+"""Pixels of the PNG per CSS pixel."""
+
+_CONFIG: Mapping[str, Any] = {
+    "font": "Helvetica, Arial, sans-serif",
+    "background": "white",
+    "view": {"stroke": None},
+    "title": {"anchor": "start", "color": INK, "fontSize": 12, "fontWeight": "normal"},
+    "axis": {
+        "domainColor": MUTED, "gridColor": "#e9ecee", "labelColor": INK, "labelFontSize": 11,
+        "labelLimit": 110, "tickColor": MUTED, "titleColor": INK, "titleFontSize": 11,
+        "titleFontWeight": "normal",
+    },
+    "axisY": {"minExtent": 42},
+    "legend": {
+        "labelColor": INK, "labelFontSize": 11, "labelLimit": 230, "orient": "top",
+        "symbolOpacity": 1, "title": None,
+    },
+}  # fmt: skip
 
 
-@contextmanager
-def drawing(path: Path, *, title: str, height_in: float, footnote: str = "") -> Iterator[Figure]:
-    """Open a figure, and write it as a PNG when the block ends well.
+@dataclass(frozen=True)
+class Axis:
+    """An axis: its label, and its scale in Vega-Lite's words; one of names keeps their order."""
+
+    label: str
+    scale: Mapping[str, Any] = field(default_factory=dict)
+    is_of_names: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """What is drawn alike in one panel: a line, points, or areas.
+
+    Without `y`, a rectangle or rule goes from the bottom to the top; without `x`, from left to right.
+
+    Attributes:
+        name: For the legend; no two of a panel have the same.
+        color: Hexadecimal.
+        x: Numbers, or names on an axis of names. Shape (m,).
+        y: The same. Shape (m,).
+        mark: Vega-Lite's mark: "line", "point", "rect" or "rule".
+        style: Vega-Lite's properties of the mark.
+        x_end: Other end of a rectangle or rule. Shape (m,).
+        low: Lower end of a band, or of a rectangle. Shape (m,).
+        high: Upper end. Shape (m,).
+        line: Which line a point belongs to, where a series has several. Shape (m,).
+        text: Written below each point. Shape (m,).
+        share: Opacity of each rectangle, from 0 to 1. Shape (m,).
+        is_named: Whether the legend has it.
+    """
+
+    name: str
+    color: str
+    x: ArrayLike | None = None
+    y: ArrayLike | None = None
+    mark: str = "line"
+    style: Mapping[str, Any] = field(default_factory=dict)
+    x_end: ArrayLike | None = None
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
+    line: ArrayLike | None = None
+    text: ArrayLike | None = None
+    share: ArrayLike | None = None
+    is_named: bool = True
+
+    def columns(self) -> dict[str, Sequence[object]]:
+        """Return its values by the names of the file's columns, all of one length."""
+        named = {name: getattr(self, name) for name in _COLUMNS}
+        known = {name: np.atleast_1d(values) for name, values in named.items() if values is not None}
+        length = max(len(values) for values in known.values())
+        return {name: np.broadcast_to(values, length).tolist() for name, values in known.items()}
+
+
+_COLUMNS = ("x", "y", "x_end", "low", "high", "line", "text", "share")
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes with what is drawn in it, the lowest first; its name is unique in the picture."""
+
+    name: str
+    x: Axis
+    y: Axis
+    series: Sequence[Series]
+    height: int = 200
+    has_legend: bool = True
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture: panels below each other, or beside each other in so many columns.
+
+    Attributes:
+        title: What the picture shows.
+        panels: From left to right, then downward.
+        columns: Panels per row; a narrow page has one.
+        shows_names: Whether the names of the panels stand above them.
+        shares_x: Whether panels zoom together.
+    """
+
+    title: str
+    panels: tuple[Panel, ...]
+    columns: int = 1
+    shows_names: bool = False
+    shares_x: bool = True
+
+    def to_csv(self) -> str:
+        """Write the values of all series, one row each; what is not finite is left empty."""
+        rows = [
+            (panel.name, series.name, columns, k)
+            for panel in self.panels
+            for series in panel.series
+            for columns in (series.columns(),)
+            for k in range(len(next(iter(columns.values()))))
+        ]
+        used = {name for _, _, columns, _ in rows for name in columns}
+        header = [name for name in _COLUMNS if name in used]
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["panel", "series", *header])
+        for panel, series, columns, k in rows:
+            cells = (_cell(columns[name][k]) if name in columns else "" for name in header)
+            writer.writerow([panel, series, *cells])
+        return text.getvalue()
+
+    def specification(self, *, with_values: bool = False) -> dict[str, Any]:
+        """Return the Vega-Lite specification without title, its data within as CSV.
+
+        Args:
+            with_values: Whether the value next to the pointer is shown.
+        """
+        numbers = dict.fromkeys(("x_end", "low", "high", "share"), "number")
+        x_params = [[k] for k in range(len(self.panels))]
+        if self.shares_x:
+            x_params = [list(range(len(self.panels)))]
+        zoomed = [
+            *(("x", [k for k in group if not self.panels[k].x.is_of_names]) for group in x_params),
+            *(("y", [k]) for k, panel in enumerate(self.panels) if not panel.y.is_of_names),
+        ]
+        return {
+            "$schema": "https://vega.github.io/schema/vega-lite/v6.json",
+            "config": {**_CONFIG, "legend": {**_CONFIG["legend"], "columns": 4 // self.columns}},
+            "data": {"values": self.to_csv(), "format": {"type": "csv", "parse": numbers}},
+            "concat": [self._panel(k, panel, with_values=with_values) for k, panel in enumerate(self.panels)],
+            "columns": self.columns,
+            "spacing": 12,
+            "resolve": {"scale": {"color": "independent"}, "legend": {"color": "independent"}},
+            "params": [
+                {
+                    "name": f"{axis}_{places[0]}",
+                    # A wheel alone scrolls the page.
+                    "select": {"type": "interval", "encodings": [axis], "zoom": "wheel![event.ctrlKey]"},
+                    "bind": "scales",
+                    "views": [f"panel_{k}" for k in places],
+                }
+                for axis, places in zoomed
+                if places
+            ],
+        }
+
+    def _panel(self, place: int, panel: Panel, *, with_values: bool) -> dict[str, Any]:
+        colors = {
+            "domain": [one.name for one in panel.series],
+            "range": [one.color for one in panel.series],
+        }
+        legend = {"values": [one.name for one in panel.series if one.is_named]}
+        color = {"scale": colors, "legend": legend if panel.has_legend and legend["values"] else None}
+        layers = [layer for one in panel.series for layer in _layers(panel, one, color)]
+        # Of the layers of axes alone has Vega-Lite something to zoom.
+        zoomed = next(
+            one for one in layers if {"x", "y"} <= {k for k, v in one["encoding"].items() if "field" in v}
+        )
+        zoomed["name"] = f"panel_{place}"
+        if with_values:
+            layers.append(_values(panel, f"near_{place}"))
+        return {
+            **({"title": panel.name} if self.shows_names else {}),
+            "width": WIDTH // self.columns,
+            "height": panel.height,
+            "transform": [{"filter": {"field": "panel", "equal": panel.name}}],
+            "layer": layers,
+        }
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, float):
+        return f"{value:.7g}" if np.isfinite(value) else ""
+    return value
+
+
+def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the layers of a series: its band, its marks, and its text."""
+    of_series = {"transform": [{"filter": {"field": "series", "equal": series.name}}]}
+    x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
+    colored = {"color": {"datum": series.name, **color}}
+    mark = {"type": series.mark, "clip": True, **series.style}
+    both: dict[str, Any] = {
+        **({} if series.x is None else {"x": x}),
+        **({} if series.y is None else {"y": y}),
+    }
+    if series.x_end is not None:
+        both["x2"] = {"field": "x_end"}
+    if series.line is not None:
+        both["detail"] = {"field": "line"}
+    if series.share is not None:
+        both["opacity"] = {"field": "share", "type": "quantitative", "scale": None}
+    found: list[dict[str, Any]] = []
+    if series.low is not None:
+        ends = {"y": {**y, "field": "low"}, "y2": {"field": "high"}}
+        kind = "rect" if series.mark == "rect" else "area"
+        is_whole = series.y is None
+        band = {"type": kind, "clip": True, "opacity": 1.0 if is_whole else 0.25, **series.style}
+        found.append({**of_series, "mark": band, "encoding": {**both, **colored, **ends}})
+        if is_whole:
+            return found
+    found.append({**of_series, "mark": mark, "encoding": {**both, **colored}})
+    if series.text is not None:
+        written = {"type": "text", "dy": 13, "fontSize": 10, "color": series.color, "clip": True}
+        found.append({**of_series, "mark": written, "encoding": {**both, "text": {"field": "text"}}})
+    return found
+
+
+def _values(panel: Panel, selection: str) -> dict[str, Any]:
+    """Return a layer of points that are seen, with their values, only next to the pointer."""
+    x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
+    shown = [("series", "nominal", " "), ("x", x["type"], panel.x.label), ("y", y["type"], panel.y.label)]
+    select = {"type": "point", "nearest": True, "on": "pointerover", "clear": "pointerout"}
+    return {
+        "transform": [{"filter": "isValid(datum.x) && isValid(datum.y) && datum.x !== '' && datum.y !== ''"}],
+        "params": [{"name": selection, "select": select}],
+        "mark": {"type": "point", "filled": True, "color": INK, "clip": True},
+        "encoding": {
+            "x": x,
+            "y": y,
+            "opacity": {"condition": {"param": selection, "empty": False, "value": 1}, "value": 0},
+            "tooltip": [
+                {"field": name, "type": kind, "title": title or name}
+                | ({"format": ",.4~g"} if kind == "quantitative" else {})
+                for name, kind, title in shown
+            ],
+        },
+    }
+
+
+def _position(name: str, axis: Axis) -> dict[str, Any]:
+    if axis.is_of_names:
+        shown = {"labelAngle": -40} if name == "x" else {}
+        return {
+            "field": name, "type": "nominal", "title": axis.label or None, "sort": None,
+            "axis": {**shown, "grid": False},
+        }  # fmt: skip
+    is_log = axis.scale.get("type") == "log"
+    return {
+        "field": name, "type": "quantitative", "title": axis.label or None,
+        "scale": axis.scale if axis.scale else {"zero": False},
+        "axis": {"labelOverlap": True, "tickCount": 6, **({"format": ",~g"} if is_log else {})},
+    }  # fmt: skip
+
+
+def write_png(figure: Figure, path: Path, *, footnote: str = "") -> Path:
+    """Draw a figure into a file, which is replaced in one step.
 
     Args:
-        path: Where to; the folder is made. The file is replaced in one step.
-        title: A sentence that says what the picture shows.
-        height_in: Height without the lines that a long title adds. [inch]
-        footnote: Small print below, e.g. a case's note.
+        figure: What to draw.
+        path: Where the PNG goes; the folder is made.
+        footnote: Small print below the title, e.g. the label of a study.
+
+    Returns:
+        The path.
     """
-    # A number stays on the line of its unit.
-    lines = textwrap.wrap(re.sub(r"(\d) (?=[^\d\s]{1,3}\b)", "\\1\u00a0", title), 82, max_lines=3) or [""]
-    notes = textwrap.wrap(footnote, 130, max_lines=2, placeholder=" …")
-    with style.context(_STYLE, after_reset=True), warnings.catch_warnings():
-        # A title in a script that the font lacks is drawn with boxes; that is no reason to fail.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        # Of a logarithmic axis around a single power of ten; Matplotlib widens it, as it should.
-        warnings.filterwarnings("ignore", message="Attempting to set identical low and high")
-        height = height_in + 0.2 * (len(lines) - 1) + 0.14 * len(notes)
-        figure = Figure(figsize=(WIDTH_IN, height), dpi=DPI, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
-        engine = figure.get_layout_engine()
-        if isinstance(engine, ConstrainedLayoutEngine):
-            engine.set(w_pad=0.1, h_pad=0.07)
-        figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
-        if notes:
-            figure.supxlabel("\n".join(notes), x=0.012, ha="left", fontsize=7.5, color=MUTED)
-        yield figure
-        with whole_file(path) as file:
-            # Figure.savefig would draw it twice for the same picture.
-            canvas.print_png(file, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    from vl_convert import vegalite_to_png
 
-
-def decimal_log(axes: Axes) -> None:
-    """Make the vertical axis logarithmic, with as many plain decimal numbers as are readable."""
-
-    def label(value: float, _: object) -> str:
-        low, high = axes.get_ylim()
-        shown = "1" if high > 300.0 * low else "125" if high > 4.0 * low else "123456789"
-        return f"{value:,g}" if f"{value:e}"[0] in shown else ""
-
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(base=10.0, subs="all"))
-    axes.yaxis.set_major_formatter(FuncFormatter(label))
-    axes.yaxis.set_minor_formatter(NullFormatter())
-
-
-def sizes_axis(axes: Axes) -> None:
-    """Make the horizontal axis logarithmic to the base 2, with plain numbers."""
-    axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    title = {
+        "text": textwrap.wrap(figure.title, 90), "subtitle": textwrap.wrap(footnote, 120, max_lines=2),
+        "fontWeight": "bold", "fontSize": 13, "subtitleColor": MUTED, "subtitleFontSize": 10, "offset": 12,
+    }  # fmt: skip
+    content = vegalite_to_png(json.dumps({**figure.specification(), "title": title}), scale=PIXELS_PER_UNIT)
+    with whole_file(path) as file:
+        file.write(content)
+    return path
 
 
 def size_colors(sizes: Sequence[int]) -> dict[int, str]:
     """Return a color per training-set size, from light for few simulations to dark for many."""
-    places = np.linspace(0.0, 1.0, max(len(sizes), 2))
-    return {size: to_hex(_FEW_TO_MANY(place)) for size, place in zip(sorted(sizes), places, strict=False)}
+    places = np.linspace(0, len(FEW_TO_MANY) - 1, max(len(sizes), 2)).round().astype(int)
+    return {size: FEW_TO_MANY[place] for size, place in zip(sorted(sizes), places, strict=False)}
 
 
-def legend(axes: Axes) -> None:
-    """Name what has a label, beside the axes at their right edge."""
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-
-
-def mse_lines(axes: Axes, references: Sequence[KnownError]) -> None:
-    """Draw known MSEs as dashed lines."""
-    for reference, dashes in zip(references, cycle(((5, 3), (1, 2), (8, 2, 1, 2))), strict=False):
-        axes.axhline(
-            reference.mse, color=MUTED, linewidth=0.9, linestyle=(0, dashes), zorder=1,
-            label=f"{significant(reference.mse)} {shortened(reference.label)}",
-        )  # fmt: skip
+def reference_lines(references: Sequence[KnownError]) -> list[Series]:
+    """Return known MSEs as dashed lines."""
+    colors = cycle((MUTED, INK, SERIES[2]))
+    return [
+        Series(
+            f"{significant(known.mse)} {shortened(known.label)}", color, y=[known.mse], mark="rule",
+            style={"strokeDash": [5, 3]},
+        )
+        for known, color in zip(references, colors, strict=False)
+    ]  # fmt: skip
 
 
 def shortened(text: str, n_characters: int = 24) -> str:
@@ -152,36 +359,27 @@ def shortened(text: str, n_characters: int = 24) -> str:
     return text if len(text) <= n_characters else text[: n_characters - 1] + "…"
 
 
-def line_with_gaps(axes: Axes, time: Floats, values: Floats, **style: Any) -> None:
-    """Draw a line through samples, broken where they lie further apart than usual; dots where it is broken.
+def with_gaps(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return samples with NaN where they lie further apart than usual, so that a line breaks there.
 
     Args:
-        axes: Where to.
-        time: Sample times. Shape (m,). [unit of the axis]
+        time: Sample times. Shape (m,).
         values: Samples. Shape (m,).
-        style: Color, width and the like of the line.
     """
     steps = np.diff(time)
     # Most steps of an irregular recording are no gaps.
     usual = np.quantile(steps, 0.75) if len(steps) else 0.0
     gaps = np.flatnonzero(steps > 1.5 * usual) + 1
-    if len(gaps) or len(time) == 1:
-        # A sample between two gaps has no line.
-        style |= {"marker": ".", "markersize": 2.5 * style.get("linewidth", 1.0)}
-    axes.plot(np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan), **style)
+    return np.insert(time, gaps, time[gaps - 1]), np.insert(values, gaps, np.nan)
 
 
-def time_axis(axes: Axes, time: Floats) -> TimeUnit:
-    """Fit the horizontal axis to times, label it in the unit that suits their end, and return the unit.
-
-    Periods are written in the same one (`period_text`).
+def time_axis(time: Floats) -> tuple[Axis, TimeUnit]:
+    """Return an axis in the unit that suits the end of the times, and the unit.
 
     Args:
-        axes: Whose axis.
         time: Times. Shape (t,). [s]
     """
     unit = unit_for(float(time[-1]))
-    first, last = (float(end) for end in unit.of_seconds(time[[0, -1]]))
-    axes.set_xlim(first, last if last > first else first + 1.0)
-    axes.set_xlabel(f"time [{unit.symbol}]")
-    return unit
+    first, last = unit.of_seconds(time[[0, -1]]).tolist()
+    ends = [first, last if last > first else first + 1.0]
+    return Axis(f"time [{unit.symbol}]", {"domain": ends, "nice": False}), unit

@@ -1,111 +1,87 @@
-"""Pictures of learning: every trial's error over the training-set size (Fig. 6), one training's curves."""
+"""The picture of tuning: every trial's error over the training-set size (Fig. 6)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from studies.report.drawing import (
     BEST_SURROGATE,
     INK,
+    LOG,
+    LOG2,
     MUTED,
     SERIES,
     SURROGATE,
-    decimal_log,
-    drawing,
-    sizes_axis,
+    Axis,
+    Figure,
+    Panel,
+    Series,
 )
 from studies.report.findings import best_trials
 from studies.report.records import Floats
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.wording import axis_label, count, significant
 
-LINES = ((SERIES[2], "-"), (SERIES[4], (0, (4, 2))))
-"""Color and dashes of the surrogates that are drawn as lines beside the trials."""
-
 
 def mae_over_n_figure(
     trials: TrialsRecord,
-    path: Path,
     *,
     unit: str,
-    footnote: str = "",
     beside: Sequence[ErrorLine] = (),
     published: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
-) -> Path:
-    """Draw every trial's test error over the training-set size, mean beside 90th percentile (Fig. 6).
+) -> Figure:
+    """Show every trial's test error over the training-set size, mean beside 90th percentile (Fig. 6).
 
     Args:
-        trials: All trials; pruned ones are drawn at their last validation error, failed ones counted.
-        path: Where the PNG goes.
+        trials: All trials; pruned ones are shown at their last validation error, failed ones counted.
         unit: Unit of the errors, e.g. "K".
-        footnote: Small print.
         beside: At most two other surrogates, drawn as lines.
         published: MAE that the paper names, by training-set size: one value, or least and largest. [unit]
-
-    Returns:
-        The path.
     """
+    panels = []
+    for name, values, is_mae in (
+        ("Mean absolute error", trials.test_mae, True),
+        ("90th percentile over parameter sets", trials.test_p90, False),
+    ):
+        series = _trials(trials, values, is_mae=is_mae)
+        for line, color, dashes in zip(beside, (SERIES[2], SERIES[4]), ([1, 0], [4, 2]), strict=False):
+            errors = line.mae if is_mae else line.p90
+            series.append(Series(line.name, color, line.n_train, errors, style={"strokeDash": dashes}))
+        if is_mae and published:
+            sizes = [n for n, errors_there in published.items() for _ in errors_there]
+            found = [error for errors_there in published.values() for error in errors_there]
+            diamonds = {"shape": "diamond", "size": 60, "filled": False, "strokeWidth": 1.5}
+            series.append(Series("the paper", INK, sizes, found, "point", diamonds))
+        label = axis_label("error on the test set" if is_mae else "", unit)
+        panels.append(
+            Panel(name, Axis("training simulations", LOG2), Axis(label, LOG), series, 280, has_legend=is_mae)
+        )
     title = "Error of every trial over the number of training simulations"
-    with drawing(path, title=title, height_in=4.3, footnote=footnote) as figure:
-        panels = figure.subplots(1, 2, sharey=True)
-        for axes, values in zip(panels, (trials.test_mae, trials.test_p90), strict=True):
-            decimal_log(axes)
-            sizes_axis(axes)
-            axes.grid(visible=False, axis="x")
-            axes.set_xlabel("training simulations")
-            is_mae = values is trials.test_mae
-            _draw_trials(axes, trials, values, is_mae=is_mae)
-            for line, (color, dashes) in zip(beside, LINES, strict=False):
-                errors = line.mae if is_mae else line.p90
-                axes.plot(
-                    line.n_train, errors, color=color, linestyle=dashes, linewidth=1.4, zorder=3.5,
-                    label=line.name,
-                )  # fmt: skip
-        for n, errors_there in published.items():
-            panels[0].plot(
-                [n] * len(errors_there), errors_there, color=INK, linewidth=1.2, marker="D", markersize=5,
-                markerfacecolor="white", zorder=4.5, label="the paper",
-            )  # fmt: skip
-        panels[0].set_title("Mean absolute error")
-        panels[1].set_title("90th percentile over parameter sets")
-        panels[0].set_ylabel(axis_label("error on the test set", unit))
-        named = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
-        panels[1].legend(named.values(), named, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return path
+    return Figure(title, tuple(panels), columns=2, shows_names=True, shares_x=False)
 
 
-def _draw_trials(axes: Axes, trials: TrialsRecord, values: Floats, *, is_mae: bool) -> None:
+def _trials(trials: TrialsRecord, values: Floats, *, is_mae: bool) -> list[Series]:
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
-    failed = f"\n({count(n)} failed)" if (n := trials.state.count("failed")) else ""
-    axes.plot(
-        x[complete], values[complete], linestyle="none", marker="o", markersize=4.5,
-        color=SURROGATE, alpha=0.6, markeredgewidth=0, zorder=3,
-        label=f"{count(complete.sum(), 'complete trial')}{failed}",
-    )  # fmt: skip
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
+    best, n_failed = best_trials(trials), trials.state.count("failed")
+    name = count(complete.sum(), "complete trial") + (f" ({count(n_failed)} failed)" if n_failed else "")
+    series = [
+        Series(name, SURROGATE, x[complete], values[complete], "point", {"filled": True, "opacity": 0.6})
+    ]
     if is_mae and pruned.any():
-        axes.plot(
-            x[pruned], trials.validation_mae[pruned], linestyle="none", marker="o", markersize=4,
-            color="none", markeredgecolor=MUTED, alpha=0.7, zorder=2,
-            label=f"{count(pruned.sum())} pruned, at\nthe last validation",
-        )  # fmt: skip
-    best = best_trials(trials)
-    axes.plot(
-        trials.n_train[best], values[best], linewidth=1.1, marker="*", markersize=13,
-        color=BEST_SURROGATE, markeredgecolor="white", markeredgewidth=0.8, zorder=5,
-        label="best by validation",
-    )  # fmt: skip
-    for i in best:
-        axes.annotate(
-            significant(float(values[i]), 2), (float(trials.n_train[i]), float(values[i])), (0, -9),
-            textcoords="offset points", ha="center", va="top", fontsize=8.5, color=BEST_SURROGATE, zorder=6,
-        )  # fmt: skip
+        name, hollow = f"{count(pruned.sum())} pruned, at the last validation", {"filled": False}
+        series.append(Series(name, MUTED, x[pruned], trials.validation_mae[pruned], "point", hollow))
+    labels = [significant(float(value), 2) for value in values[best]]
+    star = {"point": {"shape": "diamond", "size": 70, "filled": True}, "strokeWidth": 1.2}
+    n_train = trials.n_train[best]
+    return [
+        *series,
+        Series("best by validation", BEST_SURROGATE, n_train, values[best], style=star, text=labels),
+    ]
 
 
 def _beside_each_other(trials: TrialsRecord) -> Floats:

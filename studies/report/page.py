@@ -1,13 +1,15 @@
-"""The page itself: one HTML file that opens anywhere, with its pictures inside and everything escaped."""
+"""The page: one HTML file that opens anywhere, with its pictures and the library that draws them."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from hashlib import sha256
+from importlib.resources import files
 
 from studies.report.data import ReportData
+from studies.report.drawing import Figure
 from studies.report.tables import Table
 
 
@@ -21,17 +23,17 @@ class Card:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: name, heading, caption, and how it is drawn."""
+    """A picture: name, heading and caption, and what it shows."""
 
     name: str
     heading: str
     caption: str
-    draw: Callable[[Path], Path]
+    figure: Figure
 
     @property
     def file(self) -> str:
-        """Name of the PNG."""
-        return f"{self.name}.png"
+        """Name of the CSV file of its values."""
+        return f"figure-{self.name}.csv"
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,7 @@ class Section:
         return not (self.pictures or self.tables or self.folded or self.paragraphs)
 
 
-def page(
-    data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[Section], folder: Path
-) -> str:
+def page(data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[Section]) -> str:
     """Write the page.
 
     Args:
@@ -62,18 +62,24 @@ def page(
         lead: The result in one sentence.
         cards: The headline numbers.
         sections: What follows; an empty one is left out.
-        folder: Where the pictures lie.
 
     Returns:
         A complete HTML document.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+    from vl_convert import javascript_bundle
 
     environment = Environment(
         loader=PackageLoader("studies.report", ""), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.filters["encoded"] = lambda file: base64.b64encode(file.read_bytes()).decode("ascii")
+    # Its stub demands an argument that it does not need.
+    library: str = javascript_bundle()  # type: ignore[call-arg]
+    program = library + files("studies.report").joinpath("charts.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(sha256(program.encode()).digest()).decode("ascii")
     shown = [section for section in sections if not section.is_empty]
     template = environment.get_template("page.html")
-    return template.render(head=data, lead=lead, cards=cards, sections=shown, folder=folder)
+    return template.render(
+        head=data, lead=lead, cards=cards, sections=shown, program=Markup(program), digest=digest
+    )

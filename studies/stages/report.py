@@ -59,7 +59,7 @@ def report_stage(study: Study) -> Outcome:
         with study.console.progress("tables and figures", 1) as advance:
             build(_report_data(study), folder, on_progress=advance)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
-        log_run(work, figures=sorted(folder.glob("*.png")), artifacts=[index])
+        log_run(work, artifacts=[index])
         summary = {"index": study.paths.recorded(index), "n_files": sum(1 for _ in folder.iterdir())}
         return work.keep(summary, [index])
 

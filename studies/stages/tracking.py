@@ -21,6 +21,7 @@ def log_calibration(study: Study, stored: StoredResult, digest: str) -> None:
         stored: what the calibration left on disk.
         digest: digest of the stage's inputs.
     """
+    from studies.report.drawing import write_png
     from studies.report.figures_calibration import calibration_figure, calls_figure
 
     numbers, profile, ledger = stored.numbers, study.profile, stored.numbers["ledger"]
@@ -58,9 +59,9 @@ def log_calibration(study: Study, stored: StoredResult, digest: str) -> None:
     curve = zip(record.history_calls.tolist(), record.history_mse.tolist(), strict=True)
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "calibration.png", Path(scratch) / picture]
-        calibration_figure(measured, record, figures[0], footnote=study.label)
+        write_png(calibration_figure(measured, record), figures[0], footnote=study.label)
         unit = squared(difference_unit(measured.units[0]))
-        calls_figure(record, (), figures[1], mse_unit=unit, footnote=study.label)
+        write_png(calls_figure(record, (), mse_unit=unit), figures[1], footnote=study.label)
         _log_result(
             study,
             stored,
@@ -82,6 +83,7 @@ def log_posterior(study: Study, stored: StoredResult, digest: str) -> None:
         stored: what it left on disk.
         digest: digest of the stage's inputs.
     """
+    from studies.report.drawing import write_png
     from studies.report.figures_uncertainty import band_figure, interval_figure
     from studies.report.uncertainty import uncertainty_record
 
@@ -90,8 +92,8 @@ def log_posterior(study: Study, stored: StoredResult, digest: str) -> None:
     known = [one["known"] for one in numbers["parameters"].values()]
     with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
         figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
-        band_figure(measured_series(study.case), record, figures[0], footnote=study.label)
-        interval_figure(study.case.parameter_space, record, figures[1], footnote=study.label)
+        write_png(band_figure(measured_series(study.case), record), figures[0], footnote=study.label)
+        write_png(interval_figure(study.case.parameter_space, record), figures[1], footnote=study.label)
         _log_result(
             study,
             stored,

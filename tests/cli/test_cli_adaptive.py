@@ -87,9 +87,11 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     page = studies("report", "--window", "0-10", "--json")
     assert page.code == 0, page.err
     folder = (project / page.document["stages"][0]["index"]).parent
-    assert {"calibration-adaptive.png", "convergence-adaptive.png", "parameters-adaptive.csv"} <= {
-        file.name for file in folder.iterdir()
-    }
+    assert {
+        "figure-calibration-adaptive.csv",
+        "figure-convergence-adaptive.csv",
+        "parameters-adaptive.csv",
+    } <= {file.name for file in folder.iterdir()}
     assert folder.name == "office-quick"  # the window is the case's own
     assert f"studies {' '.join(told_by)}" in (folder / "index.html").read_text(encoding="utf-8")
 

@@ -18,6 +18,7 @@ from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall, st
 from simulation.case import load_case
 from studies.cli import main
 from studies.paths import ProjectPaths
+from studies.report.drawing import write_png
 from studies.report.figures_uncertainty import interval_figure
 from studies.report.tables_of_calibrations import intervals_table
 from studies.report.uncertainty import sentences, uncertainty_record
@@ -89,7 +90,7 @@ def test_it_says_how_sure_the_calibration_is(
     page = studies("report", "wall", "--json")
     assert page.code == 0, page.err
     folder = (project / page.document["stages"][0]["index"]).parent
-    drawn = {"bands-adaptive.png", "intervals-adaptive.png", "uncertainty-adaptive.csv"}
+    drawn = {"figure-bands-adaptive.csv", "figure-intervals-adaptive.csv", "uncertainty-adaptive.csv"}
     assert drawn <= {file.name for file in folder.iterdir()}
     table = (folder / "uncertainty-adaptive.csv").read_text(encoding="utf-8").splitlines()
     assert [line.partition(",")[0] for line in table[1:]] == list(stage["parameters"])
@@ -136,7 +137,7 @@ def test_a_sample_that_is_worth_nothing_tells_no_interval(
     box = load_case(undisturbed / "fmus" / "wall").parameter_space
     table = intervals_table(box, record)
     assert [row["known"] == "too few calls" for row in table.records()] == [not is_trusted] * 7
-    assert interval_figure(box, record, tmp_path / "intervals.png").stat().st_size > 10_000
+    assert write_png(interval_figure(box, record), tmp_path / "intervals.png").stat().st_size > 10_000
 
 
 def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(

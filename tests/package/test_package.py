@@ -129,12 +129,13 @@ def test_the_wheel_holds_three_packages_and_the_embedded_cases(wheel: Path) -> N
         f"{about}/licenses/LICENSE",
         f"{about}/licenses/LICENSES/FMI-headers-BSD-2-Clause.txt",
         "studies/profiles/quick.toml",
+        "studies/report/charts.js",
         "studies/report/page.html",
         "studies/doctor/findings.toml",
         "studies/new/case.toml.jinja",
     } <= names
     rest = {Path(name).suffix for name in names if not name.startswith((EMBEDDED, about))}
-    assert rest == {".py", ".typed", ".toml", ".html", ".jinja"}
+    assert rest == {".py", ".typed", ".toml", ".html", ".jinja", ".js"}
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {
         file.relative_to(REPOSITORY).as_posix()
