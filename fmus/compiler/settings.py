@@ -1,18 +1,20 @@
 """What build.toml in a model's folder says."""
 
-import math
 import tomllib
-from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from fmus.compiler.errors import CompileError
 
 BUILD_FILE = "build.toml"
-SOLVERS = ("exact", "rk4")
-FMI_VERSIONS = ("2.0", "3.0")
+# A whole number stays one: descriptions show it as it is written.
+_Positive = Annotated[int | float, Field(gt=0)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class BuildSettings:
     """Choices of one build.
 
@@ -32,16 +34,16 @@ class BuildSettings:
     """
 
     model: str
-    solver: str = "rk4"
-    name: str = ""
-    fmi_version: str = "2.0"
+    solver: Literal["exact", "rk4"] = "rk4"
+    name: Annotated[str, Field(pattern=r"^([A-Za-z_][A-Za-z0-9_]*)?$")] = ""
+    fmi_version: Literal["2.0", "3.0"] = "2.0"
     model_exchange_only: bool = False
     events: bool = False
-    max_substep_s: float = 60.0
-    tolerance: float = 1e-9
-    start_time_s: float = 0.0
-    stop_time_s: float = 86400.0
-    step_size_s: float = 600.0
+    max_substep_s: _Positive = 60.0
+    tolerance: _Positive = 1e-9
+    start_time_s: int | float = 0.0
+    stop_time_s: _Positive = 86400.0
+    step_size_s: _Positive = 600.0
 
     @property
     def identifier(self) -> str:
@@ -82,35 +84,12 @@ def read_settings(folder: Path) -> BuildSettings:
     path = folder / BUILD_FILE
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return TypeAdapter(BuildSettings).validate_python(table)
     except FileNotFoundError:
         raise CompileError(f'{path}: not found; write it with at least: model = "Package.Model"') from None
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        key = ".".join(map(str, fault["loc"]))
+        raise CompileError(f"{path}: {key} = {fault['input']!r}: {fault['msg']}; correct it") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise CompileError(f"{path}: cannot be read ({error}); correct it") from None
-    known = {field.name: field.type for field in fields(BuildSettings)}
-    for key, value in table.items():
-        if key not in known:
-            raise CompileError(f"{path}: unknown key {key!r}; known are {', '.join(known)}")
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if known[key] is str and not isinstance(value, str):
-            raise CompileError(f"{path}: {key} = {value!r} must be a text")
-        if known[key] is bool and not isinstance(value, bool):
-            raise CompileError(f"{path}: {key} = {value!r} must be true or false")
-        if known[key] is float and not (is_number and math.isfinite(value)):
-            raise CompileError(f"{path}: {key} = {value!r} must be a finite number")
-    if "model" not in table:
-        raise CompileError(f'{path}: the key model is missing; name the class, as in "Package.Model"')
-    settings = BuildSettings(**table)
-    if settings.solver not in SOLVERS:
-        raise CompileError(f"{path}: solver = {settings.solver!r} is unknown; known are {', '.join(SOLVERS)}")
-    if settings.fmi_version not in FMI_VERSIONS:
-        raise CompileError(
-            f"{path}: fmi_version = {settings.fmi_version!r} is unknown; known are {', '.join(FMI_VERSIONS)}"
-        )
-    for key in ("max_substep_s", "tolerance", "step_size_s"):
-        if getattr(settings, key) <= 0:
-            raise CompileError(f"{path}: {key} = {getattr(settings, key)} must be positive")
-    if settings.stop_time_s <= settings.start_time_s:
-        raise CompileError(f"{path}: stop_time_s = {settings.stop_time_s} must exceed start_time_s")
-    if not (settings.identifier.isascii() and settings.identifier.isidentifier()):
-        raise CompileError(f"{path}: name = {settings.identifier!r} must be letters, digits and underscores")
-    return settings

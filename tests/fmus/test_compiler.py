@@ -103,7 +103,8 @@ def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ('model = "M"\nsolver = "euler"', "solver = 'euler' is unknown"),
+        ('model = "M"\nsolver = "euler"', "solver = 'euler': .* should be 'exact' or 'rk4'"),
+        ('model = "M"\nsubstep = 3', "substep = 3: Unexpected keyword"),
         ('model = "M"\nsolver = "exact"', "not affine"),
     ],
 )

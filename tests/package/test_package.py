@@ -13,26 +13,17 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 EMBEDDED = "studies/cases/"
+# A case has a case.toml, perhaps further ones beside it, an FMU of its own and recordings.
 CASES = {
-    "data/office/occupancy_600s.csv",
-    "data/office/recording_1800s.csv",
-    "data/thermostat/recording.csv",
-    "data/vanderpol/recording.csv",
-    "data/wall/inputs.csv",
-    "data/wall/measured.csv",
-    "fmus/office-authors/case.toml",
-    "fmus/office-recorded/case.toml",
-    "fmus/office-whitebox-metered/MeteredOffice.fmu",
-    "fmus/office-whitebox-metered/case.toml",
-    "fmus/office-whitebox-metered/office-whitebox-recorded.toml",
-    "fmus/office/Office.fmu",
-    "fmus/office/case.toml",
-    "fmus/thermostat/Thermostat.fmu",
-    "fmus/thermostat/case.toml",
-    "fmus/vanderpol/VanDerPol.fmu",
-    "fmus/vanderpol/case.toml",
-    "fmus/wall/Wall.fmu",
-    "fmus/wall/case.toml",
+    str(file.relative_to(REPOSITORY))
+    for case in (REPOSITORY / "fmus").glob("*/case.toml")
+    for pattern in (
+        f"fmus/{case.parent.name}/*.toml",
+        f"fmus/{case.parent.name}/*.fmu",
+        f"data/{case.parent.name}/*.csv",
+    )
+    for file in REPOSITORY.glob(pattern)
+    if file.name != "build.toml"
 }
 
 

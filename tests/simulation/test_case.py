@@ -45,6 +45,7 @@ def test_a_window_of_the_caller_replaces_the_file_s(decay_case: Path):
         ('title = "One state"', 'title = "Another"', True, True),
         ("estimate = 1e-4", "estimate = 2e-4", True, True),
         ("uncertainty = 0.5", "uncertainty = 0.7\nweight = 2", True, True),
+        ('scale = "log"', 'scale = "log"\nprior = { within_factor = 1.5 }', True, True),
         ("[time]\n", "[time]\nvalidation_d = [0.75, 1.0]\n", True, True),
         ("lower = 2e-5", "lower = 3e-5", False, True),
         ("communication_step_s = 600", "communication_step_s = 300", False, False),

@@ -68,14 +68,8 @@ def test_the_parameters_of_a_shared_warm_up_are_converted_like_all_others(fmu: P
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            'column = "on"\nunit = "1"\ninterpolation = "held"',
-            'column = "on"\nunit = "1"\ninterpolation = "linear"',
-            r'inputs\[on\]: interpolation = "linear", but the FMU\'s on is of type Boolean .*"held"',
-        ),
         ('column = "on"', 'column = "level"', r"inputs\[on\]: level is -2 at 0 s, .* Boolean; give 0 or 1"),
         ('column = "level"', 'column = "u"', r"inputs\[level\]: u is 0\.001 at 0 s, .*; give whole numbers"),
-        ('name = "u"', 'name = "word"', r"word is of type String; only .* hold it under \[fixed\]"),
     ],
 )
 def test_what_does_not_fit_is_one_line(fmu: Path, tmp_path: Path, old: str, new: str, message: str):

@@ -57,15 +57,6 @@ def test_a_structural_parameter_is_set_in_its_own_mode(fmu_3: Path):
     np.testing.assert_allclose(y, expected, rtol=1e-13)
 
 
-def test_a_float32_parameter_is_calibrated(fmu_3: Path):
-    settings = kinds_fmu.kinds_settings(fmu_3, names=("f", "k"))
-    with settings.open() as model:
-        y = model.simulate(np.array([[1.5, 1e-4], [0.75, 2e-4]])).y[:, :, 0]
-    expected = [1.5 * kinds_fmu.closed_form(settings, 1e-4, 300.0) + 2]
-    expected += [0.75 * kinds_fmu.closed_form(settings, 2e-4, 300.0) + 2]
-    np.testing.assert_allclose(y, expected, rtol=1e-13)
-
-
 def test_an_inverse_display_unit_is_none_of_the_units_that_a_factor_converts(tmp_path: Path):
     """A period in seconds is the inverse of a rate in 1/s."""
     text = kinds_fmu.DESCRIPTION_3.format(state="false", once="false")

@@ -117,10 +117,3 @@ def test_what_one_row_complains_of_is_no_reason_of_another(tmp_path: Path, fmi: 
         # The first logs an error and is good, the second is bad and logs nothing.
         answer = model.simulate(np.array([[1e-4, 399.0], [1e-4, 398.0]]))
     assert answer.failures == ("", f"fmi{fmi}DoStep returned fmi{fmi}Discard at 30000 s")
-
-
-def test_the_message_of_a_failed_row_is_complete(tmp_path: Path, fmi: int):
-    settings = kinds_fmu.kinds_settings(kinds_fmu.build_kinds_fmu(tmp_path, fmi=fmi), fixed={"n": -3})
-    with settings.open() as model:
-        (reason,) = model.simulate(np.array([[1e-4, 399.0]])).failures
-    assert reason == f"fmi{fmi}DoStep returned fmi{fmi}Discard at 30000 s: it grumbles 99%"

@@ -171,6 +171,71 @@ WRONG: dict[str, tuple[Change, str]] = {
         ),
         r'case\.toml: decay\.fmu has no co-simulation interface; write interface = "model-exchange"',
     ),
+    "days and seconds": (
+        toml("[time]", "[time]\nwindow_s = [0, 1]"),
+        r"time: both window_d and window_s are given; give one",
+    ),
+    "start in days beside a window in seconds": (
+        toml("window_d = [0.25, 0.75]", "window_s = [21600, 64800]\nstart_d = 0"),
+        r"time: start_d beside window_s; write start_s",
+    ),
+    "column and sum": (
+        toml('column = "heating"', 'column = "heating"\nsum = { heating = 1.0 }'),
+        r"inputs\[u\]: give either column or sum",
+    ),
+    "accepted band that holds nothing": (
+        toml("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [21.0, 19.0]"),
+        r"outputs\[y\]: accepted = \[21, 19\] holds nothing; give the lower value first",
+    ),
+    "window reversed": (
+        toml("[0.25, 0.75]", "[0.75, 0.25]"),
+        r"window_d = \[0\.75, 0\.25\]: the end must lie after",
+    ),
+    "steps that do not fit": (
+        toml("communication_step_s = 600", "communication_step_s = 700"),
+        r"output_step_s = 1800 is no multiple of communication_step_s = 700",
+    ),
+    "accepted band without a measured value": (
+        toml("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [20.0, 20.5]"),
+        r"outputs\[y\]: accepted = \[20, 20\.5\] leaves out the measured 20\.\d+ at \d+ s; widen",
+    ),
+    "start after the window's start": (
+        toml("[time]", "[time]\nstart_d = 0.5"),
+        r"time\.start_d = 0\.5 does not lie between day 0 and the window's start, 0\.25",
+    ),
+    "validation in a shared warm-up": (
+        toml("[time]", "[time]\nstart_d = 0\nshared_warmup = true\nvalidation_d = [0.0, 0.25]"),
+        r"validation_d = \[0, 0\.25\] lies in the warm-up, which is shared",
+    ),
+    "window of odd length": (
+        toml("[0.25, 0.75]", "[0.25, 0.76]"),
+        r"not a whole number of output steps of 1800 s",
+    ),
+    "first measured of nothing": (
+        toml('first_measured = "y"', 'first_measured = "T"'),
+        r'fixed\.x0: first_measured = "T" is no output of the case; choose one of: y',
+    ),
+    "parameter twice": (
+        toml('name = "mode"', 'name = "k"\nunit = "1/s"'),
+        r"parameters\[k\] is declared 2 times",
+    ),
+    "header alone": (
+        lambda folder: (folder / "data" / "recording.csv").write_text("time_s,T_degC,heating\n"),  # type: ignore[dict-item]
+        r"recording\.csv: no row of data",
+    ),
+    "text cell": (
+        csv(r"^3600,[^,]*,", "3600,warm,"),
+        r"line 4, column T_degC: 'warm' is not a number; correct it, or",
+    ),
+    "infinite cell": (
+        csv(r"^3600,[^,]*,", "3600,inf,"),
+        r"line 4, column T_degC: inf is no measured value; leave",
+    ),
+    "no description": (
+        fmu(lambda members: {"other.txt": b""}),
+        r"decay\.fmu: not an FMU \(no modelDescription\.xml inside\)",
+    ),
+    "newer schema": (toml("schema = 1", "schema = 2"), r"case\.toml: schema = 2: .*1"),
 }
 
 
