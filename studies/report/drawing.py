@@ -42,7 +42,7 @@ FEW_TO_MANY = (
 )  # fmt: skip
 """Colors of training-set sizes, light for few simulations; as many as the paper has sizes."""
 
-LOG: Mapping[str, Any] = {"type": "log", "nice": False, "padding": 10}
+LOG: Mapping[str, Any] = {"type": "log", "nice": False, "padding": 20}
 LOG2: Mapping[str, Any] = {**LOG, "base": 2}
 BETWEEN_BOUNDS: Mapping[str, Any] = {"domain": [0.0, 1.0], "nice": False}
 
