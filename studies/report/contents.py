@@ -48,7 +48,7 @@ def sections_of(data: ReportData) -> list[Section]:
 
 def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
     """Return a calibration as a part that can be folded."""
-    mse_unit = captions.mse_unit(data.measurement)
+    mse_unit = data.measurement.mse_unit
     validation = data.validation_of(c)
     pictures = [
         Picture(
