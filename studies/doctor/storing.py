@@ -40,6 +40,6 @@ class StoringModel(WrappedModel):
         return Trajectories.concatenate(parts).take(np.argsort(np.concatenate([known, new])))
 
     def store_finished(self, rows: Trajectories) -> None:
-        """Store rows that were simulated elsewhere, unless they are stored."""
+        """Store rows of any model that finished, unless they are stored."""
         finished = np.array([STOPPED not in reason for reason in rows.failures], dtype=np.bool_)
         self._stored.store.append(rows.take(finished & ~self._stored.store.find(rows.theta)))

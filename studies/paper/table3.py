@@ -22,8 +22,8 @@ SETTINGS = {
 """Limits that Table 3 shows: 5000 calls exactly from the guess, 3,562 generations of 15 x 14 points; the
 tolerance of evolution is inferred, as with SciPy's 0.01 it ends after some 140,000 calls.
 
-As the paper's numbers tell (calls per start, best 5 % and mean over starts), its optimizers saw the
-parameters as they are, and LS-TRF signed residuals.
+The paper's numbers show (calls per start, best 5 % and mean over starts) that its optimizers saw
+the parameters as they are, and LS-TRF signed residuals.
 """
 
 Found = list[tuple[Row, tuple[Start, ...], int | None, float | None]]

@@ -34,7 +34,7 @@ def build_report(data: ReportData, folder: Path) -> Path:
         "result": lead,
         "headline": [asdict(number) for number in numbers],
         "tables": {table.name: table.records() for table in tables},
-        "figures": [{"file": p.file, "heading": p.heading, "caption": p.caption} for p in pictures],
+        "figures": [{"file": p.file, "heading": p.figure.title, "caption": p.caption} for p in pictures],
         "provenance": asdict(data.provenance),
         "files": sorted([*files, SUMMARY]),
     }

@@ -25,7 +25,7 @@ from simulation.whole_file import whole_file
 from studies.report.records import Floats
 from studies.report.wording import significant
 
-# Every common kind of color vision tells blue from orange; a color means the same in all pictures.
+# Blue and orange differ in every common kind of color vision; a color means the same in all pictures.
 INK = "#2f3437"
 MUTED = "#858c92"
 FAINT = "#d5d9dc"

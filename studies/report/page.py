@@ -23,10 +23,9 @@ class KeyNumber:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: name, heading and caption, and what it shows."""
+    """A picture: name, caption, and what it shows."""
 
     name: str
-    heading: str
     caption: str
     figure: Figure
 

@@ -211,7 +211,7 @@ def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kept", "told"),
+    ("kept", "said"),
     [
         (slice(None), "days 0 to 10 are covered: 481 measured values"),
         (slice(96, 145), "TAir is covered from day 2 to day 3 of days 0 to 10: 49 measured values"),
@@ -219,15 +219,15 @@ def test_data_that_cannot_be_right_are_worth_a_look(project: Path) -> None:
     ],
 )
 def test_a_measurement_that_ends_within_the_window_is_worth_a_look(
-    project: Path, kept: slice, told: str
+    project: Path, kept: slice, said: str
 ) -> None:
     case = load_case(project / "fmus" / "office")
     (samples,) = case.measurement.samples
     fewer = replace(samples, time=samples.time[kept], values=samples.values[kept])
     spoilt = replace(case, measurement=replace(case.measurement, samples=(fewer,)))
     (found,) = (one for one in look_at_data(spoilt) if one.what == "data")
-    assert told in found.found
-    assert (found.level == "ok") == ("are covered" in told)
+    assert said in found.found
+    assert (found.level == "ok") == ("are covered" in said)
     assert bool(found.remedy) == (found.level == "warn")
 
 
@@ -244,9 +244,9 @@ def test_many_of_one_value_that_no_sensor_meant_do_not_hide_each_other(project: 
     assert "units of the data" not in found
 
 
-@pytest.mark.parametrize(("value", "is_told"), [("-9999", True), ("9999", False)])
+@pytest.mark.parametrize(("value", "is_named"), [("-9999", True), ("9999", False)])
 def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
-    project: Path, value: str, is_told: bool
+    project: Path, value: str, is_named: bool
 ) -> None:
     # One cell of half an hour is many values where inputs are interpolated.
     case = load_case(project / "fmus" / "office")
@@ -258,9 +258,9 @@ def test_an_input_that_no_sensor_meant_is_worth_a_look_and_a_rare_peak_is_not(
     lines[100] = ",".join(cells)
     file.write_text("\n".join([header, *lines, ""]), encoding="utf-8")
     found = {one.what: one.found for one in look_at_data(load_case(project / "fmus" / "office"))}
-    told = found.get("inputs far below all others", "")
-    assert told.startswith("TAmb falls to -8") == is_told
-    assert ("mostly" in told) == is_told
+    said = found.get("inputs far below all others", "")
+    assert said.startswith("TAmb falls to -8") == is_named
+    assert ("mostly" in said) == is_named
     assert "units of the data" not in found
 
 
@@ -278,7 +278,7 @@ def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "unit", "doubt"),
+    ("low", "high", "unit", "problem"),
     [
         (-10.0, 40.0, "K", "rather degC"),
         (270.0, 320.0, "degC", "rather K"),
@@ -286,9 +286,9 @@ def test_a_fixed_value_beyond_what_the_fmu_allows_is_worth_a_look(
         (-20.0, 35.0, "degC", ""),
     ],
 )
-def test_temperatures_that_cannot_be(low: float, high: float, unit: str, doubt: str) -> None:
+def test_temperatures_that_cannot_be(low: float, high: float, unit: str, problem: str) -> None:
     said = unit_problem(np.array([low, high]), unit)
-    assert (doubt in said) if doubt else not said
+    assert (problem in said) if problem else not said
 
 
 def test_a_parameter_that_is_dead_at_the_estimates_alone_is_no_failure(project: Path) -> None:
@@ -298,7 +298,7 @@ def test_a_parameter_that_is_dead_at_the_estimates_alone_is_no_failure(project: 
     share[2] = 0.0
     found = look_at_influence(case, share, other_share)
     assert found.level == "warn"
-    assert f"at the estimates {case.parameter_space.names[2]} has no effect" in found.found
+    assert f"{case.parameter_space.names[2]} has no effect at the estimates" in found.found
     other_share[2] = 0.0
     assert look_at_influence(case, share, other_share).level == "fail"
     share[2] = np.inf

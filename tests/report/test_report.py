@@ -127,7 +127,7 @@ def test_the_page_runs_its_own_script_and_no_other(full: Path) -> None:
 def test_page_puts_the_note_and_the_numbers_first(full: Path) -> None:
     text = " ".join(checked(full).text)
     note, result = text.index("A virtual campaign"), text.index("189 model calls")
-    first_picture = text.index("Measured,")
+    first_picture = text.index("Measured and polished")
     assert note < result < first_picture
     for words in ("studies calibrate office --n-train 64", "5a" * 32, "torch", "2.9.1", "quick"):
         assert words in text
@@ -245,7 +245,7 @@ def test_parameters_table_flags_the_bounds() -> None:
     assert at_bound(box, replace(c, theta_polished=np.sqrt(box.lower * box.upper))) == ("",) * 14
 
 
-def test_an_estimate_that_nobody_made_is_left_out() -> None:
+def test_an_estimate_that_is_not_declared_is_left_out() -> None:
     box = ParameterSpace(tuple(replace(one, estimate=None) for one in parameter_box().parameters))
     assert parameters_table(box, calibration(64)).records()[0]["estimate"] is None
 
@@ -401,5 +401,5 @@ def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> Non
     ("low", "high", "digits"),
     [(0.2, 5.0, 3), (285.6, 285.7, 5), (1.0, 1.0, 3), (-1e-9, 1.0, 3), (1e5, 1.2e5, 3)],
 )
-def test_ends_of_an_interval_are_told_apart(low: float, high: float, digits: int) -> None:
+def test_ends_of_an_interval_differ(low: float, high: float, digits: int) -> None:
     assert digits_between(low, high) == digits
