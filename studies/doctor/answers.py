@@ -7,12 +7,11 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.design import uniform_design
-from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.doctor.declared import temperature_doubt
+from studies.doctor.declared import unit_problem
 from studies.doctor.finding import Finding, Level, finding, named
-from studies.doctor.keeping import MORE_TIME, STOPPED
-from studies.doctor.region import where_and_why
+from studies.doctor.region import commonest
+from studies.doctor.storing import MORE_TIME, STOPPED
 from studies.report.wording import difference_unit, quantity, squared
 
 N_CORNERS, N_COVERAGE = 32, 64
@@ -60,8 +59,10 @@ def look_at_estimates(case: Case, nominal: Trajectories) -> Iterator[Finding]:
     yield from named("outputs-still", [one.name for one, y, _ in series if np.ptp(y) <= SAME])
     if not case.scenario.n_warmup:
         yield from named("first-values", [one.name for one, y, sigma in series if _jumps(sigma, y)])
-    doubts = [(one.name, temperature_doubt(y, one.unit)) for one, y, _ in series]
-    yield from named("units-of-outputs", [f"{name}: {doubt}" for name, doubt in doubts if doubt], "; ")
+    problems = [(one.name, unit_problem(y, one.unit)) for one, y, _ in series]
+    yield from named(
+        "units-of-outputs", [f"{name}: {problem}" for name, problem in problems if problem], "; "
+    )
 
 
 def corner_points(case: Case, n: int) -> FloatArray:
@@ -74,13 +75,13 @@ def corner_points(case: Case, n: int) -> FloatArray:
     return space.from_unit(sides[np.sort(first)][:n].astype(np.float64))
 
 
-def look_at_corners(space: ParameterSpace, answer: Trajectories) -> Finding:
+def look_at_corners(answer: Trajectories) -> Finding:
     """Judge the answers at the corners of the box."""
     n_failed = int(answer.failed.sum())
     if not n_failed:
         return finding("corners", "ok", n=answer.n)
     level: Level = "fail" if n_failed == answer.n else "warn"
-    return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=where_and_why(space, answer))
+    return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures))
 
 
 def coverage_points(case: Case, n: int) -> FloatArray:
@@ -91,7 +92,7 @@ def coverage_points(case: Case, n: int) -> FloatArray:
 def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
     """Say how much of the measurement the box can produce."""
     n_failed, good = int(answer.failed.sum()), answer.y[~answer.failed]
-    why = where_and_why(case.parameter_space, answer)
+    why = commonest(answer.failures)
     if len(good) < 2 or n_failed > case.policy.max_failed_share * answer.n:
         return finding("box-fails", "fail", n_failed=n_failed, n=answer.n, why=why)
     n_inside = 0
@@ -99,7 +100,7 @@ def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
         above = case.measurement.differences(good, k)
         n_inside += int(np.sum((above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0)))
     inside = n_inside / case.measurement.n_samples
-    failed = f", {n_failed} of {answer.n} failed{why}" if n_failed else ""
+    failed = f", {n_failed} of {answer.n} failed; the reason: {why}" if n_failed else ""
     level: Level = "ok" if inside >= COVERED_SHARE else "warn"
     return finding("covered", level, inside=inside, n=answer.n, failed=failed)
 
@@ -128,16 +129,16 @@ def influence(case: Case, nominal: Trajectories, answer: Trajectories) -> FloatA
     return np.asarray(np.fmax.reduce(moved.max(axis=1).reshape(-1, 2), axis=1))
 
 
-def look_at_influence(case: Case, share: FloatArray, elsewhere: FloatArray | None) -> Finding:
+def look_at_influence(case: Case, share: FloatArray, other_share: FloatArray | None) -> Finding:
     """Say whether every parameter moves an output.
 
     Args:
         case: the case.
         share: how far the first parameters move an output from the estimates, NaN where that is not known.
             Shape (p,). [uncertainties]
-        elsewhere: the same from another point, where it was asked. Shape (p,). [uncertainties]
+        other_share: the same from another point, where it was asked. Shape (p,). [uncertainties]
     """
-    most = share if elsewhere is None else np.fmax(share, elsewhere)
+    most = share if other_share is None else np.fmax(share, other_share)
 
     def which(is_so: np.ndarray) -> str:
         return ", ".join(case.parameter_space.names[i] for i in np.flatnonzero(is_so))

@@ -1,17 +1,15 @@
 """What a plan will cost, said before it is spent."""
 
-import math
+from collections.abc import Iterator
 
 from simulation.case import Case
-from simulation.pool.execution import SLOWER as SLOWER_THAN_ANY
 from studies.console import format_seconds
 from studies.doctor.finding import Finding, finding
-from studies.doctor.patience import SLOWER
 from studies.profile import Profile
 from studies.report.wording import count
 
-LEAST_TIMEOUT_S = 30.0
-"""A time-out below this would stop simulations on a machine that is merely busy. [s]"""
+LEAST_TIMES = 3.0
+"""A time-out of fewer times the simulation of the estimates stops rows that are only somewhat harder."""
 
 
 def planned_simulations(case: Case, profile: Profile) -> dict[str, int]:
@@ -46,16 +44,11 @@ def look_at_cost(case: Case, profile: Profile, simulation_s: float, n_workers: i
     )
 
 
-def look_at_timeout(case: Case, simulation_s: float) -> Finding:
-    """Judge the time-out, or propose one where there is none."""
-    policy = case.policy
-    if policy.timeout_s is not None:
-        limit = f"{policy.timeout_s:g} s" if math.isfinite(policy.timeout_s) else "never"
-        is_tight = policy.timeout_s < 3.0 * simulation_s
-        return finding("timeout", "warn" if is_tight else "ok", limit=limit, each=duration(simulation_s))
-    proposed = max(LEAST_TIMEOUT_S, float(f"{SLOWER * simulation_s:.1g}"))
-    limit_s = policy.limit_s(simulation_s)
-    return finding("no-timeout", "ok", limit=limit_s, slower=SLOWER_THAN_ANY, proposed=proposed)
+def look_at_timeout(case: Case, simulation_s: float) -> Iterator[Finding]:
+    """Name a time-out that is near to what a simulation takes."""
+    timeout_s = case.policy.timeout_s
+    if timeout_s is not None and timeout_s < LEAST_TIMES * simulation_s:
+        yield finding("timeout", limit=f"{timeout_s:g} s", each=duration(simulation_s))
 
 
 def duration(seconds: float) -> str:

@@ -1,6 +1,5 @@
 """What can be said of a case before anything is simulated: declarations, data, units that cannot be right."""
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -47,9 +46,6 @@ def look_at_declaration(case: Case) -> Iterator[Finding]:
     held = [(fmu.variables[name], value) for name, value in numbers.items()]
     beyond = [f"{v.name} = {value:g} ({_ends(v)})" for v, value in held if _is_beyond(v, value, value)]
     yield from named("fixed-beyond", beyond)
-    estimates = zip(parameters, convert(base_point(space)), strict=True)
-    cold = [f"{v.name} = {at:g} K" for v, at in estimates if at < COLDEST_K and _is_temperature(v)]
-    yield from named("cold-parameters", cold)
     known = [one.name for one in space.parameters if one.prior is not None]
     if prior := Prior.of(space, case.measurement):
         weight = quantity(prior.weight, squared(difference_unit(case.outputs[0].unit)))
@@ -78,14 +74,14 @@ def look_at_data(case: Case) -> Iterator[Finding]:
     outputs = list(zip(case.outputs, measurement.samples, strict=True))
     series = [*inputs.items(), *((one.name, samples.values) for one, samples in outputs)]
     yield from named("constant", [name for name, v in series if len(v) > 1 and np.ptp(v) == 0.0])
-    far, far_inputs, doubts = [], [], []
+    far, far_inputs, problems = [], [], []
     for name, values in inputs.items():
         unit, (floor, low, high) = case.fmu.variables[name].unit, _usual(values)
         if values.min() < floor:
             at_s = scenario.time_communication[int(np.argmin(values))]
             least = f"{values.min():.6g} {unit}".rstrip()
             far_inputs.append(f"{name} falls to {least} at {at_s:.12g} s, mostly {low:.4g} to {high:.4g}")
-        doubts.append((name, temperature_doubt(values[values >= floor], unit)))
+        problems.append((name, unit_problem(values[values >= floor], unit)))
     for output, samples in outputs:
         is_far, unit = _is_far(samples.values), f" {output.unit}".rstrip()
         others, at = samples.values[~is_far], np.flatnonzero(is_far)
@@ -95,13 +91,13 @@ def look_at_data(case: Case) -> Iterator[Finding]:
                 f"{output.name}: {samples.values[at[0]]:.6g}{unit} at {samples.time[at[0]]:.12g} s{more}; "
                 f"the others lie between {others.min():.4g} and {others.max():.4g}{unit}"
             )
-        doubts.append((f"measured {output.name}", temperature_doubt(others, output.unit)))
+        problems.append((f"measured {output.name}", unit_problem(others, output.unit)))
     yield from named("far", far, "; ")
     yield from named("far-inputs", far_inputs, "; ")
-    yield from named("units-of-data", [f"{name}: {doubt}" for name, doubt in doubts if doubt], "; ")
+    yield from named("units-of-data", [f"{name}: {problem}" for name, problem in problems if problem], "; ")
 
 
-def temperature_doubt(values: FloatArray, unit: str) -> str:
+def unit_problem(values: FloatArray, unit: str) -> str:
     """Say what speaks against a temperature unit; "" for nothing.
 
     Args:
@@ -182,9 +178,3 @@ def _is_beyond(variable: FmuVariable, lower: float, upper: float) -> bool:
 def _ends(variable: FmuVariable) -> str:
     ends = (variable.minimum, variable.maximum)
     return " to ".join("..." if end is None else f"{end:g}" for end in ends)
-
-
-def _is_temperature(variable: FmuVariable) -> bool:
-    text = f"{variable.name} {variable.description}"
-    is_difference = re.search(r"differ|delta|gradient|\bd[tT]|hyster|dead|band", text) is not None
-    return variable.unit == "K" and not is_difference and re.search(r"(^|\.)T|[Tt]emp", text) is not None

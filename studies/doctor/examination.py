@@ -20,14 +20,14 @@ from simulation.trajectories import Trajectories
 from studies.circumstances import RestartModel
 from studies.doctor.declared import base_point, look_at_data, look_at_declaration
 from studies.doctor.finding import Diagnosis, Finding, named
-from studies.doctor.keeping import KeepingModel
-from studies.doctor.patience import Patience
 from studies.doctor.region import N_HALVINGS, look_at_bounds
+from studies.doctor.storing import StoringModel
+from studies.doctor.time_budget import TimeBudget
 from studies.doctor.variants import circumstances, look_at_halving
 from studies.physical_model import open_physical_model
 from studies.stages.pipeline import Study
 
-N_STEPS = 8
+N_STEPS = 7
 PIECE = 8
 """Simulations of each worker between two looks at the clock."""
 
@@ -50,7 +50,7 @@ def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
             findings += found
             advance(min(step, N_STEPS), N_STEPS)
     planned = cost.planned_simulations(case, study.profile)
-    return Diagnosis(tuple(findings), examination.patience.simulation_s, planned)
+    return Diagnosis(tuple(findings), examination.budget.simulation_s, planned)
 
 
 class _Examination:
@@ -60,16 +60,16 @@ class _Examination:
         self._study, self._case, self._space = study, study.case, study.case.parameter_space
         self._base, policy = base_point(self._space), study.case.policy
         n_workers = min(study.n_jobs, policy.max_workers or study.n_jobs)
-        self.patience = Patience(n_workers, is_thorough, policy.timeout_s)
+        self.budget = TimeBudget(n_workers, is_thorough, policy.timeout_s)
 
     def simulated(self) -> Generator[list[Finding]]:
         """Simulate, and judge what comes; ends early where the estimates fail."""
-        case, base, patience = self._case, self._base, self.patience
-        policy, warn = self._policy(patience.first_timeout_s), self._study.console.warn
+        case, base, budget = self._case, self._base, self.budget
+        policy, warn = self._policy(budget.first_timeout_s), self._study.console.warn
         with PoolModel(case.make_model, 1, policy=policy, on_warning=warn) as alone:
             try:
-                nominal, patience.opening_s = _timed(alone, base)
-                patience.simulation_s = patience.opening_s
+                nominal, budget.opening_s = _timed(alone, base)
+                budget.simulation_s = budget.opening_s
             except InputError as error:
                 reason = " ".join(str(error).split()).removeprefix(f"{case.fmu.path}: ")
                 yield [answers.cannot_open(reason)]
@@ -78,23 +78,22 @@ class _Examination:
             if nominal.failed[0]:
                 return
             again = []
-            if patience.rows("a repetition", 3, at_once=False):
+            if budget.rows("a repetition", 3, at_once=False):
                 # Without opening the FMU; and after a row that is not the estimates.
-                answer, patience.simulation_s = _timed(alone, base)
+                answer, budget.simulation_s = _timed(alone, base)
                 # Inside the box: at a corner a parameter may do nothing.
                 after = alone.simulate(np.stack([answers.coverage_points(case, 1)[0], base]))
                 again = [answer, after.take([1])]
-                if patience.rows("starting the FMU over", 4, at_once=False):
+                if budget.rows("starting the FMU over", 4, at_once=False):
                     yield self._restart(after.take([0]))
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
-            yield [*self._memory(alone)]
         yield [*self._costs()]
 
     def _restart(self, later: Trajectories) -> list[Finding]:
         """Ask a row as the first of a process that was answered after others in another."""
         model = RestartModel(self._case.settings, later.theta[0], self._base)
-        policy = self._policy(self.patience.with_opening(self.patience.first_timeout_s))
+        policy = self._policy(self.budget.with_opening(self.budget.first_timeout_s))
         with PoolModel(model.open, 1, policy=policy) as alone:
             answer = alone.simulate(np.zeros((1, 1)))
         first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
@@ -102,28 +101,28 @@ class _Examination:
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
-        case, patience = self._case, self.patience
-        with open_physical_model(self._study, policy=self._policy(patience.row_timeout_s)) as stored:
-            model = KeepingModel(stored)
-            model.keep(nominal)
-            if n := patience.rows("influence of the parameters", 2 * self._space.n_parameters, 2):
+        case, budget = self._case, self.budget
+        with open_physical_model(self._study, policy=self._policy(budget.row_timeout_s)) as stored:
+            model = StoringModel(stored)
+            model.store_finished(nominal)
+            if n := budget.rows("influence of the parameters", 2 * self._space.n_parameters, 2):
                 yield list(self._influence(model, nominal, n - n % 2))
             what = "corners of the box"
-            if n := patience.rows(what, len(answers.corner_points(case, answers.N_CORNERS)), 2):
+            if n := budget.rows(what, len(answers.corner_points(case, answers.N_CORNERS)), 2):
                 answer = self._in_pieces(model, answers.corner_points(case, n), what)
-                yield [answers.look_at_corners(self._space, answer)]
+                yield [answers.look_at_corners(answer)]
             what = "coverage of the measurement"
-            if n := patience.rows(what, answers.N_COVERAGE, 8):
+            if n := budget.rows(what, answers.N_COVERAGE, 8):
                 answer = self._in_pieces(model, answers.coverage_points(case, n), what)
                 yield [answers.look_at_coverage(case, answer)]
 
     def _in_pieces(self, model: ForwardModel, theta: FloatArray, what: str) -> Trajectories:
-        """Simulate until patience ends, at least one piece: rows that hang must not eat up hours."""
-        size, patience = PIECE * self.patience.n_workers, self.patience
+        """Simulate until the time is over, at least one piece: rows that hang must not eat up hours."""
+        size, budget = PIECE * self.budget.n_workers, self.budget
         parts = [model.simulate(theta[:size])]
         for start in range(size, len(theta), size):
-            if patience.is_over:
-                patience.left_out.append(f"{what} ({start} of {len(theta)} simulations)")
+            if budget.is_over:
+                budget.left_out.append(f"{what} ({start} of {len(theta)} simulations)")
                 break
             parts.append(model.simulate(theta[start : start + size]))
         return Trajectories.concatenate(parts)
@@ -132,25 +131,25 @@ class _Examination:
         """Move every parameter; where one does nothing, once more from another point."""
         case = self._case
         answer = model.simulate(answers.moved_points(case, self._base)[:n])
-        share, elsewhere = answers.influence(case, nominal, answer), None
+        share, other_share = answers.influence(case, nominal, answer), None
         if not (share > answers.SAME).all():
             other = answers.coverage_points(case, 1)[0]
             moved = model.simulate(np.vstack([other, answers.moved_points(case, other)[:n]]))
             if not moved.failed[0]:
-                elsewhere = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
-        yield answers.look_at_influence(case, share, elsewhere)
+                other_share = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
+        yield answers.look_at_influence(case, share, other_share)
         n_rows = N_HALVINGS * int(answer.failed.sum())
-        is_traced = n_rows > 0 and self.patience.rows("from where on bounds fail", n_rows, n_rows) > 0
+        is_traced = n_rows > 0 and self.budget.rows("from where on bounds fail", n_rows, n_rows) > 0
         yield from look_at_bounds(case, self._base, answer, model if is_traced else None)
 
     def _in_other_processes(self, nominal: Trajectories, again: list[Trajectories]) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
-        case, patience, names = self._case, self.patience, self._case.scenario.input_names
+        case, budget, names = self._case, self.budget, self._case.scenario.input_names
         halved = load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0)
         model = circumstances(case, halved, self._base)
-        policy = self._policy(patience.with_opening(patience.row_timeout_s))
-        with PoolModel(model.open, min(patience.n_workers, 2 + len(names)), policy=policy) as other:
-            n = patience.rows("another process, half the step, other inputs", 3 + len(names), 3)
+        policy = self._policy(budget.with_opening(budget.row_timeout_s))
+        with PoolModel(model.open, min(budget.n_workers, 2 + len(names)), policy=policy) as other:
+            n = budget.rows("another process, half the step, other inputs", 3 + len(names), 3)
             if not n:
                 return []
             answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
@@ -162,27 +161,12 @@ class _Examination:
             findings.append(answers.look_at_inputs(asked, nominal, changed))
         return findings
 
-    def _memory(self, model: ForwardModel) -> Iterator[Finding]:
-        patience, n = self.patience, repeats.N_MEMORY
-        if patience.simulation_s > 0.0:
-            n = min(n, int(repeats.MEMORY_S / patience.simulation_s))
-        if n < 20:
-            return
-        # The first rows fill caches; what comes after them should not.
-        model.simulate(np.tile(self._base, (n // 4, 1)))
-        before, started = repeats.memory_in_use(), time.perf_counter()
-        model.simulate(np.tile(self._base, (n, 1)))
-        # Of many rows, handing over one has no weight.
-        patience.simulation_s = (time.perf_counter() - started) / n
-        total = sum(cost.planned_simulations(self._case, self._study.profile).values())
-        yield repeats.look_at_memory(repeats.memory_in_use() - before, n, total)
-
     def _costs(self) -> Iterator[Finding]:
-        study, patience = self._study, self.patience
-        yield cost.look_at_timeout(study.case, patience.simulation_s)
-        yield cost.look_at_cost(study.case, study.profile, patience.simulation_s, patience.n_workers)
-        values = {"each": cost.duration(patience.simulation_s), "command": study.command}
-        yield from named("left-out", patience.left_out, "; ", **values)
+        study, budget = self._study, self.budget
+        yield from cost.look_at_timeout(study.case, budget.simulation_s)
+        yield cost.look_at_cost(study.case, study.profile, budget.simulation_s, budget.n_workers)
+        values = {"each": cost.duration(budget.simulation_s), "command": study.command}
+        yield from named("left-out", budget.left_out, "; ", **values)
 
     def _policy(self, timeout_s: float | None) -> ExecutionPolicy:
         """Return the case's policy with this time-out and without an end when many fail."""

@@ -1,4 +1,4 @@
-"""Where in the box simulations fail, in words: beyond which value of which parameter, and why."""
+"""Which parameters cannot be moved to their bounds, from where on, and why."""
 
 import re
 from collections import Counter
@@ -6,58 +6,25 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray
+from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
-from simulation.parameters import ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.doctor.finding import Finding, named
 from studies.report.wording import percent, shown_unit
 
 N_HALVINGS = 5
 """Rows that find out from where on a bound fails: to 1/32 of the way to it."""
-EXPLAINED = 0.9
-"""One parameter explains failures that separates so much of the failed rows from the others."""
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 def commonest(failures: Sequence[str]) -> str:
-    """Return an example of the reason that most rows failed for, whatever numbers it holds."""
+    """Return an example of the reason that most rows failed for, whatever numbers it holds; "" for none."""
     reasons = [reason for reason in failures if reason]
+    if not reasons:
+        return ""
     ((kind, _),) = Counter(_NUMBER.sub("#", reason) for reason in reasons).most_common(1)
     return next(reason for reason in reasons if _NUMBER.sub("#", reason) == kind)
-
-
-def failing_region(space: ParameterSpace, theta: FloatArray, failed: BoolArray) -> str:
-    """Say beyond which value of one parameter rows fail, "" where no single one explains it.
-
-    Args:
-        space: The parameters.
-        theta: The rows. Shape (n, p). [per parameter]
-        failed: Which failed. Shape (n,).
-    """
-    if not failed.any() or failed.all():
-        return ""
-    u, best = space.to_unit(theta), (EXPLAINED, "")
-    for j, parameter in enumerate(space.parameters):
-        values = np.unique(u[:, j])
-        for edge in 0.5 * (values[1:] + values[:-1]):
-            is_below = u[:, j] < edge
-            for is_region, where in ((is_below, "below"), (~is_below, "above")):
-                part = min(float(is_region[failed].mean()), float(1.0 - is_region[~failed].mean()))
-                if part > best[0]:
-                    value = space.from_unit(np.where(np.arange(u.shape[1]) == j, edge, 0.5))[j]
-                    text = f"{parameter.name} {where} {value:.3g} {shown_unit(parameter.unit)}".rstrip()
-                    best = part, f"mostly with {text}" if part < 1.0 else f"all with {text}"
-    return best[1]
-
-
-def where_and_why(space: ParameterSpace, answer: Trajectories) -> str:
-    """Say where rows failed, as far as one parameter explains it, and why most of them did."""
-    if not answer.failed.any():
-        return ""
-    region = failing_region(space, answer.theta, answer.failed)
-    return f"{', ' if region else ''}{region}; the reason: {commonest(answer.failures)}"
 
 
 def look_at_bounds(

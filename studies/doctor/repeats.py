@@ -1,21 +1,15 @@
-"""Whether a question gets the same answer again, after others and in another process; and memory."""
+"""Whether a question gets the same answer again, after others and in another process."""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import psutil
 
 from simulation.trajectories import Trajectories
 from studies.circumstances import WAYS
 from studies.doctor.answers import SAME
 from studies.doctor.finding import Finding, finding
-from studies.doctor.keeping import MORE_TIME, STOPPED
+from studies.doctor.storing import MORE_TIME, STOPPED
 
-N_MEMORY = 200
-MEMORY_S = 10.0
-"""Longest that memory is watched. [s]"""
-LEAK_BYTES = 20_000
-"""A process that grows by more than this with each simulation, again and again, leaks. [B]"""
 _COSTS = {"state": "goes back to a saved state", "new instance": "gets a new instance"}
 
 
@@ -66,31 +60,6 @@ def look_at_order(later: Trajectories, first: Trajectories) -> Finding:
     if np.isnan(apart):
         said = "a point of the box fails either first in a process or after others, not both"
     return finding("keeps-first-parameters", "fail", said=said)
-
-
-def memory_in_use() -> int:
-    """Return the memory of the largest process below this one. [B]."""
-    sizes = [0]
-    for child in psutil.Process().children(recursive=True):
-        try:
-            sizes.append(child.memory_info().rss)
-        except psutil.Error:
-            continue
-    return max(sizes)
-
-
-def look_at_memory(grown_bytes: int, n_rows: int, n_planned: int) -> Finding:
-    """Judge how a process grows.
-
-    Args:
-        grown_bytes: how much it grew. [B]
-        n_rows: over so many simulations.
-        n_planned: simulations that the profile asks for.
-    """
-    each = grown_bytes / n_rows
-    if each < LEAK_BYTES:
-        return finding("memory", "ok", n=n_rows)
-    return finding("leak", each=each / 1e6, total=each * n_planned / 1e9)
 
 
 def _apart(one: Trajectories, other: Trajectories) -> float:

@@ -108,9 +108,9 @@ def computed(study: Study, row: Row, folder: Path) -> tuple[Start, ...]:
         "measurement": case.measurement.digest,
         **declared_inputs(case),
     }
-    digest, kept = digest_of(inputs), read_json(file)
-    if kept is not None and kept.get("digest") == digest:
-        return TypeAdapter(tuple[Start, ...]).validate_python(kept["starts"])
+    digest, stored = digest_of(inputs), read_json(file)
+    if stored is not None and stored.get("digest") == digest:
+        return TypeAdapter(tuple[Start, ...]).validate_python(stored["starts"])
     points, stop = start_points(case.parameter_space, row), Event()
     with ExitStack() as opened:
         models = Queue[PoolModel]()
@@ -252,7 +252,7 @@ def _minimize(asked: _Asked, row: Row, x0: FloatArray) -> str:
 
 def _evolve(asked: _Asked, row: Row, x0: FloatArray) -> str:
     generations = 1000 if row.max_calls is None else row.max_calls // (POPULATION * len(x0)) - 1
-    # Without SciPy's closing L-BFGS-B, as the paper's count tells.
+    # Without SciPy's closing L-BFGS-B, which the paper's count excludes.
     found = differential_evolution(
         asked.mse,
         asked.bounds,

@@ -23,7 +23,7 @@ def run(plan: Plan) -> Shown:
     """Start LS-TRF as in the paper, and with SciPy's tolerance in the case's own scales."""
     study, n_starts = plan.study, plan.budget.n_starts
     paper = replace(SETTINGS["LS-TRF"], n_starts=n_starts, seed=study.profile.seed)
-    # The second tells minima from searches that stopped early.
+    # The second shows which optima are minima, and which searches stopped early.
     rows = (paper, replace(paper, in_unit_cube=True, tolerance=None))
     found = [(row.title, computed(study, row, plan.folder("fig8"))) for row in rows]
     space, starts = study.case.parameter_space, found[0][1]

@@ -38,7 +38,7 @@ class Shown:
         title: what the table holds.
         columns: headings of the table.
         rows: its cells; None where there is no number.
-        file: file of the picture.
+        picture: file of the picture; empty for a table without one.
         figure: the picture.
         footnote: small print of the picture.
         more: further results as JSON values.
@@ -47,20 +47,21 @@ class Shown:
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    file: str
-    figure: "Figure"
+    picture: str = ""
+    figure: "Figure | None" = None
     footnote: str = ""
     more: dict[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path, command: str) -> list[Path]:
-        """Draw the picture, write table and numbers, and return the files, the JSON file first."""
+        """Write table and numbers, draw the picture, and return the files, the JSON file first."""
         from studies.report.drawing import write_png
         from studies.stages.pipeline import write_json
 
-        picture = write_png(self.figure, folder / self.file, footnote=self.footnote)
         table = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         write_json(folder / RESULT, {"command": command, "title": self.title, "table": table, **self.more})
-        return [folder / RESULT, picture]
+        if self.figure is None:
+            return [folder / RESULT]
+        return [folder / RESULT, write_png(self.figure, folder / self.picture, footnote=self.footnote)]
 
 
 class ItemModule(Protocol):

@@ -169,7 +169,7 @@ class Plan:
         except MachineError:
             raise
         except InputError as error:
-            # Nobody typed this window: what the case says of it, without the option's name.
+            # The user did not type this window: say the case's reason, without the option's name.
             why = error.__cause__ or error
             self.study.console.say(f"fig6: days 8 to 16 cannot be had ({why}); the case's own window is used")
             return self.opener(profile=profile, n_train=n_train)

@@ -3,26 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from simulation.case import KnownError
 from studies.paper.direct import Row, Start, computed
 from studies.paper.items import Shown
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_3
-from studies.report.drawing import (
-    DOT,
-    FAINT,
-    HOLLOW,
-    LOG,
-    SERIES,
-    Axis,
-    Figure,
-    Panel,
-    Series,
-    reference_lines,
-)
-from studies.report.wording import axis_label, difference_unit, squared
+from studies.report.wording import difference_unit, squared
 
 TOLERANCE_TRF = 1e-4
 """Inferred: with SciPy's 1e-8, LS-TRF takes 700 to 2000 calls per start, with this about the paper's 200."""
@@ -37,8 +22,8 @@ SETTINGS = {
 """Limits that Table 3 shows: 5000 calls exactly from the guess, 3,562 generations of 15 x 14 points; the
 tolerance of evolution is inferred, as with SciPy's 0.01 it ends after some 140,000 calls.
 
-As the paper's numbers tell (calls per start, best 5 % and mean over starts), its optimizers saw the
-parameters as they are, and LS-TRF signed residuals.
+The paper's numbers show (calls per start, best 5 % and mean over starts) that its optimizers saw
+the parameters as they are, and LS-TRF signed residuals.
 """
 
 Found = list[tuple[Row, tuple[Start, ...], int | None, float | None]]
@@ -61,33 +46,8 @@ def run(plan: Plan) -> Shown:
         f"Table 3: optimizers on the FMU; of many starts the best; MSE [{unit}]",
         ("method", "calls", "MSE", "paper: calls", "paper: MSE"),
         tuple((row.title, *_sum(starts), n_calls, mse) for row, starts, n_calls, mse in found),
-        "calls-and-error.png",
-        _figure(found, study.case.references, unit),
     )
 
 
 def _sum(starts: Sequence[Start]) -> tuple[int, float]:
     return sum(one.n_calls for one in starts), min(one.mse for one in starts)
-
-
-def _figure(found: Found, references: Sequence[KnownError], unit: str) -> Figure:
-    series, colors = reference_lines(references), dict(zip(SETTINGS, SERIES, strict=False))
-    for row, starts, paper_calls, paper_mse in found:
-        (n_calls, mse), color, name = _sum(starts), colors[row.method], row.title
-        if paper_calls is not None and paper_mse is not None:
-            both = ([n_calls, paper_calls], [mse, paper_mse])
-            series += [
-                Series(f"{name}, gap", FAINT, *both, is_named=False),
-                Series(
-                    f"{name}, the paper", color, [paper_calls], [paper_mse], "point", HOLLOW, is_named=False
-                ),
-            ]
-        series.append(
-            Series(name, color, [n_calls], [mse], "point", DOT, text=[str(row.n_starts)], is_named=False)
-        )
-    for method, color in colors.items():
-        series.append(Series(method, color, [np.nan], [np.nan], "point", DOT))
-    panel = Panel("MSE", Axis("model calls", LOG), Axis(axis_label("MSE", unit), LOG), series, 300)
-    return Figure(
-        "Table 3: error over model calls (● here, with the number of starts, ○ the paper)", (panel,)
-    )

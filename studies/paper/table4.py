@@ -298,4 +298,4 @@ def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Figure:
         Panel("MSE during the polish", Axis("model calls of the polish"), y, polishes, 300),
     )
     title = "Fig. 9: gap at the screened point, and polish"
-    return Figure(title, panels, columns=2, shows_names=True, shares_x=False)
+    return Figure(title, panels, columns=2, shows_names=True)

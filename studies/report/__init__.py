@@ -1,12 +1,11 @@
 """Reports: tables and figures made from results that lie on disk.
 
 Figures are functions of plain records (`studies.report.records`), and this package is the only place that
-knows matplotlib. Importing it loads no drawing library; `build` does, when it is called.
+knows Vega-Lite. Importing it loads no drawing library; `build` does, when it is called.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from studies.report.data import Provenance, ReportData
@@ -24,17 +23,16 @@ __all__ = [
 ]
 
 
-def build(data: ReportData, folder: Path, *, on_progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write a report: one self-contained page, its pictures, its tables and a machine-readable summary.
+def build(data: ReportData, folder: Path) -> Path:
+    """Write a report: one self-contained page, its values as CSV, and a machine-readable summary.
 
     Args:
         data: What to show.
-        folder: Where to; made if missing. Pictures and tables of an earlier report are removed.
-        on_progress: Called with (files written, files to write).
+        folder: Where to; made if missing. Files of an earlier report are removed.
 
     Returns:
         The path of index.html.
     """
     from studies.report.builder import build_report
 
-    return build_report(data, folder, on_progress=on_progress)
+    return build_report(data, folder)

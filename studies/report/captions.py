@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from studies.report.data import ReportData
-from studies.report.findings import enclosed_fraction, good_rows, within_sensor
 from studies.report.guideline14 import guideline_sentence, judge
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
 from studies.report.wording import (
@@ -15,13 +14,7 @@ from studies.report.wording import (
     difference_unit,
     percent,
     quantity,
-    squared,
 )
-
-
-def mse_unit(measurement: MeasuredSeries) -> str:
-    """Return the unit of an MSE: the first output's, squared."""
-    return squared(difference_unit(measurement.units[0]))
 
 
 def headline_sentence(data: ReportData) -> str:
@@ -34,7 +27,7 @@ def headline_sentence(data: ReportData) -> str:
     return (
         f"{made}{known} calibrated "
         f"{count(len(data.parameters.names), 'parameter')} to an MSE of "
-        f"{quantity(c.mse_polished, mse_unit(data.measurement))}."
+        f"{quantity(c.mse_polished, data.measurement.mse_unit)}."
     )
 
 
@@ -54,7 +47,29 @@ def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRec
 
 def coverage_caption(measurement: MeasuredSeries, coverage: CoverageSet) -> str:
     """Say whether the simulated set could have produced the measurement."""
-    n_failed = len(coverage.y) - len(good_rows(coverage))
+    n_failed = len(coverage.y) - len(coverage.good)
     failed = f" {count(n_failed, 'simulation')} failed." if n_failed else ""
     share = percent(enclosed_fraction(measurement, coverage))
     return f"{share} of the measured values lie between the lowest and the highest simulated one.{failed}"
+
+
+def enclosed_fraction(measurement: MeasuredSeries, coverage: CoverageSet) -> float:
+    """Return the fraction of measured values between the lowest and the highest simulated at their time."""
+    good = coverage.good
+    if not len(good):
+        return math.nan
+    differences = [measurement.measurement.differences(good, k) for k in range(len(measurement.output_names))]
+    inside = [(above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0) for above in differences]
+    return float(np.mean(np.concatenate(inside)))
+
+
+def within_sensor(measurement: MeasuredSeries, calibration: CalibrationRecord, output: int) -> float:
+    """Return the fraction of the values that the polished model meets within the sensor's uncertainty. [1].
+
+    NaN where the sensor's uncertainty is undeclared, or nothing was simulated.
+    """
+    residual = measurement.residual(calibration.y_polished, output)
+    known, uncertainty = residual[np.isfinite(residual)], float(measurement.uncertainty[output])
+    if not known.size or not math.isfinite(uncertainty):
+        return math.nan
+    return float(np.mean(np.abs(known) <= uncertainty))

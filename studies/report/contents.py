@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from studies.report import captions
@@ -28,129 +29,82 @@ def sections_of(data: ReportData) -> list[Section]:
     Returns:
         The parts of the page in their order.
     """
-    headline = data.headline
+    headline, tuned, sobol = data.headline, tuning_table(data), sensitivity_table(data)
     others = tuple(_calibration(data, c) for c in data.by_size if c is not headline)
-    tuned, sobol = tuning_table(data), sensitivity_table(data)
     whole = (calibrations_table(data),) if data.calibrations else ()
+    sections = [Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else (), is_leading=True)]
+    if headline is not None:
+        sections.append(replace(_calibration(data, headline), anchor="calibration", heading="Calibration"))
     return [
-        Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else (), is_leading=True),
-        *(
-            replace(_calibration(data, c), anchor="calibration", heading="Calibration")
-            for c in (headline,)
-            if c
-        ),
+        *sections,
         *(_uncertainty(data, record) for record in data.uncertainties),
         Section("sizes", "All calibrations", (), whole, others),
-        Section("surrogate", "All trials", _surrogate_pictures(data)),
-        Section("model", "The model and its parameters", _model_pictures(data), (sobol,) if sobol else ()),
+        Section("surrogate", "All trials", tuple(_trials(data))),
+        Section("model", "The model and its parameters", tuple(_model(data)), (sobol,) if sobol else ()),
     ]
 
 
 def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
     """Return a calibration as a part that can be folded."""
-    mse_unit = captions.mse_unit(data.measurement)
-    validation = data.validation_of(c)
+    mse_unit, validation = data.measurement.mse_unit, data.validation_of(c)
     pictures = [
         Picture(
             f"calibration-{c.name}",
-            f"Measured{'' if c.is_adaptive else ', screened'} and {c.final} ({c.shown_name})",
             captions.calibration_caption(data.measurement, c),
             calibration_figure(data.measurement, c),
         ),
         Picture(
             f"{'convergence' if c.is_adaptive else 'polish'}-{c.name}",
-            f"MSE over model calls ({c.shown_name})",
             f"The search ended because {c.stop_reason}." if c.stop_reason else "",
             calls_figure(c, data.references, mse_unit=mse_unit),
         ),
     ]
     tables = [parameters_table(data.parameters, c)]
     if validation is not None:
-        pictures.append(
-            Picture(
-                f"validation-{c.name}",
-                f"The part that was not calibrated ({c.shown_name})",
-                validation_caption(validation),
-                calibration_figure(validation.measurement, validation.shown_as(c)),
-            )
-        )
+        figure = calibration_figure(validation.measurement, validation.shown_as(c))
+        figure = replace(figure, title=f"The part that was not calibrated: {figure.title}")
+        pictures.append(Picture(f"validation-{c.name}", validation_caption(validation), figure))
         tables.append(validation_table(c, validation))
-    said = tuple(f"{line}." for line in (*filter(None, [c.state_equations]), *c.left_open))
-    heading = (
-        f"{c.shown_name}: final MSE {quantity(c.mse_polished, mse_unit)} in {count(c.calls_paper, 'call')}"
-    )
-    return Section(
-        c.name,
-        heading,
-        tuple(pictures),
-        tuple(tables),
-        paragraphs=said,
-    )
+    mse, calls = quantity(c.mse_polished, mse_unit), count(c.calls_paper, "call")
+    said = tuple(f"{line}." for line in (c.state_equations, *c.left_open) if line)
+    heading = f"{c.shown_name}: final MSE {mse} in {calls}"
+    return Section(c.name, heading, tuple(pictures), tuple(tables), paragraphs=said)
 
 
 def _uncertainty(data: ReportData, record: UncertaintyRecord) -> Section:
     name = record.calibration
-    pictures = [
+    pictures = (
         Picture(
             f"bands-{name}",
-            f"Equally good parameter sets over the measurement ({name})",
             "Dark: the simulations of equally good parameter sets. Light: measured values to be expected.",
             band_figure(data.measurement, record),
         ),
         Picture(
             f"intervals-{name}",
-            f"What is known of each parameter ({name})",
             "Density and interval of the posterior, the linearised interval, and the calibrated value."
             if record.is_trusted
             else "The linearised interval and the calibrated value; too few calls to say more.",
             interval_figure(data.parameters, record),
         ),
-    ]
-    return Section(
-        f"uncertainty-{name}",
-        f"How sure the {name} calibration is",
-        tuple(pictures),
-        (intervals_table(data.parameters, record),),
-        paragraphs=sentences(record, data.measurement.units),
     )
+    table, said = intervals_table(data.parameters, record), sentences(record, data.measurement.units)
+    heading = f"How sure the {name} calibration is"
+    return Section(f"uncertainty-{name}", heading, pictures, (table,), paragraphs=said)
 
 
-def _surrogate_pictures(data: ReportData) -> tuple[Picture, ...]:
-    unit, trials = difference_unit(data.measurement.units[0]), data.trials
-    pictures = []
-    if trials is not None and trials.state:
-        pictures.append(
-            Picture(
-                "mae-over-n",
-                "Error of every trial over the number of training simulations",
-                "The curves of each training are in MLflow: studies ui.",
-                mae_over_n_figure(trials, unit=unit),
-            )
+def _trials(data: ReportData) -> Iterator[Picture]:
+    if data.trials is not None and data.trials.state:
+        figure = mae_over_n_figure(data.trials, unit=difference_unit(data.measurement.units[0]))
+        yield Picture("mae-over-n", "The curves of each training are in MLflow: studies ui.", figure)
+
+
+def _model(data: ReportData) -> Iterator[Picture]:
+    if (coverage := data.coverage) is not None:
+        caption = captions.coverage_caption(data.measurement, coverage)
+        yield Picture("coverage", caption, coverage_figure(data.measurement, coverage))
+    if (sensitivity := data.sensitivity) is not None:
+        caption = (
+            f"From {count(sensitivity.n_calls, 'simulation')} of the FMU; the six largest are shown. "
+            "What the first orders miss to 1 are interactions."
         )
-
-    return tuple(pictures)
-
-
-def _model_pictures(data: ReportData) -> tuple[Picture, ...]:
-    pictures = []
-    coverage, sensitivity = data.coverage, data.sensitivity
-    if coverage is not None:
-        pictures.append(
-            Picture(
-                "coverage",
-                f"The {coverage.name} set and the measurement",
-                captions.coverage_caption(data.measurement, coverage),
-                coverage_figure(data.measurement, coverage),
-            )
-        )
-    if sensitivity is not None:
-        pictures.append(
-            Picture(
-                "sensitivity",
-                "Sobol indices over time",
-                f"From {count(sensitivity.n_calls, 'simulation')} of the FMU. What the first orders "
-                "miss to 1 are interactions. The six largest are shown.",
-                sensitivity_figure(sensitivity),
-            )
-        )
-    return tuple(pictures)
+        yield Picture("sensitivity", caption, sensitivity_figure(sensitivity))

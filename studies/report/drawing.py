@@ -25,7 +25,7 @@ from simulation.whole_file import whole_file
 from studies.report.records import Floats
 from studies.report.wording import significant
 
-# Every common kind of color vision tells blue from orange; a color means the same in all pictures.
+# Blue and orange differ in every common kind of color vision; a color means the same in all pictures.
 INK = "#2f3437"
 MUTED = "#858c92"
 FAINT = "#d5d9dc"
@@ -42,7 +42,7 @@ FEW_TO_MANY = (
 )  # fmt: skip
 """Colors of training-set sizes, light for few simulations; as many as the paper has sizes."""
 
-LOG: Mapping[str, Any] = {"type": "log", "nice": False, "padding": 10}
+LOG: Mapping[str, Any] = {"type": "log", "nice": False, "padding": 20}
 LOG2: Mapping[str, Any] = {**LOG, "base": 2}
 BETWEEN_BOUNDS: Mapping[str, Any] = {"domain": [0.0, 1.0], "nice": False}
 
@@ -151,14 +151,12 @@ class Figure:
         panels: From left to right, then downward.
         columns: Panels per row; a narrow page has one.
         shows_names: Whether the names of the panels stand above them.
-        shares_x: Whether panels zoom together.
     """
 
     title: str
     panels: tuple[Panel, ...]
     columns: int = 1
     shows_names: bool = False
-    shares_x: bool = True
 
     def to_csv(self) -> str:
         """Write the values of all series, one row each; what is not finite is left empty."""
@@ -186,13 +184,13 @@ class Figure:
             with_values: Whether the value next to the pointer is shown.
         """
         numbers = dict.fromkeys(("x_end", "low", "high", "share"), "number")
-        x_params = [[k] for k in range(len(self.panels))]
-        if self.shares_x:
-            x_params = [list(range(len(self.panels)))]
-        zoomed = [
-            *(("x", [k for k in group if not self.panels[k].x.is_of_names]) for group in x_params),
-            *(("y", [k]) for k, panel in enumerate(self.panels) if not panel.y.is_of_names),
-        ]
+        # Panels over the same quantity zoom together.
+        groups: dict[str, list[str]] = {}
+        for k, panel in enumerate(self.panels):
+            if not panel.x.is_of_names:
+                groups.setdefault(f"x {panel.x.label}", []).append(f"panel_{k}")
+            if not panel.y.is_of_names:
+                groups[f"y {k}"] = [f"panel_{k}"]
         return {
             "$schema": "https://vega.github.io/schema/vega-lite/v6.json",
             "config": {**_CONFIG, "legend": {**_CONFIG["legend"], "columns": 4 // self.columns}},
@@ -203,14 +201,13 @@ class Figure:
             "resolve": {"scale": {"color": "independent"}, "legend": {"color": "independent"}},
             "params": [
                 {
-                    "name": f"{axis}_{places[0]}",
+                    "name": f"zoom_{k}",
                     # A wheel alone scrolls the page.
-                    "select": {"type": "interval", "encodings": [axis], "zoom": "wheel![event.ctrlKey]"},
+                    "select": {"type": "interval", "encodings": [key[0]], "zoom": "wheel![event.ctrlKey]"},
                     "bind": "scales",
-                    "views": [f"panel_{k}" for k in places],
+                    "views": views,
                 }
-                for axis, places in zoomed
-                if places
+                for k, (key, views) in enumerate(groups.items())
             ],
         }
 

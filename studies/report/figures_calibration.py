@@ -29,7 +29,7 @@ from studies.report.drawing import (
     with_gaps,
 )
 from studies.report.records import CalibrationRecord, MeasuredSeries
-from studies.report.wording import axis_label, count, difference_unit, quantity, shown_unit, squared
+from studies.report.wording import axis_label, count, difference_unit, quantity, shown_unit
 
 MOST_BAND = 3.0
 """The axis of a residual reaches the end of the sensor's band where that is at most so many times as far."""
@@ -48,9 +48,9 @@ def calibration_figure(measurement: MeasuredSeries, calibration: CalibrationReco
         measurement: What it is compared with.
         calibration: The calibration to show.
     """
-    mse_unit = squared(difference_unit(measurement.units[0]))
+    mse = quantity(calibration.mse_polished, measurement.mse_unit)
     return Figure(
-        f"Measured and {calibration.final}: MSE {quantity(calibration.mse_polished, mse_unit)}",
+        f"Measured and {calibration.final}: MSE {mse}",
         tuple(
             panel
             for output in range(len(measurement.output_names))

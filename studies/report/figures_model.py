@@ -18,7 +18,6 @@ from studies.report.drawing import (
     with_gaps,
 )
 from studies.report.figures_calibration import output_axis
-from studies.report.findings import good_rows
 from studies.report.records import CoverageSet, MeasuredSeries
 from studies.report.wording import count
 from studies.sensitivity import SobolIndices
@@ -34,7 +33,7 @@ def coverage_figure(measurement: MeasuredSeries, coverage: CoverageSet) -> Figur
         measurement: What is to be covered.
         coverage: The simulated set; failed rows are left out.
     """
-    good = good_rows(coverage)
+    good = coverage.good
     axis, unit = time_axis(measurement.time)
     time, panels = unit.of_seconds(measurement.time), []
     for k, name in enumerate(measurement.output_names):

@@ -20,8 +20,7 @@ from studies.report.drawing import (
     Panel,
     Series,
 )
-from studies.report.findings import best_trials
-from studies.report.records import Floats
+from studies.report.records import Floats, Integers
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.wording import axis_label, count, significant
 
@@ -60,14 +59,14 @@ def mae_over_n_figure(
             Panel(name, Axis("training simulations", LOG2), Axis(label, LOG), series, 280, has_legend=is_mae)
         )
     title = "Error of every trial over the number of training simulations"
-    return Figure(title, tuple(panels), columns=2, shows_names=True, shares_x=False)
+    return Figure(title, tuple(panels), columns=2, shows_names=True)
 
 
 def _trials(trials: TrialsRecord, values: Floats, *, is_mae: bool) -> list[Series]:
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
-    best, n_failed = best_trials(trials), trials.state.count("failed")
+    best, n_failed = _best(trials), trials.state.count("failed")
     name = count(complete.sum(), "complete trial") + (f" ({count(n_failed)} failed)" if n_failed else "")
     series = [
         Series(name, SURROGATE, x[complete], values[complete], "point", {"filled": True, "opacity": 0.6})
@@ -92,3 +91,9 @@ def _beside_each_other(trials: TrialsRecord) -> Floats:
         if len(rows) > 1:
             x[rows] *= 2.0 ** np.linspace(-0.22, 0.22, len(rows))
     return x
+
+
+def _best(trials: TrialsRecord) -> Integers:
+    """Return the positions of the chosen trials with a known test error, smallest training set first."""
+    best = np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae))
+    return best[np.argsort(trials.n_train[best], kind="stable")].astype(np.int64)

@@ -14,7 +14,7 @@ from studies.report.tables import Table
 
 
 @dataclass(frozen=True)
-class Card:
+class KeyNumber:
     """A headline number: the value, and what it is."""
 
     value: str
@@ -23,10 +23,9 @@ class Card:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: name, heading and caption, and what it shows."""
+    """A picture: name, caption, and what it shows."""
 
     name: str
-    heading: str
     caption: str
     figure: Figure
 
@@ -54,13 +53,13 @@ class Section:
         return not (self.pictures or self.tables or self.folded or self.paragraphs)
 
 
-def page(data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[Section]) -> str:
+def page(data: ReportData, lead: str, numbers: Sequence[KeyNumber], sections: Sequence[Section]) -> str:
     """Write the page.
 
     Args:
         data: Label, title, note and provenance.
         lead: The result in one sentence.
-        cards: The headline numbers.
+        numbers: The headline numbers.
         sections: What follows; an empty one is left out.
 
     Returns:
@@ -81,5 +80,5 @@ def page(data: ReportData, lead: str, cards: Sequence[Card], sections: Sequence[
     shown = [section for section in sections if not section.is_empty]
     template = environment.get_template("page.html")
     return template.render(
-        head=data, lead=lead, cards=cards, sections=shown, program=Markup(program), digest=digest
+        head=data, lead=lead, numbers=numbers, sections=shown, program=Markup(program), digest=digest
     )

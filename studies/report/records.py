@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from simulation.measurement import Measurement, Samples
 from studies.calibration.ledger import Ledger
+from studies.report.wording import difference_unit, squared
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -39,6 +40,11 @@ class MeasuredSeries:
     def time(self) -> Floats:
         """Output times. Shape (t,). [s]."""
         return self.measurement.time
+
+    @property
+    def mse_unit(self) -> str:
+        """Unit of an MSE: the first output's, squared."""
+        return squared(difference_unit(self.units[0]))
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -163,7 +169,7 @@ class CalibrationRecord:
         return self._ledger.total_paper
 
     @property
-    def calls_honest(self) -> int:
+    def total_calls(self) -> int:
         """Every simulation that was asked of the physical model, validation and test sets included."""
         return self._ledger.total_honest
 
@@ -188,3 +194,8 @@ class CoverageSet:
 
     name: str
     y: Floats
+
+    @property
+    def good(self) -> Floats:
+        """The trajectories of the rows that did not fail. Shape (n_good, t, k)."""
+        return self.y[np.isfinite(self.y).all(axis=(1, 2))]

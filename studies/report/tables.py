@@ -18,7 +18,6 @@ from studies.report.wording import (
     difference_unit,
     percent,
     significant,
-    squared,
 )
 from studies.sensitivity import mean_over_time
 
@@ -168,7 +167,7 @@ def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -
         calibration: The calibration.
         record: How it did on the validation period.
     """
-    unit = squared(difference_unit(record.measurement.units[0]))
+    unit = record.measurement.mse_unit
     columns = (
         Column("parameters", "parameters"),
         Column("mse_window", "MSE, calibrated part", unit),

@@ -7,18 +7,17 @@ from functools import partial
 
 from simulation.parameters import ParameterSpace
 from studies.report.data import ReportData
-from studies.report.findings import at_bound
 from studies.report.records import CalibrationRecord
 from studies.report.tables import Cell, Column, Table
 from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
 from studies.report.wording import (
+    bound_at,
     count,
     declared,
     difference_unit,
     percent,
     shown_unit,
     significant,
-    squared,
 )
 
 Reader = Callable[[CalibrationRecord], Cell]
@@ -30,8 +29,8 @@ _CALIBRATIONS_TITLE = (
 
 def calibrations_table(data: ReportData) -> Table:
     """Tabulate the calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
-    unit = difference_unit(data.measurement.units[0])
-    mse_unit, all_of_them = squared(unit), data.by_size
+    unit, mse_unit = difference_unit(data.measurement.units[0]), data.measurement.mse_unit
+    all_of_them = data.by_size
     with_surrogate: list[tuple[Column, Reader]] = [
         (Column("n_train", "training set", "", count), lambda c: c.n_train),
         (Column("test_mae", "test MAE", unit, _two), lambda c: c.test_mae),
@@ -45,7 +44,7 @@ def calibrations_table(data: ReportData) -> Table:
         *(with_surrogate if any(not c.is_adaptive for c in all_of_them) else []),
         (Column("mse_polished", "final MSE", mse_unit), lambda c: c.mse_polished),
         (Column("calls_paper", "calls, paper's count", "", count), lambda c: c.calls_paper),
-        (Column("calls_honest", "calls, all", "", count), lambda c: c.calls_honest),
+        (Column("total_calls", "calls, all", "", count), lambda c: c.total_calls),
         *(
             (Column(f"calls_to_{mse:g}", f"calls to {mse:g}", "", count), partial(_calls_to, mse=mse))
             for mse in (reference.mse for reference in data.references if reference.is_target)
@@ -128,3 +127,8 @@ def intervals_table(box: ParameterSpace, record: UncertaintyRecord) -> Table:
         rows,
         digits=r.digits,
     )
+
+
+def at_bound(parameters: ParameterSpace, calibration: CalibrationRecord) -> tuple[str, ...]:
+    """Say for every parameter whether its polished value lies at a bound: "lower", "upper" or nothing."""
+    return tuple(map(bound_at, parameters.to_unit(calibration.theta_polished).tolist()))

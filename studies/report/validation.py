@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from simulation.time_unit import period_text
 from studies.report.guideline14 import Judged, guideline_sentence, judged
 from studies.report.records import CalibrationRecord, Floats, MeasuredSeries
-from studies.report.wording import count, difference_unit, quantity, squared
+from studies.report.wording import count, quantity
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class ValidationRecord:
     @property
     def sentence(self) -> str:
         """Say what the calibrated parameters do on the period."""
-        unit = squared(difference_unit(self.measurement.units[0]))
+        unit = self.measurement.mse_unit
         *others, (name, final) = self.points.items()
         on = f"On {period_text(self.period_d)}, which the calibration did not see, the {name} model"
         if final.mse is None:

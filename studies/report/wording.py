@@ -46,7 +46,7 @@ def setting(value: Any, digits: int = 3) -> str:
 
 
 def digits_between(low: float, high: float, least: int = 3) -> int:
-    """Return how many digits tell the ends of an interval apart, two of its width among them."""
+    """Return with how many digits the ends of an interval differ, two of its width among them."""
     width, largest = abs(high - low), max(abs(low), abs(high))
     if not 0.0 < width < math.inf:
         return least

@@ -56,8 +56,7 @@ def report_stage(study: Study) -> Outcome:
     if before is not None:
         return before
     with stage.work() as work:
-        with study.console.progress("tables and figures", 1) as advance:
-            build(_report_data(study), folder, on_progress=advance)
+        build(_report_data(study), folder)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
         log_run(work, artifacts=[index])
         summary = {"index": study.paths.recorded(index), "n_files": sum(1 for _ in folder.iterdir())}

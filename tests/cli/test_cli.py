@@ -18,7 +18,7 @@ HEAVY = (
     "torch",
     "mlflow",
     "optuna",
-    "matplotlib",
+    "vl_convert",
     "numba",
     "fmpy",
     "SALib",

@@ -225,7 +225,7 @@ def test_looking_loads_nothing_that_trains_or_simulates(project: Path) -> None:
     write_study(project, declared("office-quick", 64), n_trials=2)
     program = (
         "import sys\nfrom studies.cli import main\nmain(['status'])\n"
-        "heavy = ('torch', 'mlflow', 'pyarrow', 'scipy', 'matplotlib', 'fmpy', 'numba')\n"
+        "heavy = ('torch', 'mlflow', 'pyarrow', 'scipy', 'vl_convert', 'fmpy', 'numba')\n"
         "print([name for name in heavy if name in sys.modules])"
     )
     done = subprocess.run(

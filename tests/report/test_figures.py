@@ -26,12 +26,12 @@ from simulation.case import KnownError
 from simulation.measurement import Samples
 from simulation.time_unit import period_text
 from studies.report import CalibrationRecord, MeasuredSeries, captions
+from studies.report.captions import enclosed_fraction
 from studies.report.drawing import Axis, Figure, Panel, Series, time_axis, with_gaps, write_png
 from studies.report.figures_calibration import calibration_figure, calls_figure, residual_reach
 from studies.report.figures_model import coverage_figure, sensitivity_figure
 from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
-from studies.report.findings import enclosed_fraction
 
 REFERENCES = (KnownError("best known", 0.0103, is_target=False), KnownError("target", 0.0121, is_target=True))
 

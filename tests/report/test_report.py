@@ -29,9 +29,14 @@ from records_for_tests import (
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
 from studies.report import CoverageSet, MeasuredSeries, Provenance, ReportData, build, captions
-from studies.report.findings import at_bound, enclosed_fraction, within_sensor
+from studies.report.captions import enclosed_fraction, within_sensor
 from studies.report.tables import sensitivity_table, tuning_table
-from studies.report.tables_of_calibrations import calibrations_table, intervals_table, parameters_table
+from studies.report.tables_of_calibrations import (
+    at_bound,
+    calibrations_table,
+    intervals_table,
+    parameters_table,
+)
 from studies.report.wording import (
     count,
     declared,
@@ -122,7 +127,7 @@ def test_the_page_runs_its_own_script_and_no_other(full: Path) -> None:
 def test_page_puts_the_note_and_the_numbers_first(full: Path) -> None:
     text = " ".join(checked(full).text)
     note, result = text.index("A virtual campaign"), text.index("189 model calls")
-    first_picture = text.index("Measured,")
+    first_picture = text.index("Measured and polished")
     assert note < result < first_picture
     for words in ("studies calibrate office --n-train 64", "5a" * 32, "torch", "2.9.1", "quick"):
         assert words in text
@@ -150,13 +155,6 @@ def test_a_second_report_removes_what_the_first_no_longer_has(tmp_path: Path) ->
     names = {file.name for file in tmp_path.iterdir()}
     assert {"mine.txt", "figure-calibration-n0128.csv"} < names
     assert not any("n0064" in name for name in names)
-
-
-def test_progress_counts_every_file(tmp_path: Path) -> None:
-    seen: list[tuple[int, int]] = []
-    build(small(), tmp_path, on_progress=lambda done, total: seen.append((done, total)))
-    assert seen == [(i + 1, len(seen)) for i in range(len(seen))]
-    assert len(seen) == len(list(tmp_path.iterdir()))
 
 
 def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
@@ -207,7 +205,7 @@ def test_calibrations_table_holds_the_numbers() -> None:
         assert row["screening_gap"] == c.mse_screened - c.mse_surrogate
         assert row["n_polish"] == c.n_polish
         assert row["calls_paper"] == c.n_train + 1 + c.n_polish
-        assert row["calls_honest"] == c.n_train + 1 + c.n_polish + 640
+        assert row["total_calls"] == c.n_train + 1 + c.n_polish + 640
         reached = c.history_calls[c.history_mse <= 0.0125]
         assert row["calls_to_0.0125"] == reached[0]
     read = list(csv.reader(table.to_csv().splitlines()))
@@ -247,7 +245,7 @@ def test_parameters_table_flags_the_bounds() -> None:
     assert at_bound(box, replace(c, theta_polished=np.sqrt(box.lower * box.upper))) == ("",) * 14
 
 
-def test_an_estimate_that_nobody_made_is_left_out() -> None:
+def test_an_estimate_that_is_not_declared_is_left_out() -> None:
     box = ParameterSpace(tuple(replace(one, estimate=None) for one in parameter_box().parameters))
     assert parameters_table(box, calibration(64)).records()[0]["estimate"] is None
 
@@ -375,7 +373,7 @@ def test_an_adaptive_calibration_alone_has_a_report_without_a_surrogate(tmp_path
     assert "calibrated" in parameters
     assert not {"screened", "polished"} & set(parameters)
     (row,) = summary["tables"]["calibrations"]
-    assert (row["method"], row["calls_honest"]) == ("adaptive", 71)
+    assert (row["method"], row["total_calls"]) == ("adaptive", 71)
     assert not {"test_mae", "mse_screened", "n_polish"} & set(row)
 
 
@@ -403,5 +401,5 @@ def test_an_adaptive_calibration_stands_beside_the_papers(tmp_path: Path) -> Non
     ("low", "high", "digits"),
     [(0.2, 5.0, 3), (285.6, 285.7, 5), (1.0, 1.0, 3), (-1e-9, 1.0, 3), (1e5, 1.2e5, 3)],
 )
-def test_ends_of_an_interval_are_told_apart(low: float, high: float, digits: int) -> None:
+def test_ends_of_an_interval_differ(low: float, high: float, digits: int) -> None:
     assert digits_between(low, high) == digits

@@ -1,4 +1,4 @@
-"""How long the doctor may simulate: a slow model is examined with as few simulations as fit."""
+"""How long an examination may simulate: a slow model is examined with as few simulations as fit."""
 
 import time
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ LEAST_S = 5.0
 
 
 @dataclass
-class Patience:
+class TimeBudget:
     """Time of an examination, and what had to be left out to keep it.
 
     Args:

@@ -1,4 +1,4 @@
-"""The doctor's own door to the store: what it simulates is kept, except what only its impatience stopped."""
+"""Storing what an examination simulates, except the rows that only its short time-out stopped."""
 
 import numpy as np
 
@@ -13,8 +13,8 @@ MORE_TIME = "say how long one simulation may take: [simulation] timeout_s; or wa
 """What to do about it."""
 
 
-class KeepingModel(WrappedModel):
-    """A stored model that forgets which rows took too long, as others may wait longer for them."""
+class StoringModel(WrappedModel):
+    """A stored model that does not store rows that took too long, as others may wait longer for them."""
 
     def __init__(self, model: StoredModel) -> None:
         """Wrap a stored model.
@@ -36,10 +36,10 @@ class KeepingModel(WrappedModel):
         parts = [self._stored.store.read(theta[known])] if len(known) else []
         if len(new):
             parts.append(self._stored.unstored.simulate(theta[new]))
-            self.keep(parts[-1])
+            self.store_finished(parts[-1])
         return Trajectories.concatenate(parts).take(np.argsort(np.concatenate([known, new])))
 
-    def keep(self, rows: Trajectories) -> None:
-        """Store rows that were simulated elsewhere, unless they are stored."""
+    def store_finished(self, rows: Trajectories) -> None:
+        """Store rows of any model that finished, unless they are stored."""
         finished = np.array([STOPPED not in reason for reason in rows.failures], dtype=np.bool_)
         self._stored.store.append(rows.take(finished & ~self._stored.store.find(rows.theta)))
