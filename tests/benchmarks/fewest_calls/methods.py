@@ -57,8 +57,8 @@ def adaptive(n_parallel: int = 1, *, state_equations: bool = False) -> Search:
         if not state_equations:
             return chosen.minimize(problem, seed=seed)
         watched = problem.model.watched  # type: ignore[attr-defined]
-        guide = LearnedODE(watched.signals, watched.seen, problem)
-        return chosen.minimize(problem, seed=seed, learned_ode=guide)
+        equations = LearnedODE(watched.signals, watched.seen, problem)
+        return chosen.minimize(problem, seed=seed, learned_ode=equations)
 
     return search
 
