@@ -3,7 +3,7 @@
 A few rows fill the box; from then on each round fits Gaussian processes to the residuals of all rows, walks
 downhill on the error that they expect inside a trust region around the best row, and simulates that point. No
 row is spent on differences, validation or a test: the processes are their own Jacobian and their own check.
-Where the rows explain too little, the search looks at the beginning of the trajectories first (horizon.py).
+Where the rows explain too little, a truncated window is fitted first (truncated_window.py).
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.counting import BudgetExceeded
 from simulation.errors import InputError
 from studies.calibration.adaptive_search import AdaptiveSearch
-from studies.calibration.doubt import doubtful_mse
 from studies.calibration.ending import Ending
+from studies.calibration.learned_ode import LearnedODE
+from studies.calibration.misfit_threshold import misfit_threshold
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.recorder import History, OnProgress, Recorder
-from studies.calibration.state_guide import StateGuide
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class AdaptiveResult:
         is_flat: Parameters on which the error around the best point hardly depends over all of their ranges,
             as far as rows or state equations show. Shape (p,).
         slopes: Slopes of the residuals there, in an orthonormal basis of p residuals, as rows or state
-            equations tell; None where these tell too little. Shape (p, p). [first output's unit per range]
+            equations show; None where these are too few. Shape (p, p). [first output's unit per range]
     """
 
     u: FloatArray
@@ -75,16 +75,16 @@ class Adaptive:
         least_radius: Half width below which a bad step no longer shrinks it, only failures do. [1]
         n_descents: Descents on the surrogate per round, the first from the best row. [1]
         n_parallel: Rows asked per round.
-        ftol: Where the surrogate expects less than this relative gain, a leg ends; the search ends once tests
-            of that, all over the box, have found nothing. [1]
-        patience: Rounds without expectation or gain before a leg away from the best row ends. [1]
-        stall_rounds: Rounds within which a leg must gain `stall_gain`, or it ends too. [1]
-        stall_gain: The relative gain that a leg owes. [1]
-        n_elsewhere: Legs away from the best row, for problems with several valleys, that a search makes at
-            least before it may converge; 0 never leaves the first valley. [1]
-        doubtful_mse: Error above which a valley is no answer: the search goes on elsewhere until its
-            surrogate excludes half the error everywhere, or stops, without converging, after eight legs in
-            vain; None believes every valley. [first output's unit squared]
+        ftol: Where the surrogate expects less than this relative gain, a search phase ends; the search ends
+            once tests of that, all over the box, have found nothing. [1]
+        patience: Rounds without expectation or gain before a phase away from the best row ends. [1]
+        stall_rounds: Rounds within which a phase must gain `stall_gain`, or it ends too. [1]
+        stall_gain: The relative gain that a phase owes. [1]
+        least_restarts: Least number of restarts away from the best row, for problems with several valleys,
+            before a search may converge; 0 never leaves the first valley. [1]
+        misfit_threshold: Error above which a valley is no answer: the search restarts until its surrogate
+            excludes half the error everywhere, or stops, without converging, once restarts and tests promise
+            no gain; None accepts every valley. [first output's unit squared]
         target_mse: Go on to this error or the end of the budget, however little is expected; or None. [first
             output's unit squared]
         max_calls: Most rows that may be asked of the model.
@@ -101,15 +101,15 @@ class Adaptive:
     patience: int = 3
     stall_rounds: int = 10
     stall_gain: float = 0.02
-    n_elsewhere: int = 1
-    doubtful_mse: float | None = None
+    least_restarts: int = 1
+    misfit_threshold: float | None = None
     target_mse: float | None = None
     max_calls: int = 200
 
     def __post_init__(self) -> None:
         """Refuse settings that no search can run with."""
         counts = {"max_calls": 1, "n_descents": 1, "n_parallel": 1, "patience": 1, "stall_rounds": 1}
-        for name, least in (counts | {"n_elsewhere": 0, "n_start": 2}).items():
+        for name, least in (counts | {"least_restarts": 0, "n_start": 2}).items():
             value = getattr(self, name)
             if value is None and name == "n_start":
                 continue
@@ -117,7 +117,7 @@ class Adaptive:
                 raise InputError(
                     f"adaptive calibration: {name} is {value}; give a whole number of at least {least}"
                 )
-        for name in ("ftol", "stall_gain", "target_mse", "doubtful_mse"):
+        for name in ("ftol", "stall_gain", "target_mse", "misfit_threshold"):
             value = getattr(self, name)
             if value is not None and not value >= 0.0:
                 raise InputError(f"adaptive calibration: {name} is {value}; give at least 0")
@@ -148,7 +148,7 @@ class Adaptive:
             max_calls=max_calls,
             n_parallel=n_parallel,
             # Where every output is off by its own sensor's uncertainty, the MSE is the first one's squared.
-            doubtful_mse=doubtful_mse(sensor),
+            misfit_threshold=misfit_threshold(sensor),
             target_mse=target_mse,
         )
 
@@ -162,12 +162,12 @@ class Adaptive:
         *,
         seed: int,
         known: Evaluation | None = None,
-        guide: StateGuide | None = None,
+        learned_ode: LearnedODE | None = None,
         on_progress: OnProgress | None = None,
     ) -> AdaptiveResult:
         """Calibrate without an initial guess.
 
-        The rows follow from problem, settings, known rows and seed alone: repeated over stored simulations, a
+        The rows follow from problem, settings, warm start and seed alone: repeated over stored simulations, a
         calibration goes on where it stopped.
 
         Args:
@@ -175,7 +175,7 @@ class Adaptive:
             seed: Seed of the first design and all draws.
             known: Rows of this problem that were simulated before; they cost nothing and are the first design
                 as far as they fill it.
-            guide: Learns the model's state equations from the rows and proposes others, None for none.
+            learned_ode: Learns the model's state equations from rows and proposes others, None for none.
             on_progress: Called after each round.
 
         Returns:
@@ -197,7 +197,7 @@ class Adaptive:
                 f"same problem: {shape[1]} parameters and {shape[0]} residuals"
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)
-        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known, guide)
+        search = AdaptiveSearch(self, problem, recorder, np.random.default_rng(seed), known, learned_ode)
         try:
             # Threads that share matrices of a hundred rows wait for each other: 11 s with two, 2 s with one.
             with threadpool_limits(limits=1, user_api="blas"):

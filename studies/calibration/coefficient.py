@@ -1,7 +1,7 @@
 """A coefficient of a state equation as a function of the parameters, learnt from few simulations.
 
 Coefficients of physical models are quotients and products of few parameters, such as 1 / (R C), or sums of
-a few such (product_laws.py), now and then a broken power or a polynomial: where few features explain a
+a few such (product_forms.py), now and then a broken power or a polynomial: where few features explain a
 coefficient or its logarithm exactly they are what it is. All others are Gaussian processes, of their
 logarithm where they keep their sign.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.parameters import ParameterSpace
-from studies.calibration.product_laws import ProductLaw, Products, product_law
+from studies.calibration.product_forms import Products, ProductSum, product_sum
 from studies.calibration.residual_kernel import Belief, KernelMatrix, between, inverse_factor, most_probable
 from studies.calibration.residual_process import Features
 
@@ -23,7 +23,7 @@ MOST_FEATURES = 4
 # Of sets of features so many are looked at further; squares of a column below which others make it up.
 N_BEST, SAME_FEATURE = 12, 1e-9
 TINY = float(np.finfo(float).tiny)
-# Rows more than numbers, before chance can be told from a law.
+# Rows more than numbers, before chance can be separated from a formula.
 SPARE_ROWS = 2
 # Relative to the mean's square: below, a coefficient is a constant.
 CONSTANT = 1e-20
@@ -65,7 +65,7 @@ class Coefficient:
         x: Rows of a process, in its features. Shape (n, f). [1]
         hyper: Its hyperparameters. Shape (f + 2,). [1]
         weights: What its covariances are multiplied with. Shape (n,).
-        law: What it is, where that is a sum of few products.
+        formula: What it is, where that is a sum of few products.
     """
 
     sign: float
@@ -74,7 +74,7 @@ class Coefficient:
     x: FloatArray | None = None
     hyper: FloatArray | None = None
     weights: FloatArray | None = None
-    law: ProductLaw | None = None
+    formula: ProductSum | None = None
 
     @classmethod
     def fit(cls, points: Points, values: FloatArray, products: Products) -> Self:
@@ -82,11 +82,11 @@ class Coefficient:
 
         Args:
             points: The rows.
-            values: The coefficient there, NaN in rows that do not tell it. Shape (n,).
+            values: The coefficient there, NaN in rows that leave it open. Shape (n,).
             products: Of the box's parameters.
         """
-        is_told = np.isfinite(values)
-        points, values = points.part(is_told), values[is_told]
+        is_known = np.isfinite(values)
+        points, values = points.part(is_known), values[is_known]
         x = points.x
         if not values.size:
             return cls(0.0, 0.0)
@@ -97,12 +97,12 @@ class Coefficient:
         size = float(np.square(z - mean).sum())
         if size <= CONSTANT * len(z) * max(mean**2, float(is_signed)):
             return cls(sign, mean)
-        if (found := product_law(products, points.theta, values)) is not None:
-            return cls(0.0, 0.0, law=found)
-        laws = [(_law(x, z), sign), *([(_law(x, values), 0.0)] if is_signed else [])]
-        (law, left), kind = min(laws, key=lambda one: one[0][1])
+        if (found := product_sum(products, points.theta, values)) is not None:
+            return cls(0.0, 0.0, formula=found)
+        sums = [(_feature_sum(x, z), sign), *([(_feature_sum(x, values), 0.0)] if is_signed else [])]
+        (numbers, left), kind = min(sums, key=lambda one: one[0][1])
         if left < EXACT:
-            return cls(kind, law[0], slopes=law[1:])
+            return cls(kind, numbers[0], slopes=numbers[1:])
         scale = np.sqrt(size / len(z))
         v, even = (z - mean) / scale, np.ones(len(z))
         prior = np.array([LENGTH_PRIOR] * x.shape[1] + [SLOPE_PRIOR, NOISE_PRIOR]).T
@@ -116,13 +116,13 @@ class Coefficient:
 
     @property
     def is_exact(self) -> bool:
-        """Whether it is a law, and no process."""
+        """Whether it is a formula, and no process."""
         return self.x is None
 
     def at(self, points: Points) -> FloatArray:
         """Return it at points. Shape (n,)."""
-        if self.law is not None:
-            return self.law.at(points.theta)
+        if self.formula is not None:
+            return self.formula.at(points.theta)
         x = points.x
         z = np.full(len(x), self.mean)
         if self.slopes is not None:
@@ -137,7 +137,7 @@ def _with_squares(x: FloatArray) -> FloatArray:
     return np.concatenate([x, x**2], axis=1)
 
 
-def _law(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
+def _feature_sum(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
     """Explain values by few features, the best of those that are found with the best of fewer.
 
     Returns:
@@ -148,7 +148,7 @@ def _law(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
     size, norms = float(np.square(left_at_first).sum()), np.square(centred).sum(axis=0)
     best: list[tuple[float, tuple[int, ...]]] = [(1.0, ())]
     for _ in range(min(MOST_FEATURES, len(z) - 1 - SPARE_ROWS)):
-        found = dict[tuple[int, ...], float]()
+        shares = dict[tuple[int, ...], float]()
         for _, chosen in best:
             basis = np.linalg.qr(centred[:, list(chosen)])[0]
             rest = centred - basis @ (basis.T @ centred)
@@ -157,13 +157,13 @@ def _law(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
             gains = np.where(squares > SAME_FEATURE * norms, (left @ rest) ** 2, 0.0) / (squares + TINY)
             for one in np.argsort(gains, kind="stable")[-N_BEST:].tolist():
                 share = (float(left @ left) - float(gains[one])) / size
-                found[tuple(sorted({*chosen, one}))] = share
-        best = sorted((share, features) for features, share in found.items())[:N_BEST]
+                shares[tuple(sorted({*chosen, one}))] = share
+        best = sorted((share, features) for features, share in shares.items())[:N_BEST]
         if best[0][0] < EXACT:
             break
     features = list(best[0][1])
     picked = np.column_stack([np.ones(len(z)), columns[:, features]])
     numbers = np.linalg.lstsq(picked, z, rcond=None)[0]
-    law = np.zeros(1 + columns.shape[1])
-    law[[0, *(1 + feature for feature in features)]] = numbers
-    return law, float(np.square(z - picked @ numbers).sum()) / size
+    found = np.zeros(1 + columns.shape[1])
+    found[[0, *(1 + feature for feature in features)]] = numbers
+    return found, float(np.square(z - picked @ numbers).sum()) / size

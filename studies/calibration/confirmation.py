@@ -1,9 +1,9 @@
-"""Where a search that has settled may be wrong: minima of functions that may be the true ones.
+"""Tests of a search that has settled: minima of functions drawn from the surrogate's posterior.
 
-A surrogate that expects nothing more around its best row may still be wrong, along a valley or in another
-one. So functions are drawn from what it believes after its rows, each is minimized over the whole box, and
-the place that most probably is better is asked. How much these minima promise says whether to believe the
-best row.
+A surrogate that expects no more gain around its best row may still be wrong, along a valley or in another
+one. So functions are drawn from its posterior, each is minimized over the whole box, and the place that most
+probably is better is simulated. How much lower these minima lie than the best row says whether the search has
+converged.
 """
 
 from functools import partial

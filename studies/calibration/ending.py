@@ -1,9 +1,10 @@
 """When a search has converged, and the words for how it ended.
 
-That a surrogate expects little around the best row is not enough: it may be wrong. So the search makes rounds
-of tests (confirmation.py), which say what functions promise that may be the true one, with restarts away from
-the best row between them. What counts are tests and restarts since the last gain. Where the functions promise
-next to nothing the search has converged; else it stops and says what they promise.
+A surrogate that expects little gain around the best row may be wrong. So the search makes rounds of tests
+(confirmation.py): they minimize functions drawn from the surrogate, any of which may be the model. Between
+the tests it restarts away from the best row. Only tests and restarts since the last gain count. The search
+has converged where the minima of these functions promise next to no gain; else it stops, and says how much
+they promise.
 """
 
 from dataclasses import dataclass
@@ -13,16 +14,14 @@ import numpy as np
 from simulation.arrays import FloatArray
 
 # Restarts in vain that are owed beside the least that the settings name, each between two rounds of tests.
-N_RESTARTS_MORE = 2
+RESTARTS_MORE = 2
 # Relative gains below this are none: an answer within 0.02 of the best is right. [1]
 CONFIRMED = 1e-2
 # Gain that functions drawn from the surrogate may promise where a search has converged: nine of ten promise
 # less than what makes an answer wrong.
 PROMISED, QUANTILE = 0.02, 0.9
-# Restarts in vain after which a search stops whose error is too large.
-N_RESTARTS_DOUBTED = 8
-# So many restarts in a row that begin where everything is excluded end the doubt: there is no deeper valley.
-N_EXCLUDED = 2
+# Restarts without gain after which a search stops whose error is above the misfit threshold.
+MOST_RESTARTS = 8
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Confirmation:
         Args:
             least_restarts: Restarts that are owed at least; none are owed where that is 0.
         """
-        self.restarts_owed = least_restarts and least_restarts + N_RESTARTS_MORE
+        self.restarts_owed = least_restarts and least_restarts + RESTARTS_MORE
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -57,7 +56,7 @@ class Confirmation:
 
     def _forget(self) -> None:
         self._gains: list[FloatArray] = []
-        self.n_restarts = self.n_excluded = 0
+        self.n_restarts = 0
 
     def note_best(self, best: float) -> None:
         """Take note of the best objective; what was tested before a gain does not count. [unit squared]."""
@@ -81,7 +80,7 @@ class Confirmation:
 
     @property
     def is_promising(self) -> bool:
-        """Whether it cannot be believed that there is no more to gain."""
+        """Whether more gain is promised than what makes an answer wrong."""
         return self.promised > PROMISED
 
     @property
@@ -95,19 +94,24 @@ class Confirmation:
         return self.n_restarts >= self.restarts_owed
 
     @property
-    def is_excluded(self) -> bool:
-        """Whether the surrogate excludes a deeper valley everywhere."""
-        return self.n_excluded >= N_EXCLUDED
-
-    @property
     def in_words(self) -> str:
         """What was tested."""
         tests = f"{_counted(self.n_tested, 'round')} of tests where more is least unlikely"
         return tests + (f" and {_counted(self.n_restarts, 'restart')}" if self.n_restarts else "")
 
-    @property
-    def ending(self) -> Ending:
-        """The end of a search that has made all tests and restarts."""
+    def ending(self, *, switches: bool) -> Ending:
+        """Return the end of a search that has made all tests and restarts.
+
+        Args:
+            switches: Whether the model switches at times that depend on its parameters: functions that are
+                drawn are smooth, and cannot promise what another number of switchings would gain.
+        """
+        if switches:
+            return Ending(
+                f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error; the model "
+                "switches at times that depend on its parameters, so that another minimum is not excluded",
+                converged=False,
+            )
         if self.is_promising:
             return Ending(
                 f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error, and no more is "
@@ -121,7 +125,7 @@ class Confirmation:
         )
 
     def still_owed(self, ftol: float) -> str:
-        """Say of a search that expects less than `ftol` what would confirm that, for one that has to stop."""
+        """Say which tests and restarts are left to a search that expects less than `ftol` and has to stop."""
         if self.is_tested and self.has_looked:
             return (
                 f"a gain of up to {self.promised:.2g} of the error is not excluded in the box; "
@@ -136,7 +140,7 @@ class Confirmation:
 
 
 def too_large(confirmation: Confirmation) -> Ending:
-    """Return the end of a search whose error is more than the sensor explains."""
+    """Return the end of a search whose error is above the misfit threshold."""
     return Ending(
         f"{confirmation.in_words} since the last gain of {CONFIRMED:g} found no lower error, though it is "
         "more than the sensor explains",
@@ -145,7 +149,7 @@ def too_large(confirmation: Confirmation) -> Ending:
 
 
 def still_falling(n: int, gained: float, expected: float) -> str:
-    """Say how a search was falling that has to stop.
+    """Describe the last gains of a search that has to stop.
 
     Args:
         n: Simulations that are looked back at.

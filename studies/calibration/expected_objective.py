@@ -1,4 +1,4 @@
-"""What a surrogate expects of the objective, and when that is to be believed."""
+"""What a surrogate expects of the objective, and when it has erred."""
 
 from dataclasses import replace
 
@@ -12,8 +12,8 @@ from studies.calibration.residual_process import Expansion, ResidualProcess
 
 Surrogate = ResidualProcess | ProcessGroups
 
-# Expected above this part of the best error, with a variance below `DOUBT` of it, is surely no better.
-AS_GOOD, DOUBT = 0.98, 0.1
+# Expected above this part of the best error, with a variance below `UNCERTAIN` of it, is surely no better.
+AS_GOOD, UNCERTAIN = 0.98, 0.1
 # Part of the error by which a surrogate that knows a valley's bottom does not err.
 SURPRISE = 0.1
 
@@ -35,7 +35,7 @@ def expected_objective(
 
 
 def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, best: float) -> bool:
-    """Tell whether a point is not worth a call: the surrogate is sure that the best row is as good.
+    """Return whether a point is not worth a call: the best row is as good, as far as can be predicted.
 
     Args:
         process: The surrogate.
@@ -44,18 +44,18 @@ def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, 
         best: Objective of the best row. [unit squared]
     """
     there = process.expand(u, 1.0)
-    return there.value - there.mse < DOUBT * best and expected.value > AS_GOOD * best
+    return there.value - there.mse < UNCERTAIN * best and expected.value > AS_GOOD * best
 
 
 def is_surprised(found: float, predicted: float, favourite: float, best: float) -> bool:
-    """Tell whether a surrogate does not even know its best row, or has erred in the point that it likes best.
+    """Return whether a surrogate does not reproduce its best row, or has erred in its favourite point.
 
-    What it expects to gain is then no reason to end.
+    The little gain that it expects is then no reason to end.
 
     Args:
         found: Objective of the point that was asked, infinite where it failed. [unit squared]
         predicted: The same as predicted. [unit squared]
-        favourite: Predicted for the point liked best; another is asked where that is known. [unit squared]
+        favourite: Predicted for the favourite; another point is simulated where that is known. [unit squared]
         best: Objective of the best row before. [unit squared]
     """
     if not np.isfinite(found) or predicted > (1.0 + SURPRISE) * favourite:

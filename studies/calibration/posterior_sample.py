@@ -1,4 +1,4 @@
-"""A function drawn from what residual processes believe after their rows: one model that may be the true one.
+"""A function drawn from the posterior of the residual processes: residuals that the model may have.
 
 A draw of the prior is corrected by what the rows add to it (Matheron's rule, doi 10.48550/arXiv.2002.09309,
 Eq. 12); its bumps are a sum of random cosines (Rahimi and Recht, 2007).

@@ -17,11 +17,11 @@ from studies.calibration.residual_process import Components, Expansion, Features
 LARGE = 10.0
 # Part of the differences' squares that the leading group holds.
 LEADING = 0.9
-# A group's lengths are believed to be those of all components, in this part of the priors' deviations; a
+# A group's lengths have a prior around those of all components, with this part of the priors' deviations; a
 # component counts as so many independent values in its likelihood.
 CLOSER, PER_COMPONENT = 0.7, 2.0
 # A row's noise falls with its error, in a single process with the error's root: a search only has to know its
-# best rows, and those far off bend their surroundings less.
+# best rows, and far rows then distort their surroundings less.
 NOISE_POWER, NOISE_PRIOR = 2, (np.log(3e-2), 0.5)
 
 
@@ -46,7 +46,7 @@ class ProcessGroups:
         first_guess: tuple[FloatArray, ...] = (),
         *,
         balance: bool = False,
-        n_doubted: int | None = None,
+        n_noisy: int | None = None,
     ) -> Self:
         """Fit the processes to rows that were simulated.
 
@@ -56,14 +56,14 @@ class ProcessGroups:
             residuals: Their residuals, finite. Shape (n, m). [unit]
             first_guess: Hyperparameters of an earlier fit to start from.
             balance: Whether lengths are to suit small components of the residuals as well as large ones.
-            n_doubted: So many rows, the first ones, have noise by their errors, the others all as little as
+            n_noisy: So many rows, the first ones, have noise by their errors, the others all as little as
                 the best row; None for all.
         """
         x, components = features.at(u), Components.of(residuals, NOISE_POWER)
-        if n_doubted is not None:
+        if n_noisy is not None:
             looseness = components.looseness
-            is_doubted = np.arange(len(u)) < n_doubted
-            components = replace(components, looseness=np.where(is_doubted, looseness, looseness.min()))
+            is_noisy = np.arange(len(u)) < n_noisy
+            components = replace(components, looseness=np.where(is_noisy, looseness, looseness.min()))
         belief = Belief.of(x.shape[1], NOISE_PRIOR)
 
         def hyper_of(group: Components, belief: Belief, place: int) -> FloatArray:

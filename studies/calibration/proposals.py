@@ -1,8 +1,8 @@
-"""The points of a round: those that the surrogate likes best, and those from which it would learn most.
+"""The points of a round: where the surrogate expects the least error, and where it would learn most.
 
 A point that is asked alone is the surrogate's favourite. Of points that are asked together, more favourites
-lie near the first and bring little beside it; so half of them are asked where least is known, among places
-that may be as good.
+lie near the first and add little to it; so half of them go where the variance is greatest, among places that
+may be as good.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ SAME_POINT = 1e-4
 # at most.
 SPREAD, MOST_SPREAD = 0.02, 0.06
 N_PLACES = 200
-# Relative to the greatest variance: below, two points tell the same.
+# Relative to the greatest variance: below, two points carry the same information.
 LEAST_VARIANCE = 1e-6
 LEAST_CURVATURE = 1e-8  # relative to the sum of all
 
@@ -34,7 +34,7 @@ class Surroundings:
     Attributes:
         process: The surrogate.
         prior: What is added to the error, None for nothing.
-        centre: The row that the leg goes on from. Shape (p,). [1]
+        centre: The row that the search phase goes on from. Shape (p,). [1]
         radius: Half width of the trust region. [1]
         known: Points that were simulated. Shape (n, p). [1]
         n_descents: Descents for a favourite, the first from the centre.
@@ -61,7 +61,7 @@ class Surroundings:
         return errors if self.prior is None else errors + self.prior.penalty(u)
 
 
-def liked(
+def favourites(
     surroundings: Surroundings, n: int, caution: float, rng: np.random.Generator
 ) -> tuple[FloatArray, Expansion]:
     """Return the favourite and what is expected of it, and favourites with other radii and cautions.
@@ -99,14 +99,14 @@ def _caution(caution: float, rank: int) -> float:
     return float(caution * 10.0**decades)
 
 
-def telling(
+def informative(
     surroundings: Surroundings,
     asked: FloatArray,
     favourite: Expansion,
     n: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return the points, one after the other, of which least is known when those before will be.
+    """Return the points of greatest variance, each once those before it are known.
 
     They are chosen among places around the favourite that may be as good by the surrogate's curvature there.
 

@@ -49,7 +49,7 @@ class History:
         return int(self.n_calls[reached[0]]) if reached.size else None
 
     def after(self, n_calls: int) -> "History":
-        """Return the same history for somebody who had paid `n_calls` rows before it began."""
+        """Return the same history where `n_calls` rows were paid before it began."""
         return History(self.n_calls + n_calls, self.best_mse)
 
 
@@ -104,7 +104,7 @@ class Recorder:
         )
 
     def know(self, evaluation: Evaluation) -> None:
-        """Take note of rows that somebody else has paid for."""
+        """Take note of rows that were simulated before (warm start)."""
         self._note(evaluation)
 
     def evaluate(self, u: FloatArray) -> Evaluation:

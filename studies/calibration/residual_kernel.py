@@ -40,7 +40,7 @@ FIT_DECIMALS = 4
 
 
 class Belief(NamedTuple):
-    """What is believed of hyperparameters before the rows are seen, and how many values these count.
+    """The prior of hyperparameters, and how many values of a row count as independent.
 
     Attributes:
         mean: Of their logarithms: f lengths, slope and noise. Shape (f + 2,). [1]
@@ -54,12 +54,12 @@ class Belief(NamedTuple):
 
     @classmethod
     def of(cls, n_features: int, noise: tuple[float, float] = NOISE_PRIOR) -> Self:
-        """Return what is believed of any model."""
+        """Return the prior of any model."""
         mean, deviation = np.array([LENGTH_PRIOR] * n_features + [SLOPE_PRIOR, noise]).T
         return cls(mean, deviation, N_INDEPENDENT)
 
     def around(self, hyper: FloatArray, closer: float, n_independent: float) -> Self:
-        """Return the belief that hyperparameters are near known ones, in `closer` times the deviations."""
+        """Return a prior around known hyperparameters, with `closer` times the deviations."""
         return self._replace(mean=hyper, deviation=closer * self.deviation, n_independent=n_independent)
 
 

@@ -1,4 +1,4 @@
-"""A Gaussian process over the residuals of a calibration: what a model would answer, and how sure that is.
+"""A Gaussian process over the residuals of a calibration: what a model would answer, with its variance.
 
 The whole residual vector is predicted, not its error: the mean squared error and its curvature follow from it
 as in Gauss-Newton's method. All residuals share one kernel (residual_kernel.py) over features of the unit

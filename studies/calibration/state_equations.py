@@ -4,9 +4,9 @@
 
 The terms f and g are states and inputs, their differences, products and functions (state_terms.py). Which of
 them they are is found in what the states did (term_choice.py), and each one's coefficient is learnt over the
-parameters (coefficient.py). Trajectories bend in many ways where coefficients do not: ten rows of an office
-with 14 parameters tell its trajectories about as well as a thousand tell a surrogate that knows outputs
-alone. Whether a model moves so, the rows say.
+parameters (coefficient.py). Trajectories are curved in many ways where coefficients are not: from ten rows
+of an office with 14 parameters its trajectories are known about as well as from a thousand by a surrogate
+that knows outputs alone. The rows show whether a model follows such equations.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from studies.calibration.coefficient import Coefficient, Points
-from studies.calibration.product_laws import Products
+from studies.calibration.product_forms import Products
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_terms import (
     N_ROWS,
@@ -37,7 +37,7 @@ from studies.calibration.term_choice import chosen_terms, fitted
 LEARNT, MOST_LEFT = 1e-9, 1e-6
 # The same of products, of which there are so many that some fit nearly whatever moves little.
 PRODUCTS_LEARNT = 1e-14
-# Standard deviation of a coefficient, as a share of itself, up to which a row tells it.
+# Standard deviation of a coefficient, as a share of itself, up to which a row determines it.
 SURE = 1e-5
 # Rows below which nothing is looked for.
 LEAST_TO_LEARN = 4
@@ -70,7 +70,7 @@ class Structure:
             rows: What they and the outputs did.
         """
         sums, worst = list[Sum](), 0.0
-        # A part of the rows, at a part of the times, tells the terms.
+        # A part of the rows, at a part of the times, is enough to find the terms.
         some, times = spread(len(rows.x), N_ROWS), spread(rows.x.shape[1] - 1, N_TIMES)
         x, inputs = rows.x[np.ix_(some, 1 + times)], signals.at_outputs[1 + times]
         owns = [*range(len(signals.states)), *[-1] * rows.y.shape[-1]]
@@ -137,9 +137,9 @@ class Structure:
         for one, target in zip(self.sums, _targets(rows), strict=True):
             values = one.values(rows.x[:, 1:], signals.at_outputs[1:])
             fits = [fitted(value, goal) for value, goal in zip(values, target, strict=True)]
-            doubt = np.array([fit.doubt for fit in fits])
-            # In some rows one state follows another so closely that their terms cannot be told apart.
-            is_open = doubt > np.maximum(SURE, np.median(doubt, axis=0))
+            deviation = np.array([fit.deviation for fit in fits])
+            # In some rows one state follows another so closely that their terms cannot be separated.
+            is_open = deviation > np.maximum(SURE, np.median(deviation, axis=0))
             found.append(np.where(is_open, np.nan, np.array([fit.found for fit in fits])))
             worst = max([worst, *(fit.left if np.isfinite(fit.left) else np.inf for fit in fits)])
         return found, worst
@@ -217,7 +217,7 @@ class StateEquations:
         by_term: Coefficients of every sum, in the order of its terms.
         start: States at the first output that is watched.
         flow: Solves them.
-        is_exact: Whether all of that are laws, told by enough rows.
+        is_exact: Whether all of that are formulas, found from enough rows.
     """
 
     signals: StateSignals
@@ -255,9 +255,9 @@ class StateEquations:
         )
         start = tuple(Coefficient.fit(points, column, products) for column in starts.T)
         is_exact = all(one.is_exact for table in (*by_term, start) for one in table)
-        is_told = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
+        is_known = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
         flow = _flow(signals, structure)
-        equations = cls(signals, structure, by_term, start, flow, is_exact and is_told)
+        equations = cls(signals, structure, by_term, start, flow, is_exact and is_known)
         if isinstance(flow, LinearFlow):
             return equations
         some = points.part(spread(len(points.x), N_ROWS))

@@ -147,7 +147,7 @@ class SteppedFlow:
         return 4 * len(self.signals.driven) * self.n_parts * n_places
 
     def fine_enough(self, start: FloatArray, rates: Sequence[FloatArray]) -> Self | None:
-        """Return the flow with steps that tell some points' states well, None where that takes too many.
+        """Return the flow with steps that solve some points' states well, None where that takes too many.
 
         Args:
             start: First states of the points. Shape (s, n).
@@ -157,11 +157,11 @@ class SteppedFlow:
         while flow.n_parts < MOST_PARTS:
             flow = replace(flow, n_parts=2 * flow.n_parts)
             states = flow.states(start, rates)
-            # Points that run away with any step tell nothing of steps.
-            is_told = np.isfinite(states).all(axis=(1, 2))
-            change = np.sqrt(np.mean((states - coarse)[is_told] ** 2, axis=1))
-            told = states[is_told]
-            small = SMALL_CHANGE * told.std(axis=1) + ROUNDING * np.abs(told).max(axis=1)
+            # Points that run away with any step say nothing of steps.
+            is_known = np.isfinite(states).all(axis=(1, 2))
+            change = np.sqrt(np.mean((states - coarse)[is_known] ** 2, axis=1))
+            solved = states[is_known]
+            small = SMALL_CHANGE * solved.std(axis=1) + ROUNDING * np.abs(solved).max(axis=1)
             if change.size and (change <= small).all():
                 return flow
             coarse = states

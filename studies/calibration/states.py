@@ -1,7 +1,7 @@
 """The continuous states of an FMU's model: which there are, and what they did in every simulation.
 
 An FMU declares its states, their derivatives and what these depend on. They are read beside the outputs, so a
-simulation tells how the model moves, and not only what its sensors would show.
+simulation shows how the model moves, and not only what its sensors would show.
 """
 
 from dataclasses import dataclass, replace

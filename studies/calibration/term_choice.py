@@ -148,12 +148,12 @@ class Fit(NamedTuple):
 
     Attributes:
         found: Coefficients. Shape (f,).
-        doubt: Their standard deviations, as shares of themselves. Shape (f,). [1]
+        deviation: Their standard deviations, as shares of themselves. Shape (f,). [1]
         left: What they leave of the target's squares. [1]
     """
 
     found: FloatArray
-    doubt: FloatArray
+    deviation: FloatArray
     left: float
 
 
@@ -171,8 +171,8 @@ def fitted(values: FloatArray, target: FloatArray) -> Fit:
         found = inverse @ (left_vectors.T @ target)
         rest = float(np.square(target - scaled @ found).sum())
         deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
-        doubt = deviation / (np.abs(found) + tiny)
-        return Fit(found / norm, doubt, rest / (float(np.square(target).sum()) + tiny))
+        share = deviation / (np.abs(found) + tiny)
+        return Fit(found / norm, share, rest / (float(np.square(target).sum()) + tiny))
 
 
 def unexplained(values: FloatArray, target: FloatArray, chosen: Sequence[int]) -> float:

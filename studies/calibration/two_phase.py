@@ -180,7 +180,7 @@ def calibrate_two_phase(
 
 
 def _check(screened: ScreenResult, problem: CalibrationProblem) -> tuple[Evaluation, int]:
-    """Simulate the screened point; if that fails, the best of the population that lie elsewhere.
+    """Simulate the screened point; if that fails, the best of the population at other points.
 
     Returns:
         The point that could be simulated, or the screened one if none could; and the rows asked.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.calibration.doubt import doubtful_mse
+from studies.calibration.misfit_threshold import misfit_threshold
 from studies.report.records import Floats
 from studies.report.wording import (
     count,
@@ -169,7 +169,7 @@ def sentences(record: UncertaintyRecord, units: tuple[str, ...]) -> tuple[str, .
     r, unit = record, difference_unit(units[0])
     said = [noise_sentence(r.noise, unit)]
     rms = math.sqrt(r.best_mse)
-    doubtful = doubtful_mse(r.sensor)
+    doubtful = misfit_threshold(r.sensor)
     if r.noise["kind"] != "sensor" and doubtful is not None and r.best_mse > doubtful:
         said[0] += (
             f" The best fit is off by {significant(rms / r.sensor)} times the sensor's uncertainty: rather a "

@@ -11,11 +11,11 @@ from simulation.case import Case
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.known_rows import best_and_far
+from studies.calibration.learned_ode import LEAST_CALLS
 from studies.calibration.ledger import Ledger
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
-from studies.calibration.state_guide import LEAST_CALLS
+from studies.calibration.row_choice import best_and_far
 from studies.console import OnBar
 from studies.doctor.region import commonest
 from studies.physical_model import failed_numbers, open_physical_model, open_watched_model, say_reused
@@ -176,7 +176,7 @@ def calibrate_adaptively(
         _say_known(study, physical, None if known is None else known.n)
         n_read = physical.n_reused
         result = settings.minimize(
-            problem, seed=seed, known=known, guide=guide, on_progress=_reporter(study, physical, bars)
+            problem, seed=seed, known=known, learned_ode=guide, on_progress=_reporter(study, physical, bars)
         )
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)

@@ -7,8 +7,8 @@ import numpy as np
 
 from simulation.case import Case
 from simulation.store.stored_model import StoredModel
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.state_guide import StateGuide
 from studies.calibration.states import StateSignals, why_unwatched
 from studies.report.wording import count, listed
 from studies.watched_model import StoredWatchedModel
@@ -31,11 +31,11 @@ def are_state_equations_learnt(case: Case, wish: bool | None) -> bool:
     return wish
 
 
-def guide_of(physical: StoredModel, problem: CalibrationProblem) -> StateGuide | None:
+def guide_of(physical: StoredModel, problem: CalibrationProblem) -> LearnedODE | None:
     """Return what learns the state equations of a problem, None where the states are not watched."""
     if not isinstance(physical, StoredWatchedModel):
         return None
-    return StateGuide(physical.signals, physical.seen, problem)
+    return LearnedODE(physical.signals, physical.seen, problem)
 
 
 def asked_twice(physical: StoredModel) -> int:
@@ -43,7 +43,7 @@ def asked_twice(physical: StoredModel) -> int:
     return physical.n_asked_twice if isinstance(physical, StoredWatchedModel) else 0
 
 
-def guided_numbers(guide: StateGuide | None, physical: StoredModel) -> dict[str, Any]:
+def guided_numbers(guide: LearnedODE | None, physical: StoredModel) -> dict[str, Any]:
     """Return what became of state equations; empty where nobody watched the states."""
     if guide is None:
         return {}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from simulation.time_unit import period_text
-from studies.calibration.doubt import DOUBT
+from studies.calibration.misfit_threshold import SENSOR_UNCERTAINTIES
 from studies.console import Column, format_seconds
 from studies.physical_model import warn_failed
 from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
@@ -89,9 +89,10 @@ def show_adaptive(study: Study, outcome: Outcome, stored: StoredResult) -> None:
     if "state_equations" in found:
         console.result(equations_in_words(found["state_equations"]))
     console.result(_fit(study, found))
-    doubtful = found["settings"]["doubtful_mse"]
+    doubtful = found["settings"]["misfit_threshold"]
     if doubtful is not None and found["mse"] > doubtful:
-        console.result(f"That is more than {DOUBT:g} times the sensor's uncertainty: {_doubt(study, found)}")
+        many = f"{SENSOR_UNCERTAINTIES:g} times the sensor's uncertainty"
+        console.result(f"That is more than {many}: {_doubt(study, found)}")
     for known in case.references:
         if known.is_target:
             reached = stored.calls_to(known.mse)

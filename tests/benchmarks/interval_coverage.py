@@ -22,8 +22,8 @@ from simulation import Case, ForwardModel, Measurement, Trajectories, load_case 
 from simulation.arrays import FloatArray  # noqa: E402
 from simulation.forward_model import WrappedModel  # noqa: E402
 from studies.calibration.adaptive import Adaptive  # noqa: E402
+from studies.calibration.learned_ode import LearnedODE  # noqa: E402
 from studies.calibration.problem import CalibrationProblem  # noqa: E402
-from studies.calibration.state_guide import StateGuide  # noqa: E402
 from studies.calibration.states import StateSignals, WatchedModel, watching_states  # noqa: E402
 from studies.uncertainty.assess import assess, sampling_within  # noqa: E402
 from studies.uncertainty.noise import NOISE_KINDS, noise_of  # noqa: E402
@@ -62,8 +62,10 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     measurement = disturbed(case, y, options.rho, options.scale, rng)
     diary = Diary(model)
     asked = CalibrationProblem(diary, measurement)
-    guide = StateGuide(model.signals, model.seen, asked)
-    found = Adaptive(max_calls=options.calibration_calls, ftol=1e-4).minimize(asked, seed=seed, guide=guide)
+    guide = LearnedODE(model.signals, model.seen, asked)
+    found = Adaptive(max_calls=options.calibration_calls, ftol=1e-4).minimize(
+        asked, seed=seed, learned_ode=guide
+    )
     problem = CalibrationProblem(model, measurement)
     known = [problem.judge(space.to_unit(answer.theta), answer) for answer in diary.answers]
     noise = noise_of(options.noise, measurement, found.y, space.n_parameters)

@@ -27,10 +27,9 @@ from interval_coverage import Diary  # noqa: E402
 
 from simulation.arrays import FloatArray  # noqa: E402
 from studies.calibration.adaptive import Adaptive, AdaptiveResult  # noqa: E402
-from studies.calibration.doubt import doubtful_mse  # noqa: E402
-from studies.calibration.known_rows import best_and_far  # noqa: E402
+from studies.calibration.learned_ode import LearnedODE  # noqa: E402
 from studies.calibration.problem import CalibrationProblem, Evaluation  # noqa: E402
-from studies.calibration.state_guide import StateGuide  # noqa: E402
+from studies.calibration.row_choice import best_and_far  # noqa: E402
 from studies.calibration.states import StateRows, WatchedModel  # noqa: E402
 
 PROBLEMS = ("office, days 0-10", "office-recorded, days 0-10", "wall", "vanderpol", "two basins")
@@ -56,7 +55,7 @@ def with_wave(problem: CalibrationProblem, size: float, seed: int) -> Calibratio
 
 def settings_for(problem: CalibrationProblem) -> Adaptive:
     """Return those of `studies calibrate --max-calls 200`."""
-    return Adaptive(max_calls=200, doubtful_mse=doubtful_mse(float(problem.measurement.uncertainty[0])))
+    return Adaptive.for_sensor(float(problem.measurement.uncertainty[0]), max_calls=200)
 
 
 def calibrated(
@@ -82,8 +81,8 @@ def calibrated(
         is_hidden = not are_seen and known is not None and theta is known.theta
         return StateRows(*(np.full_like(part, np.nan) for part in rows)) if is_hidden else rows
 
-    guide = StateGuide(watched.signals, seen, problem)
-    return settings_for(problem).minimize(problem, seed=seed, known=known, guide=guide)
+    guide = LearnedODE(watched.signals, seen, problem)
+    return settings_for(problem).minimize(problem, seed=seed, known=known, learned_ode=guide)
 
 
 def nothing(problem: CalibrationProblem, seed: int) -> FloatArray:

@@ -183,25 +183,25 @@ def test_a_trust_region_that_failures_have_shrunk_is_no_convergence() -> None:
     assert found.converged or found.left
 
 
-def test_an_error_that_is_too_large_ends_a_search_once_nothing_deeper_can_be() -> None:
+def test_an_error_that_is_too_large_stops_a_search_as_early_and_is_named() -> None:
     problem = rc_problem(noise=0.05)
-    believed = replace(SHORT, doubtful_mse=1.0).minimize(problem, seed=0)
-    doubted = replace(SHORT, doubtful_mse=1e-9).minimize(problem, seed=0)
-    assert believed.converged
-    assert doubted.converged
-    assert believed.n_calls <= doubted.n_calls < 60
-    assert doubted.mse <= believed.mse
-    assert "nowhere 0.5 times the error" in doubted.stop_reason
-    wanted = replace(SHORT, doubtful_mse=1e-9, target_mse=1e-9).minimize(problem, seed=0)
+    small = replace(SHORT, misfit_threshold=1.0).minimize(problem, seed=0)
+    large = replace(SHORT, misfit_threshold=1e-9).minimize(problem, seed=0)
+    assert small.converged
+    assert not large.converged
+    assert large.n_calls == small.n_calls < 60
+    assert "more than the sensor explains" in large.stop_reason
+    assert "the model lacks something" in large.left
+    wanted = replace(SHORT, misfit_threshold=1e-9, target_mse=1e-9).minimize(problem, seed=0)
     assert wanted.n_calls == 60
 
 
-def test_an_error_that_is_too_large_is_no_end_where_valleys_may_hide() -> None:
-    found = replace(SHORT, doubtful_mse=1e-9).minimize(
+def test_an_error_that_is_too_large_is_no_convergence_where_valleys_may_hide() -> None:
+    found = replace(SHORT, misfit_threshold=1e-9).minimize(
         problem_on(Waves(), np.array([1.3]), noise=0.1), seed=0
     )
     assert not found.converged
-    assert found.n_calls == 60
+    assert "a deeper valley may be left" in found.left
 
 
 def test_finds_the_optimum_beside_a_failed_region() -> None:
@@ -234,7 +234,7 @@ def test_reports_progress_that_agrees_with_the_result() -> None:
     [
         ({"max_calls": 0}, "max_calls is 0; give a whole number of at least 1"),
         ({"max_calls": 10.5}, "max_calls is 10.5; give a whole number of at least 1"),
-        ({"n_elsewhere": -1}, "n_elsewhere is -1; give a whole number of at least 0"),
+        ({"least_restarts": -1}, "least_restarts is -1; give a whole number of at least 0"),
         ({"n_start": 1}, "n_start is 1; give a whole number of at least 2"),
         ({"ftol": math.nan}, "ftol is nan; give at least 0"),
         ({"target_mse": -1.0}, "target_mse is -1.0; give at least 0"),
@@ -249,7 +249,7 @@ def test_useless_settings_are_refused(settings: dict[str, float], message: str) 
         Adaptive(**settings)  # type: ignore[arg-type]
 
 
-def test_where_nothing_succeeds_the_first_failure_is_told() -> None:
+def test_where_nothing_succeeds_the_first_failure_is_named() -> None:
     found = SHORT.minimize(rc_problem().on(ToyRC(fails_above_r=0.0)), seed=0)
     assert found.mse == math.inf
     assert re.fullmatch(

@@ -103,24 +103,31 @@ def looked(least_restarts: int, gains: FloatArray) -> Confirmation:
 def test_where_nothing_is_promised_tests_and_restarts_in_vain_converge(least_restarts: int) -> None:
     confirmation = looked(least_restarts, NOTHING)
     assert confirmation.n_restarts == confirmation.restarts_owed
-    assert confirmation.ending.converged
+    assert confirmation.ending(switches=False).converged
 
 
 @pytest.mark.parametrize("least_restarts", [0, 1])
 def test_what_is_promised_and_not_found_is_said(least_restarts: int) -> None:
     confirmation = looked(least_restarts, MUCH)
-    assert not confirmation.ending.converged
+    assert not confirmation.ending(switches=False).converged
     assert (
         f"a gain of up to {2.0 * PROMISED:g} of the error is not excluded in the box"
         in confirmation.still_owed(1e-3)
     )
 
 
-def test_a_few_functions_that_promise_more_are_enough_to_doubt() -> None:
+def test_a_few_functions_that_promise_more_are_enough_to_stop() -> None:
     n_much = round((1.0 - QUANTILE) * N_DRAWN) + 1
-    assert not looked(1, np.where(np.arange(N_DRAWN) < n_much, MUCH, NOTHING)).ending.converged
-    assert looked(1, np.where(np.arange(N_DRAWN) < n_much - 2, MUCH, NOTHING)).ending.converged
+    for n, is_believed in ((n_much, False), (n_much - 2, True)):
+        gains = np.where(np.arange(N_DRAWN) < n, MUCH, NOTHING)
+        assert looked(1, gains).ending(switches=False).converged is is_believed
 
 
-def test_who_never_leaves_owes_no_restarts() -> None:
+def test_without_restarts_none_is_owed() -> None:
     assert Confirmation(0).restarts_owed == 0
+
+
+def test_a_model_that_switches_stops_where_smooth_functions_promise_nothing() -> None:
+    ending = looked(1, NOTHING).ending(switches=True)
+    assert not ending.converged
+    assert "switches at times that depend on its parameters" in ending.reason

@@ -39,16 +39,16 @@ def test_a_search_knows_what_differences_would_tell(search, is_product: bool) ->
     problem = problem_on(ProductToy(), TRUE_RC, noise=0.05) if is_product else rc_problem(noise=0.05)
     u, y, slopes = search(problem)
     found = determined_numbers(problem.space.names, problem.measurement, None, u=u, y=y, slopes=slopes)
-    told = found["determined_by_data"]
+    found_of = found["determined_by_data"]
     truth = identifiability(problem.model, problem.measurement, problem.space.from_unit(u))
-    np.testing.assert_allclose(list(told["spread"].values()), truth.spread, rtol=SPREAD_RTOL)
-    assert told["open"] == (["R", "C"] if is_product else [])
-    assert [one["strength"] < -0.9 for one in told["pairs"]] == [True] * is_product
+    np.testing.assert_allclose(list(found_of["spread"].values()), truth.spread, rtol=SPREAD_RTOL)
+    assert found_of["open"] == (["R", "C"] if is_product else [])
+    assert [one["strength"] < -0.9 for one in found_of["pairs"]] == [True] * is_product
     assert [bool(open_note(name, found)) for name in problem.space.names] == [is_product] * 2
     assert len(open_in_words(found)) == 2 * is_product
 
 
-def test_of_a_first_design_alone_nothing_is_told() -> None:
+def test_of_a_first_design_alone_nothing_is_known() -> None:
     problem = product_problem()
     found = Adaptive(max_calls=4).minimize(problem, seed=0)
     assert found.slopes is None

@@ -25,12 +25,12 @@ def test_a_known_start_is_not_simulated_again() -> None:
     problem = rc_problem()
     known = problem.evaluate(START)
     diary = Diary(problem.model)
-    told = LeastSquaresTRF().minimize(problem.on(diary), START, known=known)
+    informed = LeastSquaresTRF().minimize(problem.on(diary), START, known=known)
     asked = LeastSquaresTRF().minimize(problem, START)
     assert len(diary.batches[0]) == 2
-    assert told.n_calls == asked.n_calls - 1
-    assert (told.history.n_calls[0], told.history.best_mse[0]) == (0, known.mse[0])
-    np.testing.assert_array_equal(told.u, asked.u)
+    assert informed.n_calls == asked.n_calls - 1
+    assert (informed.history.n_calls[0], informed.history.best_mse[0]) == (0, known.mse[0])
+    np.testing.assert_array_equal(informed.u, asked.u)
 
 
 def test_agrees_with_scipy_on_its_own() -> None:

@@ -128,7 +128,7 @@ def test_every_solver_finds_the_closed_form(solve: Callable[[CalibrationProblem]
 
 
 def logarithmic(factor: float, centre: float = 0.5) -> CalibrationProblem:
-    """R and C with noise, R believed to lie elsewhere."""
+    """R and C with noise, R with a prior around another value."""
     posed = rc_problem(noise=0.2)
     r, c = posed.space.parameters
     space = ParameterSpace((replace(r, prior=Belief(centre, factor)), c))

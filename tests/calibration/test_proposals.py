@@ -7,7 +7,7 @@ from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.proposals import MOST_SPREAD, Surroundings, liked, telling
+from studies.calibration.proposals import MOST_SPREAD, Surroundings, favourites, informative
 from studies.calibration.residual_process import Features
 
 N_ASKED, N_MORE = 2, 4
@@ -23,19 +23,19 @@ def surroundings(radius: float = 0.3) -> Surroundings:
 
 def proposed(around: Surroundings, seed: int) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    asked, favourite = liked(around, N_ASKED, 0.1, rng)
-    return asked, telling(around, asked, favourite, N_MORE, rng)
+    asked, favourite = favourites(around, N_ASKED, 0.1, rng)
+    return asked, informative(around, asked, favourite, N_MORE, rng)
 
 
 def test_more_points_may_be_asked_together_than_places_are_usually_drawn() -> None:
     around, rng = surroundings(), np.random.default_rng(0)
-    asked, favourite = liked(around, 1, 0.1, rng)
-    assert telling(around, asked, favourite, 240, rng).shape == (240, 2)
+    asked, favourite = favourites(around, 1, 0.1, rng)
+    assert informative(around, asked, favourite, 240, rng).shape == (240, 2)
 
 
 def test_the_favourite_is_the_lowest_expectation_in_the_trust_region() -> None:
     around = surroundings()
-    asked, favourite = liked(around, 1, 0.0, np.random.default_rng(0))
+    asked, favourite = favourites(around, 1, 0.0, np.random.default_rng(0))
     assert around.objectives(asked)[0] == pytest.approx(favourite.value)
     lower, upper = around.box(around.radius)
     others = np.random.default_rng(1).uniform(lower, upper, (500, 2))
@@ -62,11 +62,11 @@ def test_they_teach_more_than_as_many_favourites() -> None:
     def left_unknown(points: FloatArray) -> float:
         n, covariance = len(points), around.process.covariance(np.concatenate([points, places]))
         noise = 1e-6 * np.trace(covariance) * np.eye(n)
-        told = np.linalg.solve(covariance[:n, :n] + noise, covariance[:n, n:])
-        return float(np.trace(covariance[n:, n:] - covariance[n:, :n] @ told))
+        known = np.linalg.solve(covariance[:n, :n] + noise, covariance[:n, n:])
+        return float(np.trace(covariance[n:, n:] - covariance[n:, :n] @ known))
 
-    favourites, _ = liked(around, N_ASKED + N_MORE, 0.1, np.random.default_rng(0))
-    assert left_unknown(np.concatenate(proposed(around, 0))) < 0.9 * left_unknown(favourites)
+    liked, _ = favourites(around, N_ASKED + N_MORE, 0.1, np.random.default_rng(0))
+    assert left_unknown(np.concatenate(proposed(around, 0))) < 0.9 * left_unknown(liked)
 
 
 def test_a_perfect_and_certain_surrogate_still_proposes_points() -> None:

@@ -1,4 +1,4 @@
-"""State equations that are learnt from what a model's states did, and calibrations that they guide."""
+"""State equations that are learnt from what a model's states did, and calibrations that follow them."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,10 +17,10 @@ from studies.calibration.adaptive import Adaptive, AdaptiveResult
 from studies.calibration.coefficient import Coefficient, Points
 from studies.calibration.descent import descend_together
 from studies.calibration.first_design import latin_hypercube
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.product_laws import Products
+from studies.calibration.product_forms import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
-from studies.calibration.state_guide import StateGuide
 from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
@@ -134,7 +134,7 @@ def test_terms_and_trajectories_of_a_network_are_found_from_a_few_rows() -> None
     np.testing.assert_allclose(answered, expected, atol=1e-5)
 
 
-def test_a_product_is_a_law_and_what_is_none_a_process() -> None:
+def test_a_product_is_a_formula_and_others_are_a_process() -> None:
     x = np.random.default_rng(0).uniform(-0.5, 0.5, (9, 4))
     fresh = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 4))
 
@@ -146,9 +146,9 @@ def test_a_product_is_a_law_and_what_is_none_a_process() -> None:
     def learnt_from(values: FloatArray) -> Coefficient:
         return Coefficient.fit(Points(x, x), values, Products.of(space))
 
-    law = learnt_from(product(x))
-    assert law.slopes is not None
-    np.testing.assert_allclose(law.at(Points(fresh, fresh)), product(fresh), rtol=1e-6)
+    found = learnt_from(product(x))
+    assert found.slopes is not None
+    np.testing.assert_allclose(found.at(Points(fresh, fresh)), product(fresh), rtol=1e-6)
     polynomial = learnt_from(1.0 - 3.0 * x[:, 1] + 2.0 * x[:, 1] ** 2)
     assert polynomial.slopes is not None
     assert polynomial.is_exact
@@ -159,7 +159,7 @@ def test_a_product_is_a_law_and_what_is_none_a_process() -> None:
     np.testing.assert_allclose(other.at(Points(x, x)), product(x) - np.exp(np.sin(5.0 * x[:, 1])), rtol=0.01)
 
 
-def test_rows_that_do_not_tell_a_coefficient_are_left_out_of_it() -> None:
+def test_rows_that_leave_a_coefficient_open_are_left_out_of_it() -> None:
     model = TwoRooms()
     _, rows = rows_of(model, 8, seed=0)
     # In one row the fan never changes what the wall does: its term is a multiple of the wall's.
@@ -187,18 +187,21 @@ def problem_of(rooms: TwoRooms, truth: FloatArray) -> CalibrationProblem:
     return CalibrationProblem(watched, Measurement.on_grid(rooms.time, y, ("TRoom",), np.array([0.05])))
 
 
-def guided(problem: CalibrationProblem, seed: int, **settings: int) -> tuple[AdaptiveResult, StateGuide]:
-    guide = StateGuide.of(problem)
-    return Adaptive(**settings).minimize(problem, seed=seed, guide=guide), guide  # type: ignore[arg-type]
+def with_equations(
+    problem: CalibrationProblem, seed: int, **settings: int
+) -> tuple[AdaptiveResult, LearnedODE]:
+    ode = LearnedODE.of(problem)
+    chosen = Adaptive(**settings)  # type: ignore[arg-type]
+    return chosen.minimize(problem, seed=seed, learned_ode=ode), ode
 
 
 TRUTH = np.array([1e-2, 2e-2, 30.0, 1e6, 291.0])
 
 
-def test_a_guided_calibration_takes_two_calls_more_than_it_learns_from() -> None:
+def test_a_calibration_by_equations_takes_two_calls_more_than_it_learns_from() -> None:
     problem = problem_of(TwoRooms(), TRUTH)
-    found, guide = guided(problem, 0, max_calls=40)
-    assert guide.is_believed
+    found, ode = with_equations(problem, 0, max_calls=40)
+    assert ode.is_believed
     assert found.converged
     assert "state equations" in found.stop_reason
     truth = float(problem.mse(problem.space.to_unit(TRUTH[None]))[0])
@@ -207,22 +210,22 @@ def test_a_guided_calibration_takes_two_calls_more_than_it_learns_from() -> None
     assert found.n_calls <= 12
 
 
-def test_a_guide_that_misses_is_no_longer_asked() -> None:
-    found, guide = guided(problem_of(TwoRooms(roughness=0.8), TRUTH), 0, max_calls=30)
-    assert guide.n_asked > 3
-    assert not guide.is_believed
+def test_equations_that_mispredict_are_no_longer_followed() -> None:
+    found, ode = with_equations(problem_of(TwoRooms(roughness=0.8), TRUTH), 0, max_calls=30)
+    assert ode.n_asked > 3
+    assert not ode.is_believed
     assert found.n_calls == 30
     assert np.isfinite(found.mse)
 
 
-def solved(case: Case, seed: int, *, is_guided: bool, max_calls: int = 100) -> tuple[AdaptiveResult, int]:
-    with (watching_states(case) if is_guided else case).open_model() as model:
-        if not is_guided:
+def solved(case: Case, seed: int, *, has_equations: bool, max_calls: int = 100) -> tuple[AdaptiveResult, int]:
+    with (watching_states(case) if has_equations else case).open_model() as model:
+        if not has_equations:
             problem = CalibrationProblem(model, case.measurement)
             return Adaptive(max_calls=max_calls).minimize(problem, seed=seed), 0
         watched = WatchedModel(model, StateSignals.of(case))
-        found, guide = guided(CalibrationProblem(watched, case.measurement), seed, max_calls=max_calls)
-        return found, guide.n_asked
+        found, ode = with_equations(CalibrationProblem(watched, case.measurement), seed, max_calls=max_calls)
+        return found, ode.n_asked
 
 
 @pytest.mark.parametrize(("name", "most_calls"), [("office", 20), ("wall", 13)])
@@ -231,8 +234,8 @@ def test_a_building_is_calibrated_with_little_more_than_a_call_per_parameter(
 ) -> None:
     case = load_case(REPOSITORY / "fmus" / name)
     for seed in (0, 1):
-        found, n_asked = solved(case, seed, is_guided=True)
-        alone, _ = solved(case, seed, is_guided=False)
+        found, n_asked = solved(case, seed, has_equations=True)
+        alone, _ = solved(case, seed, has_equations=False)
         assert n_asked > 0
         assert found.n_calls <= most_calls < alone.n_calls
         assert found.mse <= 1.001 * alone.mse
@@ -240,7 +243,7 @@ def test_a_building_is_calibrated_with_little_more_than_a_call_per_parameter(
 
 @dataclass(frozen=True)
 class Kicked(TwoRooms):
-    """One state jumps once, which no derivative tells."""
+    """One state jumps once, which no derivative shows."""
 
     kick: float = 0.3
 
@@ -259,12 +262,12 @@ class Kicked(TwoRooms):
 
 
 @pytest.mark.parametrize("kick", [0.1, 0.3])
-def test_what_jumps_between_is_not_told_and_nothing_is_sure(kick: float) -> None:
+def test_what_jumps_between_is_not_predicted_and_nothing_is_sure(kick: float) -> None:
     rooms = Kicked(kick=kick)
     problem = problem_of(rooms, TRUTH)
-    found, guide = guided(problem, 0, max_calls=60)
-    assert not guide.is_sure
-    assert guide.model is None
+    found, ode = with_equations(problem, 0, max_calls=60)
+    assert not ode.is_sure
+    assert ode.model is None
     alone = Adaptive(max_calls=60).minimize(problem, seed=0)
     assert found.mse <= 1.1 * alone.mse
 
@@ -274,21 +277,21 @@ def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() 
     with watching_states(case).open_model() as model:
         problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
         found = [
-            Adaptive(max_calls=40, doubtful_mse=doubtful).minimize(
-                problem, seed=0, guide=StateGuide.of(problem)
+            Adaptive(max_calls=40, misfit_threshold=threshold).minimize(
+                problem, seed=0, learned_ode=LearnedODE.of(problem)
             )
-            for doubtful in (0.1, 1e-4)
+            for threshold in (0.1, 1e-4)
         ]
     assert found[0].n_calls < 14
-    # Four points where laws may act that no row has shown, and the rest of the design.
+    # Four points where equations may act that no row has shown, and the rest of the design.
     assert found[1].n_calls == 4 + 14 + found[0].n_calls - 4
     assert all(one.converged for one in found)
 
 
 def test_where_nothing_can_be_learnt_the_same_rows_are_asked_as_without() -> None:
     case = load_case(REPOSITORY / "fmus" / "thermostat")
-    found, n_asked = solved(case, 0, is_guided=True, max_calls=12)
-    alone, _ = solved(case, 0, is_guided=False, max_calls=12)
+    found, n_asked = solved(case, 0, has_equations=True, max_calls=12)
+    alone, _ = solved(case, 0, has_equations=False, max_calls=12)
     assert n_asked == 0
     np.testing.assert_array_equal(found.theta, alone.theta)
     assert found.mse == alone.mse
@@ -349,9 +352,9 @@ class FailsAround(TwoRooms):
 def test_failures_at_the_optimum_end_the_belief() -> None:
     problem = problem_of(TwoRooms(), TRUTH)
     watched = WatchedModel(FailsAround(), ROOMS)
-    found, guide = guided(replace(problem, model=watched), 0, max_calls=24)
-    assert not guide.is_believed
-    assert guide.n_asked <= 6
+    found, ode = with_equations(replace(problem, model=watched), 0, max_calls=24)
+    assert not ode.is_believed
+    assert ode.n_asked <= 6
     assert np.isfinite(found.mse)
 
 

@@ -1,4 +1,4 @@
-"""State equations with functions (flows, drag, angles), and laws that no row of a design has shown."""
+"""State equations with functions (flows, drag, angles), and equations that no row of a design has shown."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.flow_steps import NUMBERS
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_equations import LEARNT, Structure
 from studies.calibration.state_flow import SteppedFlow
-from studies.calibration.state_guide import StateGuide
 from studies.calibration.state_terms import FUNCTIONS, Sum, Term
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
@@ -157,11 +157,11 @@ def test_functions_are_found_and_a_calibration_takes_five_calls(name: str) -> No
     model = {"tanks": TANKS, "car": CAR, "pendulum": PENDULUM, "plate": PLATE}[name]
     truth = np.full(model.parameter_space.n_parameters, 0.6)
     problem = measured(model, truth, 0.01)
-    guide = StateGuide.of(problem)
-    found = Adaptive(max_calls=20).minimize(problem, seed=0, guide=guide)
-    assert guide.is_sure
-    assert guide.model is not None
-    equations = guide.model.equations
+    ode = LearnedODE.of(problem)
+    found = Adaptive(max_calls=20).minimize(problem, seed=0, learned_ode=ode)
+    assert ode.is_sure
+    assert ode.model is not None
+    equations = ode.model.equations
     assert isinstance(equations.flow, SteppedFlow)
     assert set(equations.structure.sums[0].terms) == TERMS[name]
     assert found.n_calls <= 6
@@ -169,7 +169,7 @@ def test_functions_are_found_and_a_calibration_takes_five_calls(name: str) -> No
     # The optimum's own simulation is one of few rows that they are learnt from; these are not.
     theta = model.parameter_space.from_unit(np.random.default_rng(1).random((4, truth.size)))
     expected = model.simulate(theta).y[..., :1]
-    np.testing.assert_allclose(guide.model.simulate(theta).y, expected, rtol=0.0, atol=5e-3 * expected.std())
+    np.testing.assert_allclose(ode.model.simulate(theta).y, expected, rtol=0.0, atol=5e-3 * expected.std())
 
 
 def test_compiled_steps_know_the_functions_of_terms() -> None:
@@ -219,12 +219,12 @@ def test_states_that_rest_beside_an_output_that_moves_end_nothing() -> None:
 
 def test_points_are_asked_where_either_state_goes_farthest() -> None:
     problem = measured(TANKS, np.full(5, 0.6), 0.01)
-    guide = StateGuide.of(problem)
+    ode = LearnedODE.of(problem)
     design = 0.4 + 0.2 * np.random.default_rng(0).random((6, 5))
-    guide.note(problem.evaluate(design))
-    assert guide.is_sure
+    ode.note(problem.evaluate(design))
+    assert ode.is_sure
     seen = problem.model.seen(problem.space.from_unit(design)).x
-    points = guide.unseen(design[0], 4, np.random.default_rng(1))
+    points = ode.unseen(design[0], 4, np.random.default_rng(1))
     model = WatchedModel(TANKS, TANKS.signals)
     x = model.seen(model.simulate(problem.space.from_unit(points)).theta).x
     for state in range(2):
@@ -263,34 +263,34 @@ def test_laws_that_held_and_hold_no_more_are_given_up() -> None:
     truth = HEATER.parameter_space.to_unit(np.array([100.0, 5e6, 1000.0, 1400.0]))
     problem = measured(HEATER, truth, 0.15)
     for seed in range(3):
-        guide = StateGuide.of(problem)
-        found = Adaptive(max_calls=150, doubtful_mse=0.09).minimize(problem, seed=seed, guide=guide)
+        ode = LearnedODE.of(problem)
+        found = Adaptive(max_calls=150, misfit_threshold=0.09).minimize(problem, seed=seed, learned_ode=ode)
         assert found.mse <= 1.05 * problem.mse(truth[None])[0], seed
-        assert not guide.is_believed
-        assert guide.without_effect == ()
+        assert not ode.is_believed
+        assert ode.without_effect == ()
 
 
 def test_a_law_that_no_row_has_shown_is_looked_for_before_equations_end_a_search() -> None:
     """Over a weir that lies high flows nothing; where nothing did, the equations know of none."""
     truth = WEIR.parameter_space.to_unit(np.array([1.5, 0.006, 1.0, 0.01]))
     problem = measured(WEIR, truth, 0.02)
-    guide = StateGuide.of(problem)
+    ode = LearnedODE.of(problem)
     rows = np.random.default_rng(0).random((6, 4))
     rows[:, 2] = 0.8 + 0.2 * rows[:, 2]
-    guide.note(problem.evaluate(rows))
-    assert guide.is_sure
-    assert guide.left_out.tolist() == [False, False, True, True]
-    assert guide.without_effect == ("hWeir", "kWeir")
-    points = guide.unseen(truth, 6, np.random.default_rng(0))
+    ode.note(problem.evaluate(rows))
+    assert ode.is_sure
+    assert ode.left_out.tolist() == [False, False, True, True]
+    assert ode.without_effect == ("hWeir", "kWeir")
+    points = ode.unseen(truth, 6, np.random.default_rng(0))
     assert points.shape == (6, 4)
     assert points[0].tolist() == [*truth[:2], 0.0, 0.0]
     assert points[1].tolist() == [*truth[:2], 1.0, 1.0]
     for seed in range(3):
         # Where the error is too large, and where an uncertain sensor might explain it.
-        for doubtful in (0.04**2, 1.0):
-            guide = StateGuide.of(problem)
-            settings = Adaptive(max_calls=120, doubtful_mse=doubtful)
-            found = settings.minimize(problem, seed=seed, guide=guide)
-            assert not guide.is_believed
-            if doubtful < 1.0:
+        for threshold in (0.04**2, 1.0):
+            ode = LearnedODE.of(problem)
+            settings = Adaptive(max_calls=120, misfit_threshold=threshold)
+            found = settings.minimize(problem, seed=seed, learned_ode=ode)
+            assert not ode.is_believed
+            if threshold < 1.0:
                 assert found.mse <= 1.05 * problem.mse(truth[None])[0], seed

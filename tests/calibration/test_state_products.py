@@ -15,11 +15,11 @@ from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.coefficient import Points
 from studies.calibration.first_design import latin_hypercube
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.product_laws import Products
+from studies.calibration.product_forms import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
-from studies.calibration.state_guide import StateGuide
 from studies.calibration.state_terms import Sum, Term, candidates_with_products
 from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
 
@@ -207,7 +207,7 @@ def test_a_guide_needs_a_model_that_watches_its_states() -> None:
     with case.open_model() as model:
         problem = CalibrationProblem(model, case.measurement)
         with pytest.raises(InputError, match="state equations need a WatchedModel"):
-            StateGuide.of(problem)
+            LearnedODE.of(problem)
 
 
 def test_a_state_at_rest_does_not_move_too_fast() -> None:
@@ -248,8 +248,8 @@ def test_an_oscillator_is_calibrated_with_a_handful_of_calls() -> None:
     with watching_states(case).open_model() as model:
         watched = WatchedModel(model, StateSignals.of(case))
         problem = CalibrationProblem(watched, case.measurement)
-        guide = StateGuide.of(problem)
-        found = Adaptive(max_calls=30).minimize(problem, seed=3, guide=guide)
-    assert guide.is_believed
+        ode = LearnedODE.of(problem)
+        found = Adaptive(max_calls=30).minimize(problem, seed=3, learned_ode=ode)
+    assert ode.is_believed
     assert found.n_calls <= 10
     assert found.mse < 1.005 * 0.02002

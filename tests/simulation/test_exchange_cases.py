@@ -10,8 +10,8 @@ from simulation import load_case
 from simulation.case import Case
 from simulation.fmi.fmu import FmuSettings
 from studies.calibration.adaptive import Adaptive
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.state_guide import StateGuide
 from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
@@ -83,6 +83,6 @@ def test_state_equations_know_which_inputs_the_outputs_saw(tmp_path: Path):
     case = wall_in_model_exchange(tmp_path, 600.0)
     with watching_states(case).open_model() as model:
         problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
-        found = Adaptive(max_calls=20).minimize(problem, seed=0, guide=StateGuide.of(problem))
+        found = Adaptive(max_calls=20).minimize(problem, seed=0, learned_ode=LearnedODE.of(problem))
     assert found.converged
     assert found.n_calls <= 6

@@ -436,7 +436,9 @@ def test_a_narrow_valley_is_followed_to_its_ends():
     for seed in (1, 2, 3, 4):
         problem = posed(model, [1.0, 1e4], seed=seed)
         rows = CountsRows(problem.model)
-        best = Adaptive(max_calls=100, doubtful_mse=(2.0 * SIGMA) ** 2).minimize(problem.on(rows), seed=seed)
+        best = Adaptive(max_calls=100, misfit_threshold=(2.0 * SIGMA) ** 2).minimize(
+            problem.on(rows), seed=seed
+        )
         known = problem.evaluate(problem.space.to_unit(np.concatenate(rows.asked)))
         noise = noise_of("correlated", problem.measurement, best.y, 2)
         sampling = sampling_within(100, 2)

@@ -10,8 +10,8 @@ from importlib.util import find_spec
 
 from fewest_calls import peers_bayesian, peers_least_squares, peers_modestpy, peers_scalar
 from studies.calibration.adaptive import Adaptive, AdaptiveResult
+from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
-from studies.calibration.state_guide import StateGuide
 
 Search = Callable[[CalibrationProblem, int, int], AdaptiveResult | None]
 """Problem, seed and most calls; asks the problem's model. Ours return how they ended, peers nothing."""
@@ -57,8 +57,8 @@ def adaptive(n_parallel: int = 1, *, state_equations: bool = False) -> Search:
         if not state_equations:
             return chosen.minimize(problem, seed=seed)
         watched = problem.model.watched  # type: ignore[attr-defined]
-        guide = StateGuide(watched.signals, watched.seen, problem)
-        return chosen.minimize(problem, seed=seed, guide=guide)
+        equations = LearnedODE(watched.signals, watched.seen, problem)
+        return chosen.minimize(problem, seed=seed, learned_ode=equations)
 
     return search
 

@@ -1,4 +1,4 @@
-"""The benchmark in words: median and worst calls to each target, who is best where, and where we lose."""
+"""The benchmark in words: median and worst calls to each target, the best method of each problem, losses."""
 
 import statistics
 from collections.abc import Iterator
@@ -12,6 +12,8 @@ from fewest_calls.problems import FAMILIES
 FACTORS = (1.17, 1.05, 1.02)
 RIGHT = FACTORS[-1]
 OURS = "adaptive, state equations"
+# The command's own budget, unless --max-calls names another one.
+USUAL_CALLS = 100
 NEVER = float("inf")
 
 
@@ -74,29 +76,33 @@ def ends(kept: Kept) -> Iterator[str]:
         yield (
             "| problem | calls | final / best error | "
             + " | ".join(f"calls to {factor:g} times" for factor in (FACTORS[0], FACTORS[-1]))
-            + " | right | right, and said converged | wrong, and said converged |"
+            + f" | right | right within {USUAL_CALLS} calls | right, and said converged"
+            + " | wrong, and said converged |"
         )
-        yield "|---" * 8 + "|"
+        yield "|---" * 9 + "|"
         for name, runs in found.items():
             if runs:
                 yield f"| {name} | " + " | ".join(_ending(runs, kept.problems[name].best)) + " |"
         together = [_Endings.of(runs, kept.problems[name].best) for name, runs in found.items() if runs]
         n, n_right = sum(one.n for one in together), sum(one.n_right for one in together)
         n_said, n_false = sum(one.n_said for one in together), sum(one.n_false for one in together)
+        n_usual = sum(one.n_usual for one in together)
         yield ""
         yield (
             f"Of {n} runs {n_false} ({n_false / n:.1%}) said that they converged and were wrong; of "
-            f"{n_right} right ones {n_said} ({n_said / max(n_right, 1):.0%}) said that they converged."
+            f"{n_right} right ones {n_said} ({n_said / max(n_right, 1):.0%}) said that they converged, and "
+            f"{n_usual} were right within {USUAL_CALLS} calls."
         )
         yield ""
 
 
 @dataclass(frozen=True)
 class _Endings:
-    """How many of some runs ended right, said so, and said so falsely."""
+    """How many of some runs ended right, were so within the usual calls, said so, and said so falsely."""
 
     n: int
     n_right: int
+    n_usual: int
     n_said: int
     n_false: int
 
@@ -105,7 +111,8 @@ class _Endings:
         right = [run for run in runs if run.first(RIGHT * best) is not None]
         n_said = sum(run.converged is True for run in right)
         n_converged = sum(run.converged is True for run in runs)
-        return cls(len(runs), len(right), n_said, n_converged - n_said)
+        n_usual = sum(run.calls_to(RIGHT * best) <= USUAL_CALLS for run in runs)
+        return cls(len(runs), len(right), n_usual, n_said, n_converged - n_said)
 
 
 def _ending(runs: list[Run], best: float) -> Iterator[str]:
@@ -115,7 +122,8 @@ def _ending(runs: list[Run], best: float) -> Iterator[str]:
     for factor in (FACTORS[0], FACTORS[-1]):
         yield cell([run.calls_to(factor * best) for run in runs])
     found = _Endings.of(runs, best)
-    yield from (f"{found.n_right} of {found.n}", str(found.n_said), str(found.n_false))
+    yield f"{found.n_right} of {found.n}"
+    yield from (str(found.n_usual), str(found.n_said), str(found.n_false))
 
 
 def details(kept: Kept) -> Iterator[str]:
@@ -212,7 +220,7 @@ def _losses(kept: Kept) -> Iterator[str]:
                 text = f"{cell(theirs)} calls against {cell(ours)}"
                 lost.append(f"behind {peer} on {problem} to {factor:g} times: {text}")
             elif _median(ours) == NEVER:
-                lost.append(f"nobody arrives on {problem} at {factor:g} times: ours {cell(ours)}")
+                lost.append(f"no method arrives on {problem} at {factor:g} times: ours {cell(ours)}")
     if n_compared:
         yield (
             f"Where `{OURS}` loses: {len(lost)} of {n_compared} comparisons of medians with the best peer"

@@ -1,9 +1,10 @@
-"""A calibration's guide: it learns state equations from the rows that are asked, and says where to ask next.
+"""State equations learnt during a calibration: they are fitted to its rows and propose the next point.
 
-Solved equations cost nothing, so the whole box is looked at: the best of many random points are walked
-downhill, and the lowest end is asked. A guide is believed while its equations fit the rows that they are
-learnt from and it has not missed several points in a row; else the search goes on without it, until it tells
-a point right again. It is sure where all coefficients are laws and, solved, they are what was simulated.
+Solving the equations costs no call, so the whole box is searched: descents start from the best of many random
+points, and the lowest end is simulated. The equations are believed while they fit the rows that they are
+learnt from and have not mispredicted several points in a row; else the search goes on without them, until
+they predict a point again. They are sure where all coefficients are formulas and the solved rows agree with
+the simulated ones.
 """
 
 import math
@@ -19,14 +20,14 @@ from studies.calibration.descent import descend_together, jacobians, objectives
 from studies.calibration.equation_model import EquationModel
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.calibration.product_laws import Products
+from studies.calibration.product_forms import Products
 from studies.calibration.proposals import SAME_POINT
 from studies.calibration.residual_process import Expansion
 from studies.calibration.state_equations import LEAST_TO_LEARN, StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
-# Random points that are looked at before and after the guide has been right once, and how many of the best of
+# Random points that are looked at before and after a first prediction was right, and how many of the best of
 # them, beside the best rows and the last ends, are walked downhill.
 N_LOOKS, N_LOOKS_LATER = 400, 100
 N_RANDOM, N_ROWS, N_ENDS = 5, 2, 2
@@ -35,15 +36,15 @@ N_RANDOM_SURE = 20
 # A point that errs by more than this part of its objective is missed; so many in a row end the belief.
 MISSED, N_MISSED = 0.5, 4
 # Squares of the differences between solved and simulated residuals, as shares of a row's error, up to which
-# exact equations tell it, and up to which they are believed: what is beyond, as a state that jumps, they do
-# not know. So many of the last rows are looked at; an error counts the first of their median more.
-TOLD, BELIEVED, N_TOLD = 1e-3, 2e-2, 16
+# exact equations match it, and up to which they are believed: beyond, the model does something else, as where
+# a state jumps. So many of the last rows are looked at; an error counts the first of their median more.
+MATCHED, BELIEVED, N_MATCHED = 1e-3, 2e-2, 16
 # A course of hidden inputs is taken for another one that misses this part of it or less.
 CLEARLY = 0.8
 # Range of a state that hardly moves, as a share of its size.
 AT_REST = 1e-6
 
-# Rows after which equations are taken though some coefficient is no law, by parameter and at least.
+# Rows after which equations are taken though some coefficient is no formula, by parameter and at least.
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
 
 LEAST_CALLS = LEAST_TO_LEARN + 1
@@ -58,15 +59,15 @@ def enough_for_equations(n_parameters: int) -> int:
     return max(math.ceil(PER_PARAMETER * n_parameters), LEAST_ROWS)
 
 
-class StateGuide:
-    """What state equations say of a calibration problem."""
+class LearnedODE:
+    """The state equations of a calibration problem, as far as its rows show them."""
 
     def __init__(self, signals: StateSignals, seen: Seen, problem: CalibrationProblem) -> None:
         """Begin with nothing known.
 
         Args:
             signals: What is known of the states.
-            seen: Tells what they did.
+            seen: Returns what they did.
             problem: The problem.
         """
         self._signals = signals
@@ -86,14 +87,14 @@ class StateGuide:
         self._ends = self._u
         self._n_missed = self._n_failed = 0
         self._has_failed = False
-        self._untold = 0.0
+        self._mismatch = 0.0
         self.misfit = np.inf
         self.n_asked = 0
-        self.why_not = f"fewer than {LEAST_TO_LEARN} simulations tell what they did"
+        self.why_not = f"fewer than {LEAST_TO_LEARN} simulations show what states did"
 
     @classmethod
     def of(cls, problem: CalibrationProblem) -> Self:
-        """Return the guide of a problem that is posed to a model that watches its states.
+        """Return what learns the equations of a problem that is posed to a model that watches its states.
 
         Raises:
             InputError: It is posed to another model.
@@ -108,13 +109,13 @@ class StateGuide:
     @property
     def is_believed(self) -> bool:
         """Whether it has equations that have not missed too often, nor led to failures."""
-        is_known = self._equations is not None and self._untold <= BELIEVED
+        is_known = self._equations is not None and self._mismatch <= BELIEVED
         return is_known and max(self._n_missed, self._n_failed) < N_MISSED
 
     @property
     def is_sure(self) -> bool:
-        """Whether it knows the equations exactly and tells what was simulated: more would teach nothing."""
-        is_exact = self._equations is not None and self._equations.is_exact and self._untold <= TOLD
+        """Whether the equations are exact and match what was simulated: more rows would add nothing."""
+        is_exact = self._equations is not None and self._equations.is_exact and self._mismatch <= MATCHED
         return is_exact and not self._has_failed and self.is_believed
 
     @property
@@ -163,7 +164,7 @@ class StateGuide:
         return np.asarray((values[1:] == values[0]).all(axis=1))
 
     def unseen(self, u: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-        """Return points where laws may act that no row has shown.
+        """Return points where equations may act that no row has shown.
 
         These are a point with all that is left out at either end of its range, and points where states go
         farthest beyond what any row has shown, by the equations.
@@ -176,7 +177,7 @@ class StateGuide:
         Returns:
             Shape (n, p). [1]
         """
-        assert self._equations is not None, "only a guide with equations is asked"
+        assert self._equations is not None, "equations are learnt before they are solved"
         left_out = self.left_out
         ends = [np.where(left_out, end, u) for end in (0.0, 1.0)] if left_out.any() else []
         looks = rng.random((max(N_LOOKS, n), len(u)))
@@ -192,7 +193,7 @@ class StateGuide:
         columns = np.argsort(-beyond.max(axis=0), kind="stable")
         order = np.argsort(-beyond[:, columns[beyond.max(axis=0)[columns] > 0.0]], axis=0, kind="stable")
         farthest = list(dict.fromkeys([*order.reshape(-1).tolist(), *range(len(looks))]))
-        # An end that was asked already tells nothing new.
+        # An end that was simulated already adds nothing.
         fresh = [end[None] for end in ends if np.abs(self._u - end).max(axis=1).min() > SAME_POINT]
         return np.concatenate([*fresh, looks[farthest]])[:n]
 
@@ -225,26 +226,26 @@ class StateGuide:
         self.n_asked += self.predicted is not None
         self.predicted = None
         if self._equations is not None:
-            # Whoever chose the point: what was given up may have learnt enough since.
+            # Whatever proposed the point: equations that were given up may predict it by now.
             with np.errstate(all="ignore"):
                 error = float(np.mean((self._residuals(answer.u[:1])[0] - answer.residuals[0]) ** 2))
-            is_told = bool(good[0]) and error <= MISSED * answer.mse[0]
-            self._n_missed = 0 if is_told else self._n_missed + 1
+            is_known = bool(good[0]) and error <= MISSED * answer.mse[0]
+            self._n_missed = 0 if is_known else self._n_missed + 1
         rows = self._seen(answer.theta)
         whole = good & np.all([np.isfinite(part).all(axis=(1, 2)) for part in rows[:3]], axis=0)
         if not whole.any():
             return
-        is_missed = was_confirmed and self._untold_of(answer.u[whole], answer.residuals[whole]) > TOLD
+        is_missed = was_confirmed and self._mismatch_of(answer.u[whole], answer.residuals[whole]) > MATCHED
         self._u = np.concatenate([self._u, answer.u[whole]])
         self._rows.append(StateRows(*(part[whole] for part in rows[:3])))
         self._locals.note(None if rows.locals is None else rows.locals[whole])
         self._answered = np.concatenate([self._answered, answer.residuals[whole]])
         self._equations = self._learnt()
         if is_missed and self._equations is not None and not self._equations.is_exact:
-            # Laws that held and hold no more: this row is of another regime, whatever it has in common.
+            # Formulas that held and hold no more: this row belongs to another regime.
             self._equations, self._is_refuted = None, True
             self.why_not = "not all simulations follow the same ones"
-        self._untold = self._untold_of(self._u[-N_TOLD:], self._answered[-N_TOLD:])
+        self._mismatch = self._mismatch_of(self._u[-N_MATCHED:], self._answered[-N_MATCHED:])
 
     def _learnt(self) -> StateEquations | None:
         parts = zip(*(rows[:3] for rows in self._rows), strict=True)
@@ -298,14 +299,14 @@ class StateGuide:
         self._course, self._signals = course, equations.signals
         return equations
 
-    def _untold_of(self, u: FloatArray, answered: FloatArray) -> float:
+    def _mismatch_of(self, u: FloatArray, answered: FloatArray) -> float:
         """Return how exact equations, solved, differ from what was simulated, as a share of errors. [1]."""
         if self._equations is None or not self._equations.is_exact:
             return 0.0
         with np.errstate(all="ignore"):
             error = np.mean((self._residuals(u) - answered) ** 2, axis=1)
         mse = np.mean(answered**2, axis=1)
-        shares = error / (mse + TOLD * np.median(mse))
+        shares = error / (mse + MATCHED * np.median(mse))
         return float(np.max(np.where(np.isfinite(shares), shares, np.inf)))
 
     def propose(
@@ -332,7 +333,7 @@ class StateGuide:
         distance = np.abs(known - u).max(axis=1)
         nearest = int(np.argmin(distance))
         if float(distance[nearest]) < SAME_POINT:
-            # It is known there; what is a little beside teaches more.
+            # That point is known; one a little beside adds more.
             if self.is_sure and np.isfinite(objective[nearest]):
                 value = float(objective[nearest])
             u = np.clip(u + rng.uniform(-0.02, 0.02, p), 0.0, 1.0)
@@ -340,7 +341,7 @@ class StateGuide:
         return u, Expansion(value, value, np.zeros(p), np.zeros((p, p)))
 
     def _residuals(self, u: FloatArray) -> FloatArray:
-        assert self._equations is not None, "only a guide with equations is asked"
+        assert self._equations is not None, "equations are learnt before they are solved"
         with np.errstate(all="ignore"):
             points = Points.of(self._problem.space, u)
             return self._problem.measurement.compared(self._equations.outputs(points))

@@ -1,9 +1,9 @@
-"""Laws of few products: a coefficient as one product of parameters or their reciprocals, or a sum of such.
+"""Formulas of few products: a coefficient as one product of parameters or reciprocals, or a sum of such.
 
 Coefficients of physical models are mostly such: 1 / (R C), (U - V) / C, 1 / (R + S), (A U + B V + W) / C. All
-powers are 1 or -1, so that no more than the amounts are to be found, and two or three simulations more than
-amounts tell which of thousands of products are meant: what is written into a model fits to rounding, all
-others by chance to a few per cent.
+powers are 1 or -1, so that only the amounts are to be found. Two or three simulations more than amounts
+decide between thousands of products: those that are written into a model fit to rounding, all others by
+chance to a few per cent.
 """
 
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ from simulation.arrays import FloatArray, IntArray
 from simulation.parameters import ParameterSpace
 from studies.calibration.state_terms import spread
 
-# Weighted squares, as a share of those around the mean, below which a law is exact. Sums of two are so many
-# that with few rows some would fit the errors of a coefficient that is one product: there, the second counts.
+# Weighted squares, as a share of those around the mean, below which a formula is exact. Sums of two are so
+# many that with few rows some would fit the errors of one product: there, the second counts.
 EXACT, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
-# Rows more than amounts, before chance can be told from a law.
+# Rows more than amounts, before chance can be separated from a formula.
 SPARE_ROWS = 2
 # The same of longer sums, of which there are more: they have to be what is written into a model.
 EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
 # Products of so many parameters are looked at, and in sums, as far as they are few.
 MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
-# So many rows tell which products may be meant.
+# So many rows decide which products may be meant.
 MOST_ROWS = 12
 # All sums of two are looked at; of longer ones those that begin with the best shorter ones, so many. So many
 # are looked at closely. Squared sines below which a product is made up by others.
@@ -81,7 +81,7 @@ def values_of(powers: IntArray, theta: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class ProductLaw:
+class ProductSum:
     """A sum of products, or its reciprocal.
 
     Attributes:
@@ -100,7 +100,7 @@ class ProductLaw:
         return 1.0 / values if self.is_reciprocal else values
 
 
-def product_law(products: Products, theta: FloatArray, values: FloatArray) -> ProductLaw | None:
+def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> ProductSum | None:
     """Explain values exactly by one product, or by the sum of two or three or its reciprocal.
 
     Args:
@@ -109,59 +109,59 @@ def product_law(products: Products, theta: FloatArray, values: FloatArray) -> Pr
         values: The coefficient there. Shape (n,).
 
     Returns:
-        The law, None where none of these is exact.
+        The formula, None where none of these is exact.
     """
     if len(values) < 1 + SPARE_ROWS:
         return None
-    # A part of the rows tells which products may be meant, all of them whether they are.
+    # A part of the rows proposes products, all rows judge them.
     some = spread(len(values), MOST_ROWS)
     table = products.at(theta[some])
-    laws = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
-    if laws[0].left < EXACT:
-        return laws[0].law
+    judged = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
+    if judged[0].left < EXACT:
+        return judged[0].formula
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
     table = table[:, : products.n_paired]
     beginnings = dict[int, IntArray]()
     for n_summed in range(2, min(MOST_SUMMED, products.n_paired) + 1):
         if len(values) < n_summed + (SPARE_ROWS if n_summed == 2 else SPARE_ROWS_OF_LONG):
             break
-        laws = []
+        judged = []
         for kind, goal in enumerate(goals):
             weight = _weight(goal[some])
             scaled, sought = table * weight[:, None], goal[some] * weight
             scaled = scaled / np.maximum(np.sqrt(np.square(scaled).sum(axis=0)), np.finfo(float).tiny)
             explained = _pairs(scaled, sought) if n_summed == 2 else _longer(scaled, sought, beginnings[kind])
             beginnings[kind] = _best_sums(explained, beginnings.get(kind))
-            laws += [
+            judged += [
                 _judged(products.powers[chosen], theta, goal, is_reciprocal=bool(kind))
                 for chosen in beginnings[kind][:N_BEST]
             ]
-        if not laws:
+        if not judged:
             break
         exact = EXACT_OF_FEW if len(values) <= FEW_ROWS else EXACT
-        best = min(laws, key=lambda one: one.left)
+        best = min(judged, key=lambda one: one.left)
         if best.left < (exact if n_summed == 2 else EXACT_OF_LONG):
-            return best.law
+            return best.formula
     return None
 
 
 class _Judged(NamedTuple):
-    """A law and what it leaves of weighted values, see `_left`."""
+    """A formula and what it leaves of weighted values, see `_left`."""
 
-    law: ProductLaw
+    formula: ProductSum
     left: float
 
 
 def _judged(
     powers: IntArray, theta: FloatArray, values: FloatArray, *, is_reciprocal: bool = False
 ) -> _Judged:
-    """Fit amounts of products to values; tell what they leave."""
+    """Fit amounts of products to values, and judge what they leave."""
     weight = _weight(values)
     columns = values_of(powers, theta) * weight[:, None]
     norms = np.sqrt(np.square(columns).sum(axis=0))
     amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
     left = _left(columns @ amounts - values * weight, values * weight, weight)
-    return _Judged(ProductLaw(amounts, powers, is_reciprocal), left)
+    return _Judged(ProductSum(amounts, powers, is_reciprocal), left)
 
 
 def _weight(values: FloatArray) -> FloatArray:

@@ -1,40 +1,41 @@
-"""How far into the trajectories a search looks: where the whole is not understood, its beginning may be.
+"""The truncated window: the first part of the trajectories, which a search fits before the whole.
 
-The phase error of whatever oscillates or switches grows with time. Over many periods the error as a function
-of the parameters is full of valleys, over the first one it has few; and a simulation that was paid for may be
-judged by its beginning for nothing. So a search that is lost looks at a short beginning first, and at twice
-as much whenever it has understood what it sees.
+The phase error of an oscillation or of switching grows with time. Over many periods the error as a function
+of the parameters has many minima, over the first period it has few. Judging a simulated row by its first part
+costs no call. So a search that explains too little fits a short window first, and doubles it whenever the
+window is explained.
 """
 
 import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.measurement import Measurement
+from studies.calibration.switching import switches
 
 # Shares of an output's measured variance that the best row leaves unexplained, by the mean squared error.
-LOST, UNDERSTOOD = 0.25, 0.02
-# Where nothing more is gained in a beginning, less is enough to look further: sensors have noise too.
-CLEAR = 0.1
+UNEXPLAINED, EXPLAINED = 0.25, 0.02
+# Where nothing more is gained in a window, less is enough to double it: sensors have noise too.
+NEARLY_EXPLAINED = 0.1
 SHORTEST = 1.0 / 32.0
 
 
-class Horizon:
-    """The part of the residuals, from the first on, that a search minimizes."""
+class TruncatedWindow:
+    """The residuals that a search minimizes: all of them, or the first ones."""
 
     def __init__(self, measurement: Measurement) -> None:
         """Begin with all of them.
 
         Args:
-            measurement: What the residuals are differences to; says which of them belong to which output.
+            measurement: The target, which also says which residual belongs to which output.
         """
         n_outputs = len(measurement.output_names)
         zero = np.zeros((1, len(measurement.time), n_outputs))
-        signal = -measurement.compared(zero)[0]
+        self._measured = signal = -measurement.compared(zero)[0]
         # A residual belongs to the output that moves it.
         moved = measurement.compared(zero + np.eye(n_outputs)[:, None]) + signal
         self._is_of: BoolArray = moved > 0.5 * moved.max(axis=0)
         self._variance = np.array([signal[of].var() for of in self._is_of])
-        # What varies less than its sensor errs, as a room at its set point, says nothing where another does.
+        # An output that varies less than its sensor errs, as a room at its set point, counts only alone.
         is_flat = self._variance <= (measurement.scales * measurement.uncertainty) ** 2
         if not is_flat.all():
             self._variance[is_flat] = 0.0
@@ -42,15 +43,15 @@ class Horizon:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the search looks at everything."""
+        """Whether all residuals are minimized."""
         return self._part == 1.0
 
     def seen(self, residuals: FloatArray) -> FloatArray:
-        """Return the part of the residuals that the search looks at. Shape (..., n)."""
+        """Return the residuals in the window, of those of rows (..., m). Shape (..., n)."""
         return residuals[..., : int(np.ceil(self._part * residuals.shape[-1]))]
 
     def unexplained(self, residuals: FloatArray) -> float:
-        """Return the mean squared error in the seen part by the variance measured, of the worst output. [1].
+        """Return the mean squared error in the window by the variance measured, of the worst output. [1].
 
         Args:
             residuals: Of one row, all of them. Shape (m,). [first output's unit]
@@ -63,10 +64,19 @@ class Horizon:
         ]
         return max(shares, default=0.0)
 
+    def switches(self, residuals: FloatArray) -> bool:
+        """Tell whether some output's kinks lie at different times in different rows.
+
+        Args:
+            residuals: Of some rows, all of them. Shape (n, m). [first output's unit]
+        """
+        simulated = residuals + self._measured
+        return any(switches(simulated[:, of]) for of in self._is_of)
+
     def shorten(self) -> None:
-        """Look at the shortest beginning."""
+        """Take the shortest window."""
         self._part = SHORTEST
 
-    def lengthen(self) -> None:
-        """Look twice as far."""
+    def double(self) -> None:
+        """Double the window."""
         self._part = min(2.0 * self._part, 1.0)

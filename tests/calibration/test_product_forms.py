@@ -1,4 +1,4 @@
-"""Laws of few products, found from the least rows that can tell them."""
+"""Formulas of few products, found from as few rows as can identify them."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ import pytest
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from studies.calibration.first_design import latin_hypercube
-from studies.calibration.product_laws import MOST_PAIRED, MOST_PRODUCTS, Products, product_law
+from studies.calibration.product_forms import MOST_PAIRED, MOST_PRODUCTS, Products, product_sum
 
 NAMES = ("R", "S", "C", "U", "T", *(f"other{i}" for i in range(9)))
 SPACE = ParameterSpace(
@@ -30,7 +30,7 @@ def column(theta: FloatArray, name: str) -> FloatArray:
     return theta[:, NAMES.index(name)]
 
 
-LAWS: dict[str, Callable[[FloatArray], FloatArray]] = {
+FORMULAS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "quotient": lambda t: -2.0 / (column(t, "R") * column(t, "C")),
     "three": lambda t: 1e-3 * column(t, "R") * column(t, "U") / column(t, "C"),
     "difference": lambda t: (3.0 / column(t, "R") - 0.2 * column(t, "U")) / column(t, "C"),
@@ -47,44 +47,44 @@ LONG: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 
 
-@pytest.mark.parametrize(("name", "n"), [*((name, 4) for name in LAWS), *((name, 6) for name in LONG)])
+@pytest.mark.parametrize(("name", "n"), [*((name, 4) for name in FORMULAS), *((name, 6) for name in LONG)])
 def test_a_law_is_found_from_two_or_three_rows_more_than_amounts_and_holds_everywhere(
     name: str, n: int
 ) -> None:
-    law = (LAWS if n == 4 else LONG)[name]
+    formula = (FORMULAS if n == 4 else LONG)[name]
     fresh = SPACE.from_unit(np.random.default_rng(1).random((50, 14)))
     for seed in range(10):
         theta = rows(seed, n)
-        found = product_law(PRODUCTS, theta, law(theta))
+        found = product_sum(PRODUCTS, theta, formula(theta))
         assert found is not None
-        np.testing.assert_allclose(found.at(fresh), law(fresh), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(found.at(fresh), formula(fresh), rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("n", [4, 5, 7, 8])
 def test_what_is_no_law_is_taken_for_none(n: int) -> None:
     for seed in range(10):
         theta, rng = rows(seed, n), np.random.default_rng(seed)
-        assert product_law(PRODUCTS, theta, rng.lognormal(size=n)) is None
+        assert product_sum(PRODUCTS, theta, rng.lognormal(size=n)) is None
         bent = np.exp(np.sin(3.0 * np.log(column(theta, "R")))) / column(theta, "C")
-        assert product_law(PRODUCTS, theta, bent) is None
-        nearly = LAWS["quotient"](theta) * (1.0 + 1e-3 * rng.standard_normal(n))
-        # Of four rows a sum can take one for a little something: the fifth, which is asked there, tells.
-        assert n == 4 or product_law(PRODUCTS, theta, nearly) is None
+        assert product_sum(PRODUCTS, theta, bent) is None
+        nearly = FORMULAS["quotient"](theta) * (1.0 + 1e-3 * rng.standard_normal(n))
+        # Of four rows a sum can take one for a little something: a fifth row there removes it.
+        assert n == 4 or product_sum(PRODUCTS, theta, nearly) is None
 
 
 def test_what_rows_tell_badly_is_one_product_all_the_same() -> None:
     for seed in range(10):
         theta = rows(seed, 5)
-        rough = LAWS["quotient"](theta) * (1.0 + 1e-5 * np.random.default_rng(seed).standard_normal(5))
-        found = product_law(PRODUCTS, theta, rough)
+        rough = FORMULAS["quotient"](theta) * (1.0 + 1e-5 * np.random.default_rng(seed).standard_normal(5))
+        found = product_sum(PRODUCTS, theta, rough)
         assert found is not None
         assert len(found.amounts) == 1
 
 
 def test_fewer_rows_tell_nothing() -> None:
-    assert product_law(PRODUCTS, rows(0, 2), LAWS["quotient"](rows(0, 2))) is None
-    assert product_law(PRODUCTS, rows(0, 3), LAWS["difference"](rows(0, 3))) is None
-    assert product_law(PRODUCTS, rows(0, 3), LAWS["quotient"](rows(0, 3))) is not None
+    assert product_sum(PRODUCTS, rows(0, 2), FORMULAS["quotient"](rows(0, 2))) is None
+    assert product_sum(PRODUCTS, rows(0, 3), FORMULAS["difference"](rows(0, 3))) is None
+    assert product_sum(PRODUCTS, rows(0, 3), FORMULAS["quotient"](rows(0, 3))) is not None
 
 
 def test_products_stay_few_and_only_what_keeps_its_sign_has_a_reciprocal() -> None:
@@ -101,6 +101,6 @@ def test_products_stay_few_and_only_what_keeps_its_sign_has_a_reciprocal() -> No
 def test_one_parameter_is_enough() -> None:
     space = ParameterSpace((Parameter("R", 1.0, 9.0, scale="log"),))
     theta = space.from_unit(np.linspace(0.1, 0.9, 4)[:, None])
-    found = product_law(Products.of(space), theta, 3.0 + 2.0 / theta[:, 0])
+    found = product_sum(Products.of(space), theta, 3.0 + 2.0 / theta[:, 0])
     assert found is not None
     np.testing.assert_allclose(found.at(np.array([[5.0]])), 3.4)

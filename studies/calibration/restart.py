@@ -1,4 +1,4 @@
-"""Where a search goes on that has come to an end: farther along its valley, or where another one may be."""
+"""Where a search restarts after a search phase has ended: farther along its valley, or in another one."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,16 +11,14 @@ from studies.calibration.residual_process import Expansion
 
 # Farther along is the surrogate's minimum within this distance of a random point.
 AWAY = 0.5
-# Descents on the mean prediction find the valleys that the surrogate imagines; points that are merely spread
-# serve where it imagines none but the known one.
+# Descents on the mean prediction find the valleys that the surrogate expects; points that are merely spread
+# serve where it expects none but the known one.
 LEAST_DESCENTS, DESCENTS_PER_POINT = 20, 4
 N_SPREAD = 100
 # Another valley is worth while if its error may be this part of the best one's.
 WANTED = 0.5
-# It is excluded everywhere where the least excess over that is so many times its variance.
-EXCLUDED = 100.0
 APART = 0.05
-# Relative to the error: a prediction is never surer than this.
+# Relative to the error: a prediction's variance is at least this.
 LEAST_VARIANCE = 1e-9
 
 
@@ -55,7 +53,7 @@ def least_excluded(
     shape: tuple[int, int],
     margin: float,
     rng: np.random.Generator,
-) -> tuple[FloatArray, float]:
+) -> FloatArray:
     """Return points whose predicted excess over a wanted error is the least multiple of its variance.
 
     Args:
@@ -66,7 +64,7 @@ def least_excluded(
         rng: Source of the descents' starts and the spread points.
 
     Returns:
-        The points, the least excluded first, of the shape asked [1], and the first one's multiple [1].
+        The points, the least excluded first. Shape as asked. [1]
     """
     n, p = shape
     mean = partial(expand, caution=0.0)
@@ -81,7 +79,7 @@ def least_excluded(
             chosen.append(i)
     # In a small box fewer may lie apart than are asked for.
     chosen += [i for i in order if i not in chosen]
-    return np.asarray(points[chosen[:n]], dtype=np.float64), float(scores[chosen[0]])
+    return np.asarray(points[chosen[:n]], dtype=np.float64)
 
 
 def _excess_by_variance(expand: Expand, u: FloatArray, wanted: float) -> float:

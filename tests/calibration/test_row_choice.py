@@ -1,4 +1,4 @@
-"""Calibrations that begin with rows somebody else has paid for."""
+"""Calibrations that start from stored rows (warm start)."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +11,8 @@ from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.known_rows import N_BEST, N_FAR, SAME_ROW, best_and_far, n_apart
 from studies.calibration.problem import CalibrationProblem, Evaluation
+from studies.calibration.row_choice import N_BEST, N_FAR, SAME_ROW, best_and_far, n_apart
 
 SHORT = Adaptive(max_calls=60)
 REPOSITORY = Path(__file__).parents[2]

@@ -1,4 +1,4 @@
-"""Which rows that were simulated before tell a calibration most, and whether they fill the box."""
+"""Which stored rows a calibration starts from (warm start), and whether they fill the box."""
 
 import numpy as np
 
@@ -10,14 +10,14 @@ N_BEST, N_FAR = 200, 50
 grows with the third power of their number."""
 
 SAME_ROW = 1e-3
-"""Rows nearer to a better one than this in the unit cube tell nothing new."""
+"""Rows nearer to a better one than this in the unit cube are left out."""
 
 APART = 0.1
 """Rows so far from each other, in one parameter at least, count as a design."""
 
 
 def best_and_far(u: FloatArray, worth: FloatArray) -> IntArray:
-    """Return the rows that tell most, the best first, then those farthest from all before them. Shape (r,).
+    """Return the most informative rows: the best first, then those farthest from all before them. Shape (r,).
 
     Args:
         u: Points. Shape (n, p). [1]

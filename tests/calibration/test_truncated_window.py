@@ -1,4 +1,4 @@
-"""The horizon of an adaptive calibration: what is seen, what counts as explained, and a frequency found."""
+"""The window of an adaptive calibration: what is seen, what counts as explained, and a frequency found."""
 
 from dataclasses import dataclass, field
 
@@ -11,8 +11,8 @@ from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.horizon import SHORTEST, Horizon
 from studies.calibration.problem import CalibrationProblem
+from studies.calibration.truncated_window import SHORTEST, TruncatedWindow
 
 TRUE_WAVE = np.array([3.3, 0.7])
 
@@ -44,24 +44,24 @@ def wave_problem() -> CalibrationProblem:
 
 
 def test_all_is_seen_at_first_and_the_beginning_after_shortening() -> None:
-    horizon = Horizon(wave_problem().measurement)
+    window = TruncatedWindow(wave_problem().measurement)
     residuals = np.arange(800.0).reshape(2, 400)
-    np.testing.assert_array_equal(horizon.seen(residuals), residuals)
-    horizon.shorten()
-    np.testing.assert_array_equal(horizon.seen(residuals), residuals[:, : int(np.ceil(400 * SHORTEST))])
+    np.testing.assert_array_equal(window.seen(residuals), residuals)
+    window.shorten()
+    np.testing.assert_array_equal(window.seen(residuals), residuals[:, : int(np.ceil(400 * SHORTEST))])
     n_seen = []
-    while not horizon.is_whole:
-        horizon.lengthen()
-        n_seen.append(horizon.seen(residuals).shape[1])
+    while not window.is_whole:
+        window.double()
+        n_seen.append(window.seen(residuals).shape[1])
     assert n_seen == [25, 50, 100, 200, 400]
 
 
 def test_a_flat_line_at_the_mean_explains_nothing() -> None:
     problem = wave_problem()
     measured = problem.measurement.y[:, 0]
-    horizon = Horizon(problem.measurement)
-    assert horizon.unexplained(measured.mean() - measured) == pytest.approx(1.0)
-    assert horizon.unexplained(0.1 * (measured.mean() - measured)) == pytest.approx(0.01)
+    window = TruncatedWindow(problem.measurement)
+    assert window.unexplained(measured.mean() - measured) == pytest.approx(1.0)
+    assert window.unexplained(0.1 * (measured.mean() - measured)) == pytest.approx(0.01)
 
 
 def test_the_worst_explained_output_counts() -> None:
@@ -70,8 +70,8 @@ def test_the_worst_explained_output_counts() -> None:
     wrong = y.copy()
     wrong[:, 0] += 2.0 * (y[:, 0].mean() - y[:, 0])
     residuals = problem.measurement.compared(wrong[None])[0]
-    assert Horizon(problem.measurement).unexplained(residuals) == pytest.approx(4.0)
-    assert Horizon(problem.measurement).unexplained(np.zeros_like(residuals)) == 0.0
+    assert TruncatedWindow(problem.measurement).unexplained(residuals) == pytest.approx(4.0)
+    assert TruncatedWindow(problem.measurement).unexplained(np.zeros_like(residuals)) == 0.0
 
 
 def test_an_output_that_varies_less_than_its_sensor_errs_counts_only_alone() -> None:
@@ -83,7 +83,7 @@ def test_an_output_that_varies_less_than_its_sensor_errs_counts_only_alone() -> 
         measurement = Measurement.on_grid(time, y, names, np.full(len(outputs), 0.2))
         wrong = y * np.array([1.0, 1.1])[: len(outputs)]
         wrong[:, 0] = 20.0
-        return Horizon(measurement).unexplained(measurement.compared(wrong[None])[0])
+        return TruncatedWindow(measurement).unexplained(measurement.compared(wrong[None])[0])
 
     assert unexplained(20.0 + noise) > 0.9
     power = 10.0 * np.sin(time)
