@@ -1,4 +1,4 @@
-"""The whole job on the real FMU and the shipped campaign: the real command on small sizes."""
+"""The whole job on the real FMU and the shipped measurement: the real command on small sizes."""
 
 import json
 import os
@@ -92,7 +92,7 @@ def test_the_error_of_the_surrogate_falls_with_the_training_set(first: Done) -> 
 
 def test_the_office_is_calibrated_close_to_the_best_known_error(first: Done) -> None:
     errors = [calibration["mse_polished"] for calibration in first.calibrations]
-    # One size may end in the campaign's second basin, whose best error is 0.0128.
+    # One size may end in the second basin, whose best error is 0.0128.
     assert np.median(errors) <= FACTOR * BEST_MSE
     assert min(errors) >= 0.999 * BEST_MSE
 

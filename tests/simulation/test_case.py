@@ -104,7 +104,7 @@ def test_a_known_error_counts_for_its_window_and_not_in_the_digest(decay_case: P
 
 
 def test_the_digest_does_not_see_the_place(decay_case: Path, tmp_path: Path):
-    moved = shutil.copytree(decay_case, tmp_path / "elsewhere")
+    moved = shutil.copytree(decay_case, tmp_path / "moved")
     assert load_case(moved).digest == load_case(decay_case).digest
 
 
