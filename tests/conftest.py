@@ -34,6 +34,7 @@ LONGEST = (
     "test_killed",
     "test_state_functions",
     "test_browser",
+    "test_notebook",
     "test_doctor",
     "test_reproduce_paper",
     "test_pool",

@@ -5,7 +5,7 @@ from typing import Any
 
 from pymoca import ast
 
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 
 _RELATIONS = ("<", "<=", ">", ">=")
 _NOT_UNDERSTOOD = ("sample", "initial", "terminal", "edge", "change")

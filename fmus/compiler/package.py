@@ -10,8 +10,8 @@ from pathlib import Path
 
 from fmus.compiler.causal import make_explicit
 from fmus.compiler.code import write_code, write_data
-from fmus.compiler.description import write_build_description, write_description
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
+from fmus.compiler.model_description import write_build_description, write_description
 from fmus.compiler.modelica import read_model
 from fmus.compiler.settings import BuildSettings, read_settings
 

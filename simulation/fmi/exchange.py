@@ -11,7 +11,7 @@ from simulation.fmi import exchange_loop as loop
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.exchange_cvode import Cvode, flag_in_words
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.plan import RunPlan
+from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.start import Start
 
 DEFAULT_TOLERANCE: Final = 1e-6

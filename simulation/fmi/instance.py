@@ -13,8 +13,8 @@ import fmpy
 import numpy as np
 
 from simulation.errors import InputError
-from simulation.fmi.declared import binary_member
 from simulation.fmi.description import FmuDescription
+from simulation.fmi.fmpy_description import binary_member
 from simulation.fmi.log import CALLBACKS_2, LOGGER_3, forget_messages, last_message
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.fmi.variable import Interface

@@ -22,7 +22,7 @@ from simulation.pool.factory import Factory, Facts, known_facts, packed
 from simulation.pool.messages import ChunkAnswer
 from simulation.pool.processes import Processes, ProcessLostError
 from simulation.pool.remote import RemoteModel
-from simulation.pool.worker import MAX_CHUNK_BYTES
+from simulation.pool.worker_process import MAX_CHUNK_BYTES
 from simulation.trajectories import Trajectories
 
 _LOG = logging.getLogger(__name__)

@@ -27,7 +27,7 @@ from simulation.pool.factory import Factory, subject
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
 from simulation.pool.messages import ChunkAnswer, Job
 from simulation.pool.warm_code import remember
-from simulation.pool.worker import LOG, End, Opened, SharedRows, refusal, work
+from simulation.pool.worker_process import LOG, End, Opened, SharedRows, refusal, work
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX: Final = "simulation-workers-"

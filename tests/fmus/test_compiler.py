@@ -92,7 +92,7 @@ WRONG_MODELS = {
 
 @pytest.mark.parametrize("name", WRONG_MODELS)
 def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
-    from fmus.compiler.errors import CompileError
+    from fmus.compiler.compile_error import CompileError
 
     source, message = WRONG_MODELS[name]
     with pytest.raises(CompileError, match=message) as caught:
@@ -109,7 +109,7 @@ def test_a_model_that_cannot_be_compiled_is_one_clear_line(build, name):
     ],
 )
 def test_a_wrong_build_file_is_one_clear_line(build, settings, message):
-    from fmus.compiler.errors import CompileError
+    from fmus.compiler.compile_error import CompileError
 
     with pytest.raises(CompileError, match=message) as caught:
         build(COOLING, settings)

@@ -111,7 +111,7 @@ def test_every_parameter_moves_an_output(name):
     with case.open_model() as model:
         y = model.simulate(rows).y
     moved = np.abs(y[1:] - y[0]).max(axis=1)
-    # A tenth of what the sensor can tell.
+    # A tenth of what the sensor can resolve.
     assert (moved > 0.1 * case.measurement.uncertainty).any(axis=1).all()
 
 

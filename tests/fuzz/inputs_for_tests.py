@@ -291,7 +291,7 @@ def tried(root: Path, given: Input, outcomes: Outcomes) -> None:
         "" if code in (0, 1, 2) else f"exit code {code}",
         "a traceback" if "Traceback" in err else "",
         "not one line" if code and len(lines) != 1 else "",
-        "no error is told" if code and not err.startswith("studies: error: ") else "",
+        "no error line" if code and not err.startswith("studies: error: ") else "",
         "a long line" if any(len(line) > LONGEST_LINE for line in lines) else "",
         "a sign that a terminal obeys" if any(has_control(line) for line in lines) else "",
         "a file outside or beside" if listing(root) != before else "",
@@ -317,10 +317,10 @@ def _tried_url(given: Input, outcomes: Outcomes) -> None:
     _note(given, outcome, wrong, shown[-1], outcomes)
 
 
-def _note(given: Input, outcome: str, wrong: list[str], told: str, outcomes: Outcomes) -> None:
+def _note(given: Input, outcome: str, wrong: list[str], said: str, outcomes: Outcomes) -> None:
     outcomes.counts[f"{given.kind}{', right' if given.is_valid else ''}", outcome] += 1
     if wrong:
-        outcomes.violations.append(f"{given.kind}: {', '.join(wrong)}: {told[-1500:]}")
+        outcomes.violations.append(f"{given.kind}: {', '.join(wrong)}: {said[-1500:]}")
         if keep := os.environ.get("FUZZ_KEEP"):
             Path(keep).mkdir(exist_ok=True)
             (Path(keep) / f"{len(outcomes.violations):03d}-{given.kind}").write_bytes(given.content)

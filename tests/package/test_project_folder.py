@@ -72,7 +72,7 @@ def test_recorded_names_hold_wherever_the_project_moves(
     monkeypatch.chdir(folder)
     assert paths.recorded(paths.mlruns / "x.json") == "mlruns/x.json"
     assert paths.recorded(WALL) == "fmus/wall/Wall.fmu"
-    assert paths.recorded(Path("/elsewhere/x.json")) == "/elsewhere/x.json"
+    assert paths.recorded(Path("/outside/x.json")) == "/outside/x.json"
     assert paths.recorded(REPOSITORY / "pyproject.toml") == str(REPOSITORY / "pyproject.toml")
 
 

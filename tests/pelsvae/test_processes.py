@@ -110,7 +110,7 @@ def test_mean_and_variance_are_those_of_the_textbook(
     np.testing.assert_allclose(surrogate.deviation(fresh), expected, rtol=1e-3)
 
 
-def test_bands_cover_what_they_claim_on_fresh_rows() -> None:
+def test_bands_cover_their_share_of_fresh_rows() -> None:
     theta, y = rc_step(400, seed=6, n_outputs=2)
     surrogate = fitted(n=30, n_validation=160).surrogate
     inside = np.abs(surrogate.predict(theta) - y) <= 1.6449 * surrogate.deviation(theta)

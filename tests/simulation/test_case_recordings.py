@@ -132,7 +132,7 @@ def test_the_model_s_time_zero_can_be_declared(decay_case: Path):
     assert case.measurement.n_samples == 25
 
 
-def test_what_a_clock_change_makes_of_a_clock_is_told(decay_case: Path):
+def test_what_a_clock_change_makes_of_a_clock_is_reported(decay_case: Path):
     # Clocks in Berlin went forward on 25 March 2018 at 02:00.
     begin = datetime(2018, 3, 24, 18)
     never_shifted = [(begin + timedelta(minutes=30 * i)).isoformat() for i in range(49)]

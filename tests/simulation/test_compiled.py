@@ -10,10 +10,9 @@ from simulation.fmi.call import SOURCES
 
 ROOM = Path(__file__).parents[2] / "simulation"
 COMPILE = """
-from simulation.fmi.loop import step_through
-words = "int64[:], int64, int64[:,:], uint32[:], float64[:], int64, int64, int64, float64[:], float64[:,:]"
-step_through.compile(f"UniTuple(int64, 3)({words})")
-print(sum(step_through.stats.cache_hits.values()))
+from simulation.fmi.loop import set_inputs
+set_inputs.compile("UniTuple(int64, 2)(int64, int64[:,:], int64)")
+print(sum(set_inputs.stats.cache_hits.values()))
 """
 
 

@@ -104,7 +104,7 @@ def test_a_bad_row_is_nan_with_a_reason_and_harms_no_other(model: ForwardModel, 
     assert answer.take(others).digest == expected.take(others).digest
 
 
-def test_failed_rows_and_reasons_are_the_same_thing(model: ForwardModel):
+def test_a_row_has_a_reason_if_and_only_if_it_failed(model: ForwardModel):
     answer = model.simulate(_rows(model))
     assert [reason != "" for reason in answer.failures] == np.isnan(answer.y).all(axis=(1, 2)).tolist()
     assert np.isfinite(answer.y[~answer.failed]).all()

@@ -204,7 +204,7 @@ def test_a_slow_row_is_reported_once(monkeypatch: pytest.MonkeyPatch):
     assert warning.endswith("simulation.timeout_s is 1.5")
 
 
-def test_without_a_time_out_the_slowest_row_so_far_tells_how_long_to_wait():
+def test_without_a_time_out_the_slowest_row_so_far_sets_the_limit():
     rows = _rows(20, 1)
     rows[0, 0] = 1.0  # nothing is stopped before a row has finished
     policy = ExecutionPolicy(least_limit_s=0.3)

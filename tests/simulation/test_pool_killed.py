@@ -124,7 +124,7 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path, mon
 
 
 def _is_of_a_moment(path: Path) -> bool:
-    """Tell whether only a process killed within some microseconds of its start leaves this.
+    """Return whether only a process killed within some microseconds of its start leaves this.
 
     Python's own trial of a temporary folder, which no later process removes; or a folder that is not locked
     yet, which is swept an hour later.

@@ -44,7 +44,7 @@ def test_a_batch_beyond_the_budget_is_refused_whole_and_not_counted():
         model.simulate(ROWS[:1])
 
 
-def test_where_there_are_no_locks_nobody_waits_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_file_system_without_locks_is_an_error_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
@@ -95,7 +95,7 @@ def test_what_a_killed_process_had_written_goes_when_the_file_is_written_and_wha
 ):
     path = tmp_path / "[a] table.json"
     other = tmp_path / ".another.json.0123abcd.tmp"
-    other.write_bytes(b"of somebody else")
+    other.write_bytes(b"of another program")
     command = [sys.executable, "-c", WRITING, str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as writer:
         assert writer.stdout is not None

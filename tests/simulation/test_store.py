@@ -6,8 +6,8 @@ import re
 import resource
 import shutil
 import tempfile
-from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import pytest
 from toy_rc import ToyRC
 
 from simulation import CountingModel, InputError, Trajectories, uniform_design
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import FloatArray
 from simulation.errors import MachineError
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
@@ -270,31 +270,3 @@ def test_failed_rows_are_asked_again_once_and_on_request(store: SimulationStore)
     for _ in range(2):
         assert again.simulate(design(10)).digest == ToyRC().simulate(design(10)).digest
     assert (toy.n_calls, again.failures) == (30, [])
-
-
-@dataclass(frozen=True, eq=False)
-class Finishing(ToyRC):
-    """The toy, which hands over seven rows at a time in any order, and may stop."""
-
-    most: int = 10_000
-
-    def as_finished(self, theta: FloatArray) -> Generator[tuple[IntArray, Trajectories]]:
-        order = np.random.default_rng(0).permutation(len(theta))
-        for start in range(0, len(theta), 7):
-            if start >= self.most:
-                raise KeyboardInterrupt
-            yield order[start : start + 7], self.simulate(theta[order[start : start + 7]])
-
-
-@pytest.mark.parametrize("model", [ToyRC(), Finishing()])
-def test_each_chunk_is_stored_at_once_and_progress_begins_with_what_is_known(
-    store: SimulationStore, model: ToyRC
-) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        StoredModel(Finishing(most=70), store).complete(design(200))
-    seen: list[tuple[int, int]] = []
-    stored = StoredModel(model, store)
-    stored.complete(design(200), on_progress=lambda n: seen.append((n, len(store.theta))))
-    assert store.read(design(200)).digest == ToyRC().simulate(design(200)).digest
-    assert (seen[0], seen[-1], stored.n_simulated) == ((70, 70), (200, 200), 130)
-    assert all(said == known for said, known in seen)

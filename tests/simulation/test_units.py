@@ -123,5 +123,5 @@ def test_a_display_unit_that_is_not_what_its_name_says_is_not_believed(
             InputError, match=rf'here: the FMU defines "{name}", a display unit .*in "{unit}"'
         ):
             conversion(name, unit, "here", definitions=definitions)
-    # Nobody knows what a unit of the FMU's own means.
+    # What a unit of the FMU's own means, is not known.
     assert conversion("own", unit, "here", definitions={unit: UnitDefinition(displayed={"own": shown})})

@@ -6,11 +6,11 @@ from xml.etree import ElementTree
 
 import casadi as ca
 
+from fmus.compiler.base_units import derivative_unit, parse_unit
 from fmus.compiler.causal import Ode, column
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 from fmus.compiler.modelica import Variable
 from fmus.compiler.settings import BuildSettings
-from fmus.compiler.units import derivative_unit, parse_unit
 
 _INITIAL = {"initial": "calculated"}
 
