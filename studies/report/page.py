@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 
@@ -67,18 +68,25 @@ def page(data: ReportData, lead: str, numbers: Sequence[KeyNumber], sections: Se
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
-    from vl_convert import javascript_bundle
 
     environment = Environment(
         loader=PackageLoader("studies.report", ""), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    # Its stub demands an argument that it does not need.
-    library: str = javascript_bundle()  # type: ignore[call-arg]
-    program = library + files("studies.report").joinpath("charts.js").read_text(encoding="utf-8")
+    program = _library() + files("studies.report").joinpath("charts.js").read_text(encoding="utf-8")
     digest = base64.b64encode(sha256(program.encode()).digest()).decode("ascii")
     shown = [section for section in sections if not section.is_empty]
     template = environment.get_template("page.html")
     return template.render(
         head=data, lead=lead, numbers=numbers, sections=shown, program=Markup(program), digest=digest
     )
+
+
+@cache
+def _library() -> str:
+    """Return the programs that draw, about 0.9 MB; putting them together takes two seconds."""
+    from vl_convert import javascript_bundle
+
+    # The stub demands an argument that the function does not need.
+    library: str = javascript_bundle()  # type: ignore[call-arg]
+    return library
