@@ -24,6 +24,8 @@ from studies.sensitivity import SobolIndices
 
 N_SHOWN = 6
 """Parameters whose indices over time are shown, the largest; the table has all."""
+MOST_STEPS = 300
+"""Time steps that are shown: indices are smooth, and the page stays small with several outputs."""
 
 
 def coverage_figure(measurement: MeasuredSeries, coverage: CoverageSet) -> Figure:
@@ -60,7 +62,8 @@ def sensitivity_figure(sensitivity: SobolIndices) -> Figure:
     """
     s = sensitivity
     axis, unit = time_axis(s.time)
-    time, panels = unit.of_seconds(s.time), []
+    shown = slice(None, None, -(-len(s.time) // MOST_STEPS))
+    time, panels = unit.of_seconds(s.time[shown]), []
     for k, output in enumerate(s.output_names):
         for kind, all_values, all_halves in (
             ("First order", s.first_order, s.first_order_ci),
@@ -68,7 +71,7 @@ def sensitivity_figure(sensitivity: SobolIndices) -> Figure:
         ):
             series = []
             for rank, i in enumerate(s.order(k)[:N_SHOWN]):
-                value, half = all_values[:, k, i], all_halves[:, k, i]
+                value, half = all_values[shown, k, i], all_halves[shown, k, i]
                 series.append(
                     Series(
                         shortened(s.names[i]), SERIES[rank], time, value, low=value - half, high=value + half
