@@ -24,8 +24,6 @@ from studies.sensitivity import SobolIndices
 
 N_SHOWN = 6
 """Parameters whose indices over time are shown, the largest; the table has all."""
-MOST_STEPS = 300
-"""Time steps that are shown: indices are smooth, and the page stays small with several outputs."""
 
 
 def coverage_figure(measurement: MeasuredSeries, coverage: CoverageSet) -> Figure:
@@ -62,8 +60,7 @@ def sensitivity_figure(sensitivity: SobolIndices) -> Figure:
     """
     s = sensitivity
     axis, unit = time_axis(s.time)
-    shown = slice(None, None, -(-len(s.time) // MOST_STEPS))
-    time, panels = unit.of_seconds(s.time[shown]), []
+    time, panels = unit.of_seconds(s.time), []
     for k, output in enumerate(s.output_names):
         for kind, all_values, all_halves in (
             ("First order", s.first_order, s.first_order_ci),
@@ -71,7 +68,7 @@ def sensitivity_figure(sensitivity: SobolIndices) -> Figure:
         ):
             series = []
             for rank, i in enumerate(s.order(k)[:N_SHOWN]):
-                value, half = all_values[shown, k, i], all_halves[shown, k, i]
+                value, half = all_values[:, k, i], all_halves[:, k, i]
                 series.append(
                     Series(
                         shortened(s.names[i]), SERIES[rank], time, value, low=value - half, high=value + half

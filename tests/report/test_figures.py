@@ -237,7 +237,7 @@ def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
     )
     strange = replace(sensitivity(), names=names, output_names=("$T_{.[]",))
     figure = sensitivity_figure(strange)
-    assert len(values(figure, "datum['y']")) == 2 * 240
+    assert len(values(figure, "datum['y']")) == 2 * 480
     assert ink(figure, tmp_path / "s.png") > 0.02
     assert write_png(figure, tmp_path / "s.png", footnote="$\\bad{ 温 " * 60).stat().st_size > 10_000
 
