@@ -36,7 +36,7 @@ def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
     """Examine the case of a study.
 
     Args:
-        study: the case, the profile whose cost is said, and how many processes simulate at once.
+        study: the case, and how many processes simulate at once.
         is_thorough: whether nothing is left out, however long it takes.
     """
     case = study.case
@@ -49,8 +49,7 @@ def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
         for step, found in enumerate(simulated, start=1):
             findings += found
             advance(min(step, N_STEPS), N_STEPS)
-    planned = cost.planned_simulations(case, study.profile)
-    return Diagnosis(tuple(findings), examination.budget.simulation_s, planned)
+    return Diagnosis(tuple(findings), examination.budget.simulation_s)
 
 
 class _Examination:
@@ -163,8 +162,7 @@ class _Examination:
 
     def _costs(self) -> Iterator[Finding]:
         study, budget = self._study, self.budget
-        yield from cost.look_at_timeout(study.case, budget.simulation_s)
-        yield cost.look_at_cost(study.case, study.profile, budget.simulation_s, budget.n_workers)
+        yield from cost.look_at_cost(study.case, budget.simulation_s, study.command)
         values = {"each": cost.duration(budget.simulation_s), "command": study.command}
         yield from named("left-out", budget.left_out, "; ", **values)
 

@@ -38,12 +38,10 @@ class Diagnosis:
     Args:
         findings: one per examination.
         simulation_s: time of one simulation. [s]
-        planned_simulations: simulations the profile asks for, by purpose.
     """
 
     findings: tuple[Finding, ...]
     simulation_s: float
-    planned_simulations: dict[str, int]
 
     @property
     def is_sound(self) -> bool:

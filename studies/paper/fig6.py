@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.errors import InputError
 from studies.paper.items import Shown
 from studies.paper.plan import Plan
 from studies.paper.published import FIG_6_MAE, FIG_6_RANGE
-from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
+from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.row_set import RowSet
@@ -147,10 +146,7 @@ def read_trials(folder: Path) -> tuple[Origin, tuple[SizeTrials, ...]]:
     Raises:
         InputError: there is none, one cannot be read, or they belong to different studies.
     """
-    files = size_files(folder)
-    if not files:
-        raise InputError(f"{folder} holds no trials of Fig. 6; name a folder with files such as n0032.json")
-    return read_sizes(files, SizeTrials)
+    return read_sizes(folder, SizeTrials, "trials of Fig. 6")
 
 
 def tune_sizes(study: Study, trials_of: Callable[[int], int]) -> Outcome:

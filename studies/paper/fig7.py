@@ -9,12 +9,11 @@ import numpy as np
 from pelsvae.metrics import errors
 from simulation.arrays import FloatArray
 from simulation.design import spread_design
-from simulation.errors import InputError
 from studies.paper.items import Shown
 from studies.paper.models import Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import N_IMPORTANT
-from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
+from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
@@ -91,10 +90,7 @@ def run(plan: Plan) -> Shown:
 
 def drawn_from(folder: Path) -> tuple[Origin, Shown]:
     """Return the same from the files of an earlier run, without simulations and trainings."""
-    files = size_files(folder)
-    if not files:
-        raise InputError(f"{folder} holds no errors of Fig. 7; name a folder with files such as n0032.json")
-    origin, sizes = read_sizes(files, SpreadSize)
+    origin, sizes = read_sizes(folder, SpreadSize, "errors of Fig. 7")
     return origin, shown(origin, sizes)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import KnownError
-from simulation.errors import InputError
 from studies.calibration.polish import LeastSquaresTRF, PolishResult
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import History
@@ -16,7 +15,7 @@ from studies.paper.items import Shown
 from studies.paper.models import Chosen, Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
 from studies.paper.published import TABLE_4, USUAL_MSE
-from studies.paper.unit_files import Origin, origin_of, read_sizes, size_files, write_size
+from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import (
     DIAMOND,
@@ -137,10 +136,7 @@ def run(plan: Plan) -> Shown:
 
 def drawn_from(folder: Path) -> tuple[Origin, Shown]:
     """Return the same from the files of an earlier run, without simulations and trainings."""
-    files = size_files(folder)
-    if not files:
-        raise InputError(f"{folder} holds no calibrations of Table 4; name one with files such as n0032.json")
-    origin, sizes = read_sizes(files, SizeCalibrations)
+    origin, sizes = read_sizes(folder, SizeCalibrations, "calibrations of Table 4")
     return origin, shown(origin, sizes)
 
 

@@ -1,6 +1,5 @@
 """One JSON file per finished unit (a training-set size, a row of Table 3), from which an item is drawn."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -90,16 +89,20 @@ def size_files(folder: Path) -> list[Path]:
     return sorted(folder.glob("n[0-9]*.json"))
 
 
-def read_sizes(files: Sequence[Path], kind: type[Unit]) -> tuple[Origin, tuple[Unit, ...]]:
-    """Read what was found of all sizes, in their order.
+def read_sizes(folder: Path, kind: type[Unit], what: str) -> tuple[Origin, tuple[Unit, ...]]:
+    """Read what was found of all sizes of a folder, the smallest size first.
 
     Args:
-        files: at least one.
+        folder: with files of at least one size.
         kind: the dataclass that one file holds.
+        what: what they are, for an error.
 
     Raises:
-        InputError: a file cannot be read, or they belong to different studies.
+        InputError: there is no file, one cannot be read, or they belong to different studies.
     """
+    files = size_files(folder)
+    if not files:
+        raise InputError(f"{folder} holds no {what}; name a folder with files such as n0032.json")
     found = [_read(file, kind) for file in files]
     first = found[0][0]
     for file, (origin, _) in zip(files, found, strict=True):

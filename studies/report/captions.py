@@ -42,7 +42,7 @@ def calibration_caption(measurement: MeasuredSeries, calibration: CalibrationRec
     if np.isfinite(calibration.y_polished).all():
         found = judge(measurement.measurement, measurement.units, calibration.y_polished)
         parts.append(guideline_sentence(found))
-    return " ".join(parts)
+    return " ".join(filter(None, parts))
 
 
 def coverage_caption(measurement: MeasuredSeries, coverage: CoverageSet) -> str:

@@ -3,12 +3,18 @@
   const MARGIN = 76;  // of a panel, for the labels of its vertical axis [px]
   const NARROW = 600;  // [px]
 
+  async function unpacked(text) {
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return JSON.parse(await new Response(stream).text());
+  }
+
   async function draw(figure, margin = MARGIN) {
     const place = figure.querySelector(".chart");
     const room = place.clientWidth;
     if (!room || (room === figure.drawnFor && margin === MARGIN)) return;
     figure.drawnFor = room;
-    const spec = JSON.parse(figure.querySelector(".specification").textContent);
+    const spec = await unpacked(figure.querySelector(".specification").textContent);
     if (room < NARROW) {
       spec.columns = 1;
       Object.assign(spec.config.legend, { columns: 1, labelLimit: room - 120 });

@@ -76,11 +76,12 @@ _CONFIG: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: its label, and its scale in Vega-Lite's words; one of names keeps their order."""
+    """An axis: its label, its scale in Vega-Lite's words, its ticks; one of names keeps their order."""
 
     label: str
     scale: Mapping[str, Any] = field(default_factory=dict)
     is_of_names: bool = False
+    ticks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,16 +298,18 @@ def _values(panel: Panel, selection: str) -> dict[str, Any]:
 
 def _position(name: str, axis: Axis) -> dict[str, Any]:
     if axis.is_of_names:
-        shown = {"labelAngle": -40} if name == "x" else {}
+        angle = {"labelAngle": -40} if name == "x" else {}
         return {
             "field": name, "type": "nominal", "title": axis.label or None, "sort": None,
-            "axis": {**shown, "grid": False},
+            "axis": {**angle, "grid": False},
         }  # fmt: skip
-    is_log = axis.scale.get("type") == "log"
+    shown: dict[str, Any] = {"format": ",~g"} if axis.scale.get("type") == "log" else {}
+    if axis.ticks:
+        shown["values"] = axis.ticks
     return {
         "field": name, "type": "quantitative", "title": axis.label or None,
         "scale": axis.scale if axis.scale else {"zero": False},
-        "axis": {"labelOverlap": True, "tickCount": 6, **({"format": ",~g"} if is_log else {})},
+        "axis": {"labelOverlap": True, "tickCount": 6, **shown},
     }  # fmt: skip
 
 

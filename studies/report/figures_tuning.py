@@ -40,7 +40,7 @@ def mae_over_n_figure(
         beside: At most two other surrogates, drawn as lines.
         published: MAE that the paper names, by training-set size: one value, or least and largest. [unit]
     """
-    panels = []
+    x, panels = Axis("training simulations", LOG2, ticks=tuple(np.unique(trials.n_train).tolist())), []
     for name, values, is_mae in (
         ("Mean absolute error", trials.test_mae, True),
         ("90th percentile over parameter sets", trials.test_p90, False),
@@ -55,9 +55,7 @@ def mae_over_n_figure(
             diamonds = {"shape": "diamond", "size": 60, "filled": False, "strokeWidth": 1.5}
             series.append(Series("the paper", INK, sizes, found, "point", diamonds))
         label = axis_label("error on the test set" if is_mae else "", unit)
-        panels.append(
-            Panel(name, Axis("training simulations", LOG2), Axis(label, LOG), series, 280, has_legend=is_mae)
-        )
+        panels.append(Panel(name, x, Axis(label, LOG), series, 280, has_legend=is_mae))
     title = "Error of every trial over the number of training simulations"
     return Figure(title, tuple(panels), columns=2, shows_names=True)
 

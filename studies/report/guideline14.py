@@ -58,15 +58,13 @@ class Judged:
         output: Name of the output.
         cv_rmse: CV(RMSE), None where a share of the mean says nothing. [1]
         nmbe: NMBE, None likewise. [1]
-        limits: The limits, None where the guideline has none.
-        reason: Why there is no verdict, "" where there is one.
+        limits: The limits, None where the guideline has none or where hourly means could keep them.
     """
 
     output: str
     cv_rmse: float | None
     nmbe: float | None
     limits: Limits | None
-    reason: str = ""
 
     @property
     def is_met(self) -> bool | None:
@@ -77,9 +75,9 @@ class Judged:
 
     @property
     def sentence(self) -> str:
-        """The verdict, or why there is none."""
+        """The verdict; "" without one."""
         if self.limits is None or self.cv_rmse is None or self.nmbe is None:
-            return f"{self.output}: no limits, {self.reason}"
+            return ""
         limits, verdict = self.limits, "met" if self.is_met else "not met"
         return (
             f"{self.output}: {limits.interval} limits {verdict}, CV(RMSE) {_tenths(self.cv_rmse)} (at most "
@@ -109,8 +107,9 @@ def judge(measurement: Measurement, units: Iterable[str], y: Floats) -> tuple[Ju
 
 
 def guideline_sentence(found: Iterable[Judged]) -> str:
-    """Say how a trajectory stands beside the guideline's limits."""
-    return f"ASHRAE guideline 14: {'; '.join(one.sentence for one in found)}."
+    """Say how a trajectory stands beside the guideline's limits, "" where it has none for any output."""
+    said = "; ".join(one.sentence for one in found if one.sentence)
+    return f"ASHRAE guideline 14: {said}." if said else ""
 
 
 def relative(
@@ -146,30 +145,16 @@ def judged(
         nmbe: NMBE, None likewise. [1]
     """
     name, time = measurement.output_names[output], measurement.samples[output].time
-    if _is_temperature(unit):
-        reason = "the zero of a temperature is a convention, so a share of its mean says nothing"
-        return Judged(name, None, None, None, reason)
-    if len(time) == 1:
-        return Judged(name, None, None, None, "a single value says nothing")
-    if cv_rmse is None or nmbe is None:
-        return Judged(name, None, None, None, "the mean measured value is zero, of which nothing is a share")
+    if cv_rmse is None or nmbe is None or not _is_energy_or_power(unit):
+        return Judged(name, cv_rmse, nmbe, None)
     step_s = float(np.median(np.diff(time)))
-    if not _is_energy_or_power(unit):
-        reason = f"they are for energy and power, and its unit is {unit or '1'}"
-        return Judged(name, cv_rmse, nmbe, None, reason)
     if step_s <= HOUR_S * ON_TIME:
         found = Judged(name, cv_rmse, nmbe, HOURLY)
-        if found.is_met or abs(nmbe) > HOURLY.nmbe or step_s > HOUR_S / ON_TIME:
-            return found
-        reason = (
-            f"a value is measured every {step_s / 60.0:.3g} min with CV(RMSE) {_tenths(cv_rmse)}, and hourly "
-            "means may keep the hourly ones"
-        )
-        return Judged(name, cv_rmse, nmbe, None, reason)
-    if 28.0 * DAY_S / ON_TIME <= step_s <= 31.0 * DAY_S * ON_TIME:
-        return Judged(name, cv_rmse, nmbe, MONTHLY)
-    reason = f"they are for hourly and monthly values, and a value is measured every {step_s / HOUR_S:.3g} h"
-    return Judged(name, cv_rmse, nmbe, None, reason)
+        # Means over an hour have the same NMBE and at most the CV(RMSE) of closer values.
+        is_sure = found.is_met or abs(nmbe) > HOURLY.nmbe or step_s > HOUR_S / ON_TIME
+        return found if is_sure else Judged(name, cv_rmse, nmbe, None)
+    is_monthly = 28.0 * DAY_S / ON_TIME <= step_s <= 31.0 * DAY_S * ON_TIME
+    return Judged(name, cv_rmse, nmbe, MONTHLY if is_monthly else None)
 
 
 def _is_temperature(unit: str) -> bool:

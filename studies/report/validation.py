@@ -112,5 +112,7 @@ class ValidationRecord:
 def validation_caption(record: ValidationRecord) -> str:
     """Say how the parameter sets do on the validation period, and that no count includes its simulations."""
     simulated = count(len(record.points), "simulation")
-    verdict = f" {guideline_sentence(record.judged(record.final))}" if record.final.outputs else ""
-    return f"{record.sentence}.{verdict} The validation took {simulated}, which no count of calls includes."
+    cost = f"The validation took {simulated}, which no count of calls includes."
+    return " ".join(
+        filter(None, [f"{record.sentence}.", guideline_sentence(record.judged(record.final)), cost])
+    )

@@ -1,4 +1,4 @@
-"""The doctor as a stage: examined once per case and profile, unless asked for."""
+"""The examination of a case as a stage: done once per case, unless asked for."""
 
 from studies.doctor import Diagnosis, Finding, examine
 from studies.report.wording import count
@@ -12,7 +12,6 @@ def check_stage(study: Study, *, again: bool = False, is_thorough: bool = False)
         "case": study.case.digest,
         "measurement": study.case.measurement.digest,
         **declared_inputs(study.case),
-        "profile": study.profile.to_dict(),
     }
 
     stage = Stage(study, "check", f"examining {study.label}", inputs)
@@ -43,5 +42,4 @@ def _diagnosis(summary: Summary) -> Diagnosis:
     return Diagnosis(
         tuple(Finding(**found) for found in summary["findings"]),
         float(summary["simulation_s"]),
-        dict(summary["planned_simulations"]),
     )

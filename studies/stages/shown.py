@@ -165,12 +165,9 @@ def _show_values(study: Study, stored: StoredResult, how: str) -> None:
     periods, days = judged_periods(study, stored), {"calibrated": study.case.window_d}
     if study.case.validation is not None:
         days["validation"] = study.case.validation.window_d
-    if all(one.limits is None for one in periods["calibrated"]):
-        console.result(guideline_sentence(periods["calibrated"]))
-    else:
-        for name, one in periods.items():
-            if one:
-                console.result(f"On {period_text(days[name])} ({name}): {guideline_sentence(one)}")
+    for name, one in periods.items():
+        if said := guideline_sentence(one):
+            console.result(f"On {period_text(days[name])} ({name}): {said}")
     if study.case.note:
         console.result(f"Note: {study.case.note}")
     which = "" if stored.is_adaptive else f" --n-train {found['n_train']}"

@@ -46,10 +46,9 @@ def test_a_prior_costs_no_simulation_again_and_is_told(project: Path, studies: R
     moved = np.log(after["theta"]["UWin"] / 0.75) / np.log(1.05)
     assert one["moved_deviations"] == pytest.approx(moved, rel=1e-6)
     assert after["prior"]["penalty"] == pytest.approx(after["prior"]["weight"] * moved**2, rel=1e-6)
-    told = studies(*ADAPTIVE, "--max-calls", "15").out
-    assert "parameters held by a prior" in told
-    assert "0.75 ×/÷ 1.05" in told
-    assert "no limits, the zero of a temperature is a convention" in told
+    said = studies(*ADAPTIVE, "--max-calls", "15").out
+    assert "parameters held by a prior" in said
+    assert "0.75 ×/÷ 1.05" in said
     (priors,) = [
         one for one in look_at_declaration(load_case(project / "fmus" / "office")) if one.what == "priors"
     ]

@@ -104,7 +104,7 @@ def test_a_spread_of_one_is_the_test_set_and_one_of_zero_a_single_point(project:
 
 @pytest.mark.usefixtures("made")
 def test_the_ledger_of_table_4_adds_up_and_the_best_of_fig_6_is_trained_again(project: Path) -> None:
-    _, (size,) = read_sizes(size_files(project / RESULTS / "table4"), SizeCalibrations)
+    _, (size,) = read_sizes(project / RESULTS / "table4", SizeCalibrations, "calibrations")
     assert size.n_train == 16
     assert [one.seed for one in size.calibrations] == [0, 1]
     for one in size.calibrations:

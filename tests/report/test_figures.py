@@ -225,7 +225,16 @@ def test_trials_that_all_failed_or_one_size_alone_are_drawn(tmp_path: Path) -> N
 
 
 def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
-    names = ("$\\frac{", "a_b^c", "温度", "datum['y']", "x" * 60, "%s {0}", "<b>", *parameter_box().names[7:])
+    names = (
+        "$\\frac{",
+        "a_b^c",
+        "温度",
+        "datum['y']",
+        "x" * 60,
+        '"]); throw 1 //',
+        "<b>",
+        *parameter_box().names[7:],
+    )
     strange = replace(sensitivity(), names=names, output_names=("$T_{.[]",))
     figure = sensitivity_figure(strange)
     assert len(values(figure, "datum['y']")) == 2 * 480
