@@ -1,21 +1,28 @@
-"""MkDocs hook: linked files of the repository outside `docs/`, and notebooks, become part of the site.
+"""MkDocs hook: linked files of the repository outside `docs/`, notebooks and equations join the site.
 
 README, DECISIONS, the benchmarks and their pictures stay where they are. Each gets the address
 `repository/<its path>`, and each link to it leads there. A notebook is a page with its stored outputs.
+matplotlib draws the equations, so that a page asks no server for fonts or programs.
 """
 
+import io
 import json
 import os.path
 import re
+from html import escape
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import math_to_image
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 _LINK = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)\s#]+)(#[^)\s]*)?\)")
+_EQUATION = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _UNSEARCHED = ("CHANGELOG.md", "DECISIONS.md", "notes/")
 """Histories: they name everything, so that a search would find them before the page that answers."""
 
@@ -53,7 +60,19 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
             return f"[{words}]({os.path.relpath(_address(file), here or '.')}{heading})"
         return words if (source.parent / target).is_dir() else link[0]  # a folder without a page
 
-    return _LINK.sub(moved, markdown)
+    return _EQUATION.sub(_drawn, _LINK.sub(moved, markdown))
+
+
+def _drawn(equation: re.Match[str]) -> str:
+    """Return an equation as an image in the colour of the text around it."""
+    svg, source = io.StringIO(), " ".join(equation[1].split())
+    with matplotlib.rc_context({"mathtext.fontset": "stix", "svg.hashsalt": "equation"}):
+        math_to_image(f"${source}$", svg, prop=FontProperties(size=14), format="svg", color="#123456")
+    image = svg.getvalue()[svg.getvalue().index("<svg") :].replace("#123456", "currentColor")
+    image = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", image, flags=re.DOTALL)
+    image = "".join(line.strip() + " " for line in image.splitlines())
+    label = f'role="img" aria-label="{escape(source)}" style="max-width: 100%; font-size: 1em"'
+    return f"<p>{image.replace('<svg', f'<svg {label}', 1)}</p>"
 
 
 def _file(page: Path, target: str) -> Path | None:
@@ -84,7 +103,8 @@ def _markdown(notebook: Path) -> str:
                 image = "".join(shown["image/png"]).strip()
                 parts.append(f'<img alt="What the cell above draws" src="data:image/png;base64,{image}">')
             elif "text/html" in shown:
-                parts.append(f"<div>{''.join(shown['text/html'])}</div>")
+                table = "".join(shown["text/html"]).replace(' border="1" class="dataframe"', "")
+                parts.append(f'<div style="overflow-x: auto">{table}</div>')
             else:
                 parts.append(f"```text\n{''.join(shown['text/plain'])}\n```")
     title, *others = parts[1].split("\n", 1)

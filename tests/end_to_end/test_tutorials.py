@@ -1,0 +1,88 @@
+"""The tutorials show what their commands print."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from mlflow_store_for_tests import give_store
+
+from studies.cli import main
+
+ROOT = Path(__file__).parents[2]
+TUTORIALS = ROOT / "docs" / "tutorials"
+DURATION = re.compile(r" \(\d+(\.\d+)? (s|min)\)")
+PROCESSORS_DIFFER = 0.02
+"""The last digits differ between processors."""
+
+
+def blocks(page: str, kind: str) -> list[str]:
+    text = (TUTORIALS / page).read_text("utf-8")
+    return re.findall(rf"^```{kind}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def is_shown(line: str, printed: list[list[str]]) -> bool:
+    """Say whether the words of a line stand in this order in a printed line, numbers nearly equal."""
+    return any(follows(line.split(), words) for words in printed)
+
+
+def follows(shown: list[str], printed: list[str]) -> bool:
+    rest = iter(printed)
+    return all(any(is_same(word, other) for other in rest) for word in shown)
+
+
+def is_same(word: str, other: str) -> bool:
+    try:
+        return float(word) == pytest.approx(float(other), rel=PROCESSORS_DIFFER)
+    except ValueError:
+        return word == other
+
+
+def compare(block: str, output: str) -> None:
+    printed = [DURATION.sub("", line).split() for line in output.splitlines()]
+    lines = [DURATION.sub("", line) for line in block.splitlines() if line.strip()]
+    assert lines
+    assert not [line for line in lines if not is_shown(line, printed)], output
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    give_store(tmp_path)
+    return tmp_path
+
+
+def test_the_office_is_calibrated_as_shown(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate"]) == 0
+    compare(blocks("office.md", "text")[0], capsys.readouterr().out)
+
+
+def test_an_fmu_of_ones_own_is_calibrated_as_shown(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = [line.split() for block in blocks("own-fmu.md", "sh") for line in block.splitlines()]
+    texts = blocks("own-fmu.md", "text")
+    shutil.copy(ROOT / "fmus" / "wall" / "Wall.fmu", project / "MyWall.fmu")
+
+    def type_in(word: str, *options: str) -> str:
+        (words,) = (one[1:] for one in commands if one[1] == word and "--list" not in one)
+        assert main([*words, *options]) == 0
+        return capsys.readouterr().out
+
+    compare(texts[0], type_in("new"))
+    for name in ("inputs.csv", "measured.csv"):
+        shutil.copy(ROOT / "data" / "wall" / name, project / "data" / "mywall")
+    case = project / "fmus" / "mywall" / "case.toml"
+    text = case.read_text("utf-8").replace("window_d = [0, 7]", "window_d = [1, 5]")
+    text = text.replace("# start_d = 0", "start_d = 0")
+    text = text.replace("# validation_d = [7, 14]", "validation_d = [5, 7]")
+    for old, new in (("TIn", "TRoom_degC"), ("TOut", "TOutdoor_degC"), ("TMasonry", "TMasonry_degC")):
+        text = text.replace(f'column = "{old}"\nunit = "K"', f'column = "{new}"\nunit = "degC"')
+    text = text.replace('column = "QRoom"', 'column = "QRoom_W"')
+    text = text.replace("uncertainty = 0.5", "uncertainty = 0.05").replace(
+        "uncertainty = 1.0", "uncertainty = 2"
+    )
+    case.write_text(text, "utf-8")
+    assert "changes QRoom by 4.69 W at most, 2.3 times" in " ".join(type_in("check").split())
+    case.write_text(text.replace("communication_step_s = 600 ", "communication_step_s = 60 "), "utf-8")
+    assert "changes QRoom by 0.474 W at most, 0.24 times" in " ".join(type_in("check").split())
+    compare(texts[2], type_in("calibrate"))
+    compare(texts[3], type_in("uncertainty"))
