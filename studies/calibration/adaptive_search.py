@@ -8,14 +8,7 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.confirmation import least_unlikely
-from studies.calibration.ending import (
-    MOST_RESTARTS,
-    PROMISED,
-    Confirmation,
-    Ending,
-    still_falling,
-    too_large,
-)
+from studies.calibration.ending import Confirmation, Ending, still_falling, too_large
 from studies.calibration.expected_objective import expected_objective, is_surely_no_better, is_surprised
 from studies.calibration.failures import Failures, Penalty
 from studies.calibration.first_design import latin_hypercube
@@ -25,45 +18,14 @@ from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.recorder import Recorder
 from studies.calibration.residual_process import Expansion, Features
-from studies.calibration.restart import WANTED, farther_along, least_excluded
+from studies.calibration.restart import farther_along, least_excluded
 from studies.calibration.row_choice import missing_of_design
+from studies.calibration.search_constants import SEARCH
 from studies.calibration.state_equations import LEAST_TO_LEARN
-from studies.calibration.switching import N_COMPARED
-from studies.calibration.truncated_window import (
-    EXPLAINED,
-    NEARLY_EXPLAINED,
-    UNEXPLAINED,
-    TruncatedWindow,
-)
+from studies.calibration.truncated_window import TruncatedWindow
 
 if TYPE_CHECKING:
     from studies.calibration.adaptive import Adaptive
-
-# Points are rounded to this many decimals of the unit cube: should the last bits of the linear algebra differ
-# from run to run, the rows that are simulated do not, and a store of simulations finds them again.
-DECIMALS = 5
-
-GOOD_STEP, BAD_STEP, AT_THE_EDGE = 0.5, 0.1, 0.9
-GROW, SHRINK, SHRINK_AFTER_FAILURE = 1.5, 0.7, 0.5
-LEAST_RADIUS = 1e-4
-# Relative gain that a search phase after a restart owes in half of `stall_rounds`.
-OWED_AFTER_RESTART = 0.2
-# A round stagnates below this relative gain, expected and found; in a truncated window, which need not be
-# explained completely, below the second. So many in a row end a search phase.
-STAGNANT, STAGNANT_IN_WINDOW, STAGNANT_ROUNDS = 1e-4, 0.1, 2
-# A restarted phase whose next point is so near the best row has come back.
-CAME_BACK = 0.1
-# A row whose error is so many times that of most of the first design has diverged.
-DIVERGED = 1e6
-# A search whose best error falls by this factor within so many rounds needs no truncated window.
-FALLING, FALLING_ROUNDS = 0.5, 3
-# A best row that leaves no more than this share of the measured variance fits exactly: each round would gain
-# most of an error of nearly zero.
-EXACT = 1e-8
-# A parameter whose error, at so many values across its range, varies by less than this part has no effect.
-N_ACROSS, FLAT = 9, 1e-3
-# Rows that are simulated where equations may act that no row has shown, before known equations end a search.
-N_PROBES = 4
 
 
 class AdaptiveSearch:
@@ -148,7 +110,8 @@ class AdaptiveSearch:
             self._adapt_window()
             if self._fits_exactly:
                 return Ending(
-                    f"the best simulation leaves {EXACT:g} of the measured variance or less", converged=True
+                    f"the best simulation leaves {SEARCH.exact:g} of the measured variance or less",
+                    converged=True,
                 )
             if self._phase_is_over():
                 if not self._window.is_whole and self._is_at_best and self._may_double_window:
@@ -174,12 +137,12 @@ class AdaptiveSearch:
         if self._settings.target_mse is not None or not self._window.is_whole or self._prior is not None:
             return False
         # Of a measurement that never varies all is explained.
-        return self._recorder.best_mse == 0.0 or 0.0 < self._unexplained <= EXACT
+        return self._recorder.best_mse == 0.0 or 0.0 < self._unexplained <= SEARCH.exact
 
     @property
     def _has_settled(self) -> bool:
         """Whether around the best row of all nothing more is expected, and not for failures alone."""
-        has_ended = self._is_at_best and self._n_stagnant >= STAGNANT_ROUNDS
+        has_ended = self._is_at_best and self._n_stagnant >= SEARCH.stagnant_rounds
         return has_ended and self._window.is_whole and self._has_whole_region
 
     @property
@@ -205,7 +168,7 @@ class AdaptiveSearch:
         if np.isfinite(self._objective[n_before:]).any():
             self._confirmation.note_test(gains)
         # What was learnt may show a step from the best row.
-        self._n_stagnant = STAGNANT_ROUNDS - 1
+        self._n_stagnant = SEARCH.stagnant_rounds - 1
 
     def _ask_first(self, design: FloatArray) -> None:
         """Ask a first design, round by round where state equations may take less of it."""
@@ -233,7 +196,7 @@ class AdaptiveSearch:
         ode = self._ode
         if ode is None or not ode.is_believed:
             return False
-        n = math.ceil(N_PROBES / self._settings.n_parallel) * self._settings.n_parallel
+        n = math.ceil(SEARCH.n_probes / self._settings.n_parallel) * self._settings.n_parallel
         is_affordable = self._settings.max_calls - self._recorder.n_calls >= n
         if not self._has_probed and is_affordable and (self._is_too_large or ode.left_out.any()):
             self._has_probed = True
@@ -263,7 +226,7 @@ class AdaptiveSearch:
     @property
     def _least_gain(self) -> float:
         """Relative gain that is worth a round; exact equations show when there is none left."""
-        return max(self._ftol, STAGNANT) if self._is_sure else self._ftol
+        return max(self._ftol, SEARCH.stagnant) if self._is_sure else self._ftol
 
     def _adapt_window(self) -> None:
         """Truncate the window, once, of a search that explains too little; double it once it is explained."""
@@ -275,24 +238,24 @@ class AdaptiveSearch:
         n_judged = self._n_known + self._n_design + self._settings.design_size(self._p)
         if not self._is_judged and self._objective.size >= n_judged and not self._is_falling:
             self._is_judged = True
-            self._was_truncated = self._unexplained > UNEXPLAINED
+            self._was_truncated = self._unexplained > SEARCH.unexplained
             if self._was_truncated:
                 self._window.shorten()
                 self._begin_again()
-        while not self._window.is_whole and self._unexplained <= EXPLAINED:
+        while not self._window.is_whole and self._unexplained <= SEARCH.explained:
             self._double_window()
 
     @property
     def _is_falling(self) -> bool:
         """Whether the last rounds have brought much."""
-        n_last = min(FALLING_ROUNDS * self._settings.n_parallel, self._settings.design_size(self._p))
-        return bool(self._objective.min() < FALLING * self._objective[:-n_last].min())
+        n_last = min(SEARCH.falling_rounds * self._settings.n_parallel, self._settings.design_size(self._p))
+        return bool(self._objective.min() < SEARCH.falling * self._objective[:-n_last].min())
 
     @property
     def _may_double_window(self) -> bool:
         """Whether the window is nearly explained, or restarts have not explained it."""
         is_tried = self._confirmation.n_restarts >= self._settings.least_restarts
-        return is_tried or self._unexplained <= NEARLY_EXPLAINED
+        return is_tried or self._unexplained <= SEARCH.nearly_explained
 
     def _double_window(self) -> None:
         """Double the window and go on from the row that is best then."""
@@ -346,8 +309,8 @@ class AdaptiveSearch:
         predicted = self._ode.predicted if self._ode is not None else None
         if self._is_far and not self._is_at_best:
             home = int(np.argmin(self._objective))
-            is_end = np.abs(points[0] - centre).max() < AT_THE_EDGE * self._radius
-            is_end |= np.abs(points[0] - self._u[home]).max() < CAME_BACK
+            is_end = np.abs(points[0] - centre).max() < SEARCH.at_the_edge * self._radius
+            is_end |= np.abs(points[0] - self._u[home]).max() < SEARCH.came_back
             if is_end and is_surely_no_better(process, points[0], expected, float(self._objective[home])):
                 self._turn()
                 return
@@ -358,7 +321,7 @@ class AdaptiveSearch:
         gain = max(centre_objective - self._phase_best, 0.0)
         self._resize(points[0] - centre, found, gain, promise)
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
-        stagnant = max(self._ftol, STAGNANT if self._window.is_whole else STAGNANT_IN_WINDOW)
+        stagnant = max(self._ftol, SEARCH.stagnant if self._window.is_whole else SEARCH.stagnant_in_window)
         hope = max(gain, promise)
         if predicted is None:
             predicted = self._expand(process, points[0], self._settings.caution).value
@@ -394,13 +357,13 @@ class AdaptiveSearch:
         """Whether restarts, or fewer of them and tests that promise no gain, were in vain."""
         known = self._confirmation
         is_vain = known.has_looked and known.is_tested and not known.is_promising
-        return known.n_restarts >= MOST_RESTARTS or (is_vain and not self._switches)
+        return known.n_restarts >= SEARCH.most_restarts or (is_vain and not self._switches)
 
     @property
     def _switches(self) -> bool:
         """Whether the model switches at times that depend on its parameters, by rows that lie apart."""
         first = self._is_sane[: self._n_known + self._n_design]
-        return self._window.switches(self._residuals[: first.size][first][-N_COMPARED:])
+        return self._window.switches(self._residuals[: first.size][first][-SEARCH.n_compared :])
 
     @property
     def _may_end(self) -> bool:
@@ -417,7 +380,7 @@ class AdaptiveSearch:
         if self._follows_ode:
             little = f"a gain of less than {self._least_gain:g} of the error"
             missed = "" if target is None else f"; the target of {target:g} is missed"
-            nowhere = f", and nowhere {WANTED:g} times the error" if self._is_too_large else ""
+            nowhere = f", and nowhere {SEARCH.wanted:g} times the error" if self._is_too_large else ""
             is_known = target is None or self._is_sure
             beyond = f", but {self._ode_error}" if self._ode_error else ""
             reason = f"the state equations expect {little}{nowhere}{missed}{beyond}"
@@ -429,7 +392,7 @@ class AdaptiveSearch:
     @property
     def _ode_error(self) -> str:
         """Say that believed state equations err by more than what makes an answer right, "" else."""
-        if self._ode is None or not self._ode.is_believed or self._ode.error_at_best <= PROMISED:
+        if self._ode is None or not self._ode.is_believed or self._ode.error_at_best <= SEARCH.promised:
             return ""
         return f"differ from the best simulation by {self._ode.error_at_best:.2g} of its error"
 
@@ -466,10 +429,10 @@ class AdaptiveSearch:
         if process is None:
             return np.zeros(self._p, dtype=np.bool_)
         best = int(np.argmin(self._objective))
-        across = np.tile(self._u[best], (self._p, N_ACROSS, 1))
-        across[np.arange(self._p), :, np.arange(self._p)] = np.linspace(0.0, 1.0, N_ACROSS)
-        errors = process.errors(across.reshape(-1, self._p)).reshape(self._p, N_ACROSS)
-        return np.asarray(np.ptp(errors, axis=1) <= FLAT * self._objective[best])
+        across = np.tile(self._u[best], (self._p, SEARCH.n_across, 1))
+        across[np.arange(self._p), :, np.arange(self._p)] = np.linspace(0.0, 1.0, SEARCH.n_across)
+        errors = process.errors(across.reshape(-1, self._p)).reshape(self._p, SEARCH.n_across)
+        return np.asarray(np.ptp(errors, axis=1) <= SEARCH.flat * self._objective[best])
 
     @property
     def slopes(self) -> FloatArray | None:
@@ -501,13 +464,13 @@ class AdaptiveSearch:
         """Whether the search phase has converged or, where restarts are allowed, gains too little."""
         settings = self._settings
         if self._follows_ode:
-            return self._idle >= min(settings.patience, STAGNANT_ROUNDS)
+            return self._idle >= min(settings.patience, SEARCH.stagnant_rounds)
         is_away = self._window.is_whole and not self._is_at_best
-        if self._n_stagnant >= (settings.patience if is_away else STAGNANT_ROUNDS):
+        if self._n_stagnant >= (settings.patience if is_away else SEARCH.stagnant_rounds):
             return True
         rounds, owed = settings.stall_rounds, settings.stall_gain
         if not self._is_at_best:
-            rounds, owed = (rounds + 1) // 2, OWED_AFTER_RESTART
+            rounds, owed = (rounds + 1) // 2, SEARCH.owed_after_restart
         if settings.least_restarts == 0 or len(self._phase) <= rounds:
             return False
         return self._phase[-1] > (1.0 - owed) * self._phase[-1 - rounds]
@@ -524,7 +487,7 @@ class AdaptiveSearch:
         leaves = self._is_at_best and (may_restart or self._seeks_another_valley)
         self._confirmation.n_restarts += leaves
         # A valley in which the error still falls is followed; from its bottom the search restarts far away.
-        self._is_far = leaves and self._n_stagnant >= STAGNANT_ROUNDS
+        self._is_far = leaves and self._n_stagnant >= SEARCH.stagnant_rounds
         self._first = self._objective.size if leaves else 0
         self._radius = self._settings.radius if leaves else max(self._radius, self._settings.least_radius)
         self._phase, self._idle, self._n_stagnant = [], 0, 0
@@ -532,7 +495,7 @@ class AdaptiveSearch:
     def _ask(self, u: FloatArray) -> None:
         """Simulate rows, as many as the budget still holds, and keep what they answer."""
         left = self._settings.max_calls - self._recorder.n_calls
-        u = np.round(u, DECIMALS)
+        u = np.round(u, SEARCH.decimals)
         answer = self._recorder.evaluate(u[: max(left, 1)])
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._keep(answer)
@@ -583,7 +546,9 @@ class AdaptiveSearch:
         finite = np.isfinite(self._objective)
         design = self._objective[: self._n_known + self._n_design]
         design = design[np.isfinite(design)]
-        sane = finite & (self._objective <= DIVERGED * np.quantile(design, 0.25)) if design.size else finite
+        if not design.size:
+            return finite
+        sane = finite & (self._objective <= SEARCH.diverged * np.quantile(design, 0.25))
         return sane if sane.sum() >= 2 else finite
 
     def _expand(self, process: ProcessGroups, u: FloatArray, caution: float) -> Expansion:
@@ -630,8 +595,8 @@ class AdaptiveSearch:
             expected: The gain that the favourite promised. [unit squared]
         """
         if not np.isfinite(found).any():
-            self._radius = max(self._radius * SHRINK_AFTER_FAILURE, LEAST_RADIUS)
-        elif gain < BAD_STEP * expected:
-            self._radius = max(self._radius * SHRINK, min(self._radius, self._settings.least_radius))
-        elif gain > GOOD_STEP * expected and np.abs(step).max() > AT_THE_EDGE * self._radius:
-            self._radius = min(self._radius * GROW, 1.0)
+            self._radius = max(self._radius * SEARCH.shrink_after_failure, SEARCH.smallest_radius)
+        elif gain < SEARCH.bad_step * expected:
+            self._radius = max(self._radius * SEARCH.shrink, min(self._radius, self._settings.least_radius))
+        elif gain > SEARCH.good_step * expected and np.abs(step).max() > SEARCH.at_the_edge * self._radius:
+            self._radius = min(self._radius * SEARCH.grow, 1.0)

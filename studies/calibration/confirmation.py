@@ -16,18 +16,7 @@ from studies.calibration.expected_objective import expected_objective
 from studies.calibration.failures import Penalty
 from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.process_groups import ProcessGroups
-
-# Worth asking for is an error below this part of the best one's: what counts as the right answer.
-WORTH = 0.98
-# An error whose residuals err by a variance v around a mean square m has about the variance
-# 2 v (v + 2 m) / k, where k residuals vary independently: few, as few directions in the box are left unknown.
-N_INDEPENDENT = 2.0
-# Functions drawn in a round, each minimized from anywhere in the box and from the best row.
-N_DRAWN = 16
-# A descent ends where a step gains less than this part.
-ROUGH = 2e-3
-# A place so near to a row is known.
-KNOWN = 0.02
+from studies.calibration.search_constants import SEARCH
 
 
 def least_unlikely(
@@ -45,7 +34,7 @@ def least_unlikely(
         prior: What is added to the error, None for nothing.
         best: The best row, shape (p,) [1], and its objective. [unit squared]
         rows: All rows, shape (m, p) [1], and which of them succeeded, shape (m,).
-        n: How many places, each beyond `KNOWN` of the others as far as there are such.
+        n: How many places, each beyond `known` of the others as far as there are such.
         rng: Source of the functions and of the descents' starts.
 
     Returns:
@@ -55,24 +44,24 @@ def least_unlikely(
     (centre, objective), (u, good) = best, rows
     p = centre.size
     ends = []
-    for anywhere in rng.random((N_DRAWN, p)):
+    for anywhere in rng.random((SEARCH.n_drawn, p)):
         sample = PosteriorSample.draw(process, rng)
         expand = partial(expected_objective, sample, prior, caution=0.0)
         for start in (anywhere, centre):
             # Another valley, and what the rows leave open of this one.
-            ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=ROUGH))
+            ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=SEARCH.rough))
     places = np.array([place for place, _ in ends])
-    values = np.array([there.value for _, there in ends]).reshape(N_DRAWN, 2)
+    values = np.array([there.value for _, there in ends]).reshape(SEARCH.n_drawn, 2)
     gains = 1.0 - values.min(axis=1) / objective
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
-    scores = np.array([_unlikely(process, prior, place, WORTH * objective) for place in places])
+    scores = np.array([_unlikely(process, prior, place, SEARCH.worth * objective) for place in places])
     # Where the nearest row failed, the next one probably fails as well.
     scores[~good[np.argmin(distances, axis=1)]] += np.ptp(scores) + 1.0
-    scores[distances.min(axis=1) < KNOWN] = np.inf
+    scores[distances.min(axis=1) < SEARCH.known] = np.inf
     order = np.argsort(scores, kind="stable")
     chosen: list[int] = []
     for i in order:
-        if all(float(np.abs(places[i] - places[j]).max()) > KNOWN for j in chosen):
+        if all(float(np.abs(places[i] - places[j]).max()) > SEARCH.known for j in chosen):
             chosen.append(int(i))
     chosen += [int(i) for i in order if int(i) not in chosen]
     found = places[chosen[:n]]
@@ -85,5 +74,5 @@ def _unlikely(process: ProcessGroups, prior: Penalty | None, u: FloatArray, want
     mean = expected_objective(process, prior, u, 0.0).value
     whole = expected_objective(process, prior, u, 1.0).value
     variance = max(whole - mean, 0.0)
-    deviation = np.sqrt(2.0 * variance * (variance + 2.0 * mean) / N_INDEPENDENT)
+    deviation = np.sqrt(2.0 * variance * (variance + 2.0 * mean) / SEARCH.n_independent_errors)
     return float((whole - wanted) / max(deviation, 1e-9 * whole, np.finfo(float).tiny))

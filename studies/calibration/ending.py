@@ -12,16 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulation.arrays import FloatArray
-
-# Restarts in vain that are owed beside the least that the settings name, each between two rounds of tests.
-RESTARTS_MORE = 2
-# Relative gains below this are none: an answer within 0.02 of the best is right. [1]
-CONFIRMED = 1e-2
-# Gain that functions drawn from the surrogate may promise where a search has converged: nine of ten promise
-# less than what makes an answer wrong.
-PROMISED, QUANTILE = 0.02, 0.9
-# Restarts without gain after which a search stops whose error is above the misfit threshold.
-MOST_RESTARTS = 8
+from studies.calibration.search_constants import SEARCH
 
 
 @dataclass(frozen=True)
@@ -46,7 +37,7 @@ class Confirmation:
         Args:
             least_restarts: Restarts that are owed at least; none are owed where that is 0.
         """
-        self.restarts_owed = least_restarts and least_restarts + RESTARTS_MORE
+        self.restarts_owed = least_restarts and least_restarts + SEARCH.restarts_more
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -60,7 +51,7 @@ class Confirmation:
 
     def note_best(self, best: float) -> None:
         """Take note of the best objective; what was tested before a gain does not count. [unit squared]."""
-        if best < (1.0 - CONFIRMED) * self._best:
+        if best < (1.0 - SEARCH.confirmed) * self._best:
             self._best = best
             self._forget()
 
@@ -76,12 +67,12 @@ class Confirmation:
     @property
     def promised(self) -> float:
         """Gain over the best row at minima of functions that may be the true one, a quantile. [1]."""
-        return float(np.quantile(self._gains, QUANTILE)) if self._gains else np.inf
+        return float(np.quantile(self._gains, SEARCH.quantile)) if self._gains else np.inf
 
     @property
     def is_promising(self) -> bool:
         """Whether more gain is promised than what makes an answer wrong."""
-        return self.promised > PROMISED
+        return self.promised > SEARCH.promised
 
     @property
     def is_tested(self) -> bool:
@@ -99,6 +90,11 @@ class Confirmation:
         tests = f"{_counted(self.n_tested, 'round')} of tests where more is least unlikely"
         return tests + (f" and {_counted(self.n_restarts, 'restart')}" if self.n_restarts else "")
 
+    @property
+    def in_vain(self) -> str:
+        """That all tests were in vain."""
+        return f"{self.in_words} since the last gain of {SEARCH.confirmed:g} found no lower error"
+
     def ending(self, *, switches: bool) -> Ending:
         """Return the end of a search that has made all tests and restarts.
 
@@ -108,19 +104,15 @@ class Confirmation:
         """
         if switches:
             return Ending(
-                f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error; the model "
-                "switches at times that depend on its parameters, so that another minimum is not excluded",
+                f"{self.in_vain}; the model switches at times that depend on its parameters, so that another "
+                "minimum is not excluded",
                 converged=False,
             )
         if self.is_promising:
-            return Ending(
-                f"{self.in_words} since the last gain of {CONFIRMED:g} found no lower error, and no more is "
-                "expected around the best point",
-                converged=False,
-            )
+            return Ending(f"{self.in_vain}, and no more is expected around the best point", converged=False)
         return Ending(
-            f"what is known of the model promises no gain above {PROMISED:g} of the error anywhere in the "
-            f"box, and {self.in_words} gained no more",
+            f"what is known of the model promises no gain above {SEARCH.promised:g} of the error anywhere in "
+            f"the box, and {self.in_words} gained no more",
             converged=True,
         )
 
@@ -141,11 +133,7 @@ class Confirmation:
 
 def too_large(confirmation: Confirmation) -> Ending:
     """Return the end of a search whose error is above the misfit threshold."""
-    return Ending(
-        f"{confirmation.in_words} since the last gain of {CONFIRMED:g} found no lower error, though it is "
-        "more than the sensor explains",
-        converged=False,
-    )
+    return Ending(f"{confirmation.in_vain}, though it is more than the sensor explains", converged=False)
 
 
 def still_falling(n: int, gained: float, expected: float) -> str:

@@ -9,13 +9,9 @@ from studies.calibration.failures import Penalty
 from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Expansion, ResidualProcess
+from studies.calibration.search_constants import SEARCH
 
 Surrogate = ResidualProcess | ProcessGroups
-
-# Expected above this part of the best error, with a variance below `UNCERTAIN` of it, is surely no better.
-AS_GOOD, UNCERTAIN = 0.98, 0.1
-# Part of the error by which a surrogate that knows a valley's bottom does not err.
-SURPRISE = 0.1
 
 
 def expected_objective(
@@ -44,7 +40,7 @@ def is_surely_no_better(process: Surrogate, u: FloatArray, expected: Expansion, 
         best: Objective of the best row. [unit squared]
     """
     there = process.expand(u, 1.0)
-    return there.value - there.mse < UNCERTAIN * best and expected.value > AS_GOOD * best
+    return there.value - there.mse < SEARCH.uncertain * best and expected.value > SEARCH.as_good * best
 
 
 def is_surprised(found: float, predicted: float, favourite: float, best: float) -> bool:
@@ -58,6 +54,6 @@ def is_surprised(found: float, predicted: float, favourite: float, best: float) 
         favourite: Predicted for the favourite; another point is simulated where that is known. [unit squared]
         best: Objective of the best row before. [unit squared]
     """
-    if not np.isfinite(found) or predicted > (1.0 + SURPRISE) * favourite:
+    if not np.isfinite(found) or predicted > (1.0 + SEARCH.surprise) * favourite:
         found = predicted
-    return max(found - predicted, favourite - best) > SURPRISE * max(best, predicted)
+    return max(found - predicted, favourite - best) > SEARCH.surprise * max(best, predicted)

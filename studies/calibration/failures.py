@@ -2,8 +2,8 @@
 
 An optimum that a surrogate expects beyond the edge of what can be simulated would be asked for again and
 again. The process has the value 0 where a row succeeded and 1 where it failed. Where it expects more than
-`SAFE`, the objective that the search minimizes grows with the square of the rest; what a row counts for stays
-its objective. Where no row has failed nothing changes.
+`failed_share`, the objective that the search minimizes grows with the square of the rest; what a row counts
+for stays its objective. Where no row has failed nothing changes.
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,7 @@ from simulation.arrays import BoolArray, FloatArray
 from studies.calibration.prior import Prior
 from studies.calibration.residual_kernel import Belief, most_probable
 from studies.calibration.residual_process import Components, Features, ResidualProcess
-
-# Expected share of failures from which a place is penalized, and the penalty where all fail, in objectives of
-# the row that a step begins at.
-SAFE, WEIGHT = 0.3, 10.0
+from studies.calibration.search_constants import SEARCH
 
 
 class Penalty(Protocol):
@@ -74,11 +71,12 @@ class Failures:
         return cls(ResidualProcess.through(features, x, components, hyper), prior, scale)
 
     def expected(self, u: FloatArray) -> tuple[float, FloatArray]:
-        """Return the expected share of failures at a point (p,) above `SAFE`, and its slope (p,)."""
+        """Return the expected share of failures at a point (p,) above `failed_share`, and its slope (p,)."""
         k, dk = self.process.kernels(u)
         share = float((k @ self.process.coefficients)[0])
         slope = dk.T @ self.process.coefficients[:, 0]
-        return (share - SAFE, slope) if share > SAFE else (0.0, np.zeros_like(slope))
+        excess = share - SEARCH.failed_share
+        return (excess, slope) if excess > 0.0 else (0.0, np.zeros_like(slope))
 
     def penalty(self, u: FloatArray) -> FloatArray:
         """Return the penalty at points (n, p). Shape (n,). [unit squared]."""
@@ -87,7 +85,7 @@ class Failures:
     def expand(self, u: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return the penalty at a point (p,), its gradient (p,), and a curvature (p, p). [unit squared]."""
         share, slope = self.expected(u)
-        weight = self.scale * WEIGHT
+        weight = self.scale * SEARCH.failed_weight
         value, gradient = weight * share**2, 2.0 * weight * share * slope
         curvature = 2.0 * weight * np.outer(slope, slope)
         if self.prior is None:

@@ -21,8 +21,8 @@ from studies.calibration.equation_model import EquationModel
 from studies.calibration.hidden_inputs import Course, LocalVariables
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.product_forms import Products
-from studies.calibration.proposals import SAME_POINT
 from studies.calibration.residual_process import Expansion
+from studies.calibration.search_constants import SEARCH
 from studies.calibration.state_equations import LEAST_TO_LEARN, StateEquations, Structure
 from studies.calibration.state_terms import spread
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
@@ -194,7 +194,7 @@ class LearnedODE:
         order = np.argsort(-beyond[:, columns[beyond.max(axis=0)[columns] > 0.0]], axis=0, kind="stable")
         farthest = list(dict.fromkeys([*order.reshape(-1).tolist(), *range(len(looks))]))
         # An end that was simulated already adds nothing.
-        fresh = [end[None] for end in ends if np.abs(self._u - end).max(axis=1).min() > SAME_POINT]
+        fresh = [end[None] for end in ends if np.abs(self._u - end).max(axis=1).min() > SEARCH.same_point]
         return np.concatenate([*fresh, looks[farthest]])[:n]
 
     def slopes(self, u: FloatArray) -> FloatArray:
@@ -332,7 +332,7 @@ class LearnedODE:
         u, value = ends[order[0]], float(values[order[0]])
         distance = np.abs(known - u).max(axis=1)
         nearest = int(np.argmin(distance))
-        if float(distance[nearest]) < SAME_POINT:
+        if float(distance[nearest]) < SEARCH.same_point:
             # That point is known; one a little beside adds more.
             if self.is_sure and np.isfinite(objective[nearest]):
                 value = float(objective[nearest])

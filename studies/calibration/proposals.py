@@ -16,12 +16,8 @@ from studies.calibration.expected_objective import expected_objective
 from studies.calibration.failures import Penalty
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Expansion
+from studies.calibration.search_constants import SEARCH
 
-SAME_POINT = 1e-4
-# Places may be as good whose objective is expected to be greater by this part, in the mean of random ones and
-# at most.
-SPREAD, MOST_SPREAD = 0.02, 0.06
-N_PLACES = 200
 # Relative to the greatest variance: below, two points carry the same information.
 LEAST_VARIANCE = 1e-6
 LEAST_CURVATURE = 1e-8  # relative to the sum of all
@@ -83,7 +79,7 @@ def favourites(
         ends = [descend(expand, start, lower, upper) for start in starts]
         u, expected = min(ends, key=lambda end: end[1].value)
         known = np.array([*surroundings.known, *points])
-        if float(np.abs(known - u).max(axis=1).min()) < SAME_POINT:
+        if float(np.abs(known - u).max(axis=1).min()) < SEARCH.same_point:
             u = rng.uniform(centre - 0.3 * (centre - lower), centre + 0.3 * (upper - centre))
         points.append(u)
         expansions.append(expected)
@@ -122,18 +118,18 @@ def informative(
     """
     p, (lower, upper) = surroundings.centre.size, surroundings.box(surroundings.radius)
     objective = float(surroundings.objectives(surroundings.centre[None])[0])
-    # Of steps drawn with this variance times the inverse of the curvature the mean costs SPREAD.
-    variance = 2.0 * SPREAD * objective / p
+    # Of steps drawn with this variance times the inverse of the curvature the mean costs `spread`.
+    variance = 2.0 * SEARCH.spread * objective / p
     # At an error of zero rounding may make the curvature indefinite.
     ridge = max(variance / surroundings.radius**2, LEAST_CURVATURE * np.trace(favourite.hessian))
     ridge += np.finfo(float).tiny
     factor = np.linalg.cholesky(favourite.hessian + ridge * np.eye(p))
-    n_places = max(N_PLACES, 2 * n)
+    n_places = max(SEARCH.n_places, 2 * n)
     steps = np.sqrt(variance) * np.linalg.solve(factor.T, rng.standard_normal((p, n_places))).T
     places = np.clip(asked[0] + steps, lower, upper)
     excess = surroundings.objectives(places) - favourite.value
     n_least = max(n, n_places // 10)
-    places = places[excess <= max(MOST_SPREAD * objective, float(np.sort(excess)[n_least - 1]))]
+    places = places[excess <= max(SEARCH.most_spread * objective, float(np.sort(excess)[n_least - 1]))]
     left = surroundings.process.covariance(np.concatenate([asked, places]))
     least = LEAST_VARIANCE * float(np.diag(left).max()) + np.finfo(float).tiny
     order = list(range(len(asked)))

@@ -8,16 +8,8 @@ import numpy as np
 from simulation.arrays import FloatArray
 from studies.calibration.box_newton import descend
 from studies.calibration.residual_process import Expansion
+from studies.calibration.search_constants import SEARCH
 
-# Farther along is the surrogate's minimum within this distance of a random point.
-AWAY = 0.5
-# Descents on the mean prediction find the valleys that the surrogate expects; points that are merely spread
-# serve where it expects none but the known one.
-LEAST_DESCENTS, DESCENTS_PER_POINT = 20, 4
-N_SPREAD = 100
-# Another valley is worth while if its error may be this part of the best one's.
-WANTED = 0.5
-APART = 0.05
 # Relative to the error: a prediction's variance is at least this.
 LEAST_VARIANCE = 1e-9
 
@@ -43,7 +35,8 @@ def farther_along(
     """
     starts = margin + (1.0 - 2.0 * margin) * rng.random(shape)
     cautious = partial(expand, caution=caution)
-    ends = [descend(cautious, u, np.maximum(u - AWAY, 0.0), np.minimum(u + AWAY, 1.0)) for u in starts]
+    away = SEARCH.away
+    ends = [descend(cautious, u, np.maximum(u - away, 0.0), np.minimum(u + away, 1.0)) for u in starts]
     return np.array([u for u, _ in ends])
 
 
@@ -68,14 +61,14 @@ def least_excluded(
     """
     n, p = shape
     mean = partial(expand, caution=0.0)
-    starts = rng.random((max(LEAST_DESCENTS, DESCENTS_PER_POINT * n), p))
+    starts = rng.random((max(SEARCH.least_descents, SEARCH.descents_per_point * n), p))
     ends = [descend(mean, u, np.zeros(p), np.ones(p))[0] for u in starts]
-    points = np.array([*ends, *(margin + (1.0 - 2.0 * margin) * rng.random((max(N_SPREAD, n), p)))])
-    scores = [_excess_by_variance(expand, u, WANTED * best) for u in points]
+    points = np.array([*ends, *(margin + (1.0 - 2.0 * margin) * rng.random((max(SEARCH.n_spread, n), p)))])
+    scores = [_excess_by_variance(expand, u, SEARCH.wanted * best) for u in points]
     order = [int(i) for i in np.argsort(scores, kind="stable")]
     chosen: list[int] = []
     for i in order:
-        if all(float(np.abs(points[i] - points[j]).max()) > APART for j in chosen):
+        if all(float(np.abs(points[i] - points[j]).max()) > SEARCH.apart for j in chosen):
             chosen.append(i)
     # In a small box fewer may lie apart than are asked for.
     chosen += [i for i in order if i not in chosen]

@@ -10,13 +10,8 @@ import numpy as np
 
 from simulation.arrays import BoolArray, FloatArray
 from simulation.measurement import Measurement
+from studies.calibration.search_constants import SEARCH
 from studies.calibration.switching import switches
-
-# Shares of an output's measured variance that the best row leaves unexplained, by the mean squared error.
-UNEXPLAINED, EXPLAINED = 0.25, 0.02
-# Where nothing more is gained in a window, less is enough to double it: sensors have noise too.
-NEARLY_EXPLAINED = 0.1
-SHORTEST = 1.0 / 32.0
 
 
 class TruncatedWindow:
@@ -75,7 +70,7 @@ class TruncatedWindow:
 
     def shorten(self) -> None:
         """Take the shortest window."""
-        self._part = SHORTEST
+        self._part = SEARCH.shortest
 
     def double(self) -> None:
         """Double the window."""

@@ -7,17 +7,18 @@ from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
-from studies.calibration.confirmation import N_DRAWN, least_unlikely
-from studies.calibration.ending import CONFIRMED, PROMISED, QUANTILE, Confirmation
+from studies.calibration.confirmation import least_unlikely
+from studies.calibration.ending import Confirmation
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.posterior_sample import PosteriorSample
 from studies.calibration.process_groups import ProcessGroups
 from studies.calibration.residual_process import Features
+from studies.calibration.search_constants import SEARCH
 
 FEATURES = Features.of(ToyRC().parameter_space)
 # Differences of 1e-6 in the cube leave about 1e-6 of the gradient.
 GRADIENT_RTOL = 1e-4
-NOTHING, MUCH = np.full(N_DRAWN, -0.5), np.full(N_DRAWN, 2.0 * PROMISED)
+NOTHING, MUCH = np.full(SEARCH.n_drawn, -0.5), np.full(SEARCH.n_drawn, 2.0 * SEARCH.promised)
 
 
 def taught(n: int, seed: int = 0) -> tuple[ProcessGroups, FloatArray, FloatArray]:
@@ -58,12 +59,12 @@ def test_as_many_places_as_asked_for_inside_the_box(n: int) -> None:
     found, gains = places(n)
     assert found.shape == (n, 2)
     assert ((found >= 0.0) & (found <= 1.0)).all()
-    assert gains.shape == (N_DRAWN,)
+    assert gains.shape == (SEARCH.n_drawn,)
 
 
 def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     _, away = places(1, n_rows=40)
-    assert np.median(away) > PROMISED
+    assert np.median(away) > SEARCH.promised
     problem = rc_problem(noise=0.05)
     at = LeastSquaresTRF().minimize(problem, problem.space.to_unit(TRUE_RC)).u
     rng = np.random.default_rng(0)
@@ -72,7 +73,7 @@ def test_nothing_is_promised_at_the_minimum_and_much_away_from_it() -> None:
     process = ProcessGroups.fit(FEATURES, u, problem.residuals(u))
     best, rows = (at, float(problem.mse(at)[0])), (u, np.ones(41, dtype=np.bool_))
     _, gains = least_unlikely(process, None, best, rows, 1, rng)
-    assert np.median(gains) < PROMISED
+    assert np.median(gains) < SEARCH.promised
 
 
 def test_a_gain_forgets_what_was_tested_before() -> None:
@@ -80,10 +81,10 @@ def test_a_gain_forgets_what_was_tested_before() -> None:
     confirmation.note_best(1.0)
     confirmation.note_test(NOTHING)
     confirmation.n_restarts = 1
-    confirmation.note_best(1.0 - 0.5 * CONFIRMED)
+    confirmation.note_best(1.0 - 0.5 * SEARCH.confirmed)
     assert (confirmation.n_tested, confirmation.n_restarts) == (1, 1)
     # Small gains add up.
-    confirmation.note_best(1.0 - 1.5 * CONFIRMED)
+    confirmation.note_best(1.0 - 1.5 * SEARCH.confirmed)
     assert confirmation.n_tested == confirmation.n_restarts == 0
 
 
@@ -111,15 +112,15 @@ def test_what_is_promised_and_not_found_is_said(least_restarts: int) -> None:
     confirmation = looked(least_restarts, MUCH)
     assert not confirmation.ending(switches=False).converged
     assert (
-        f"a gain of up to {2.0 * PROMISED:g} of the error is not excluded in the box"
+        f"a gain of up to {2.0 * SEARCH.promised:g} of the error is not excluded in the box"
         in confirmation.still_owed(1e-3)
     )
 
 
 def test_a_few_functions_that_promise_more_are_enough_to_stop() -> None:
-    n_much = round((1.0 - QUANTILE) * N_DRAWN) + 1
+    n_much = round((1.0 - SEARCH.quantile) * SEARCH.n_drawn) + 1
     for n, is_believed in ((n_much, False), (n_much - 2, True)):
-        gains = np.where(np.arange(N_DRAWN) < n, MUCH, NOTHING)
+        gains = np.where(np.arange(SEARCH.n_drawn) < n, MUCH, NOTHING)
         assert looked(1, gains).ending(switches=False).converged is is_believed
 
 

@@ -7,8 +7,9 @@ from scipy.optimize import approx_fprime
 from toy_rc import ToyRC
 
 from studies.calibration.adaptive import Adaptive
-from studies.calibration.failures import SAFE, Failures
+from studies.calibration.failures import Failures
 from studies.calibration.residual_process import Features
+from studies.calibration.search_constants import SEARCH
 
 # Differences of 1e-6 in the cube leave about 1e-5 of so steep a gradient.
 GRADIENT_RTOL = 1e-4
@@ -44,7 +45,7 @@ def test_the_gradient_of_the_penalty_is_that_of_its_value() -> None:
     known = _failures()
     u = np.array([0.68, 0.3])
     value, gradient, curvature = known.expand(u)
-    assert value > SAFE**2
+    assert value > SEARCH.failed_share**2
     by_differences = approx_fprime(u, lambda at: known.expand(at)[0], 1e-6)
     np.testing.assert_allclose(gradient, by_differences, atol=GRADIENT_RTOL * np.abs(gradient).max())
     assert (np.linalg.eigvalsh(curvature) >= -1e-9).all()

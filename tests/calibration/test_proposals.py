@@ -7,8 +7,9 @@ from toy_rc import ToyRC
 
 from simulation.arrays import FloatArray
 from studies.calibration.process_groups import ProcessGroups
-from studies.calibration.proposals import MOST_SPREAD, Surroundings, favourites, informative
+from studies.calibration.proposals import Surroundings, favourites, informative
 from studies.calibration.residual_process import Features
+from studies.calibration.search_constants import SEARCH
 
 N_ASKED, N_MORE = 2, 4
 
@@ -50,7 +51,7 @@ def test_points_that_teach_lie_apart_in_the_trust_region_where_the_error_may_be_
     assert ((lower <= more) & (more <= upper)).all()
     apart = np.abs(more[:, None] - np.concatenate([asked, more])).max(axis=-1)
     assert np.sort(apart, axis=1)[:, 1].min() > 1e-3  # the nearest is the point itself
-    allowed = around.objectives(asked[:1]) + 2.0 * MOST_SPREAD * around.objectives(around.centre[None])
+    allowed = around.objectives(asked[:1]) + 2.0 * SEARCH.most_spread * around.objectives(around.centre[None])
     assert (around.objectives(more) <= allowed).all()
 
 
