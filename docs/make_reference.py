@@ -21,10 +21,12 @@ if __name__ == "__main__":
     sys.path.insert(0, str(FOLDER.parents[1]))
 
 from simulation import case_file  # noqa: E402
-from studies import finished, profile, search_space  # noqa: E402
+from studies import profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.report.records_tuning import TunedSize  # noqa: E402
+from studies.report.validation import OutputFit, ValidatedPoint  # noqa: E402
+from studies.stages import results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
@@ -52,8 +54,22 @@ PROFILE_TABLES = {
 }
 DOCUMENTS = {
     "An entry of studies (status) and of sizes (best)": TunedSize,
-    "An entry of calibrations (status, best)": finished.Calibration,
-    "ledger of an entry of stages (calibrate)": Ledger,
+    "An entry of stages (simulate)": results.SimulatedSets,
+    "An entry of stages (calibrate) and of calibrations (status, best)": results.Calibration,
+    "ledger of a calibration": Ledger,
+    "An entry of outputs of a calibration": results.Fit,
+    "screening of a calibration": results.Screened,
+    "state_equations of a calibration": results.EquationsFound,
+    "determined_by_data of a calibration": results.Determined,
+    "prior of a calibration": results.PriorFound,
+    "An entry of parameters of a prior": results.Held,
+    "validation of a calibration": results.Validated,
+    "An entry of points of a validation": ValidatedPoint,
+    "An entry of outputs of a point": OutputFit,
+    "An entry of stages (uncertainty)": results.Uncertainty,
+    "An entry of parameters of an uncertainty": results.Known,
+    "sample of an uncertainty": results.SampleFound,
+    "ledger of an uncertainty": results.Cost,
 }
 
 
@@ -65,8 +81,9 @@ def pages() -> dict[str, str]:
         "profile.md": _tables("Keys of a profile", "Every key that a profile may hold.", PROFILE_TABLES),
         "json.md": _tables(
             "JSON documents",
-            "Each command prints one JSON document with `--json`; `null` is an unknown value. These are the "
-            "fields of `studies status --json`, `studies best --json` and `studies calibrate --json`.",
+            "Each command prints one JSON document with `--json`; `null` is an unknown value. The entries of "
+            "its `stages` are also what `mlruns/results/<label>/<stage>.json` holds under `result`. A part "
+            "that a result has not is left out. Arrays lie in `<stage>.npz` beside it.",
             DOCUMENTS,
         ),
     }
@@ -124,7 +141,8 @@ def _declared(owner: Any) -> Iterator[tuple[str, str, str]]:
     """Give name, type and default of each field; results have no defaults."""
     hints = typing.get_type_hints(owner, include_extras=True)
     if (keys := getattr(owner, "__pydantic_fields__", None)) is None:
-        yield from ((one.name, _kind(hints[one.name]), "") for one in fields(owner))
+        plain = (one.name for one in fields(owner) if "ndarray" not in str(hints[one.name]))
+        yield from ((name, _kind(hints[name]), "") for name in plain)
         return
     for name, key in keys.items():
         default = None if key.is_required() else key.get_default(call_default_factory=True)

@@ -39,7 +39,7 @@ class CircumstanceModel:
         return self.settings[0].scenario.time
 
     def open(self) -> "CircumstanceModel":
-        """Return the model: the recipe that worker processes are given."""
+        """Return the model: the factory that worker processes are given."""
         return self
 
     def simulate(self, theta: FloatArray) -> Trajectories:
@@ -102,7 +102,7 @@ class RestartModel:
         return self.settings.scenario.time
 
     def open(self) -> "RestartModel":
-        """Return the model: the recipe that worker processes are given."""
+        """Return the model: the factory that worker processes are given."""
         return self
 
     def simulate(self, theta: FloatArray) -> Trajectories:

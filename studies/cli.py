@@ -25,7 +25,7 @@ from simulation.pool.safe_start import start_safely
 from studies.commands import options
 from studies.console import Console
 from studies.environment import check_surroundings, explain
-from studies.interrupts import interrupt_heeded, interrupts_kept, is_interrupt
+from studies.interrupts import interrupt_handled, interrupts_kept, is_interrupt
 from studies.storage_url import hide_passwords
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
@@ -220,7 +220,7 @@ def _typed(words: Sequence[str]) -> str:
 
 
 def _interrupted(console: Console, again: str) -> int:
-    interrupt_heeded()
+    interrupt_handled()
     console.warn(f"interrupted; finished work is kept, go on with: {again}")
     console.document({"error": "interrupted", "go_on_with": again})
     return INTERRUPTED

@@ -9,12 +9,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from simulation.foreign_text import escaped
-
-Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
-"""Tone of a text: good, bad, a warning, strong, or of less weight."""
+from studies.blocks import Block as Block
+from studies.blocks import Column as Column
+from studies.blocks import Said as Said
+from studies.blocks import Table as Table
 
 # Columns of a progress line for its times, its percentage and a short bar.
 _BAR_COLUMNS = 38
@@ -28,59 +29,6 @@ class OnBar(Protocol):
 
     def __call__(self, what: str, done: float, total: float, news: str = "") -> None:
         """Take the name of a task, the steps done, the steps in total, and its latest result."""
-
-
-@dataclass(frozen=True)
-class Column:
-    """A table's column.
-
-    Args:
-        title: heading.
-        is_number: align the cells to the right.
-        spare: in a narrow terminal, columns with a larger number are left out first; 0 is always shown.
-    """
-
-    title: str
-    is_number: bool = False
-    spare: int = 0
-
-
-@dataclass(frozen=True)
-class Said:
-    """A text with a tone, which a terminal shows as a colour and a file does not show at all.
-
-    Args:
-        text: the text.
-        tone: how it is said.
-    """
-
-    text: str
-    tone: Tone = ""
-
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.text
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with a title.
-
-    Args:
-        title: above it.
-        columns: its columns.
-        rows: its cells; a cell is anything with a text, or a `Said`.
-        is_dense: two blanks between columns, not three.
-    """
-
-    title: str
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[object]]
-    is_dense: bool = False
-
-
-Block = Table | Said
-"""A table, or a text of one or several lines."""
 
 
 @dataclass(frozen=True)
@@ -184,20 +132,6 @@ class Console:
             from studies.screen import print_blocks
 
             print_blocks([_without_control(block) for block in blocks])
-
-    def watch(self, look: Callable[[], Sequence[Block]], *, period_s: float = 1.0) -> None:
-        """Show tables and texts again and again until Ctrl-C; once if the output is no terminal.
-
-        Args:
-            look: returns the tables and texts; may be slow.
-            period_s: shortest time between two calls. [s]
-        """
-        if self.as_json or self.quiet or not sys.stdout.isatty():
-            self.show(look())
-            return
-        from studies.screen import watch_blocks
-
-        watch_blocks(lambda: [_without_control(block) for block in look()], period_s=period_s)
 
     def result(self, line: str) -> None:
         """Write one line of the result to stdout, or nothing where the result is a JSON document."""

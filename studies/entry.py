@@ -1,4 +1,4 @@
-"""The first thing that runs: says what is missing on a machine that cannot run the rest."""
+"""Runs first: says what is missing on a machine that cannot run the rest."""
 
 import platform
 import sys

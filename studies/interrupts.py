@@ -1,4 +1,4 @@
-"""Ctrl-C that is not lost on its way to whoever heeds it."""
+"""Ctrl-C that is not lost on its way to what handles it."""
 
 import signal
 import sys
@@ -19,7 +19,7 @@ def interrupts_kept() -> Iterator[None]:
     been pressed. So a moment later it is raised again, unless it is handled by then.
 
     Only on the main thread, where Ctrl-C means KeyboardInterrupt and nothing else waits for the timer:
-    elsewhere nothing is changed.
+    otherwise nothing is changed.
     """
     if (
         threading.current_thread() is not threading.main_thread()
@@ -34,13 +34,13 @@ def interrupts_kept() -> Iterator[None]:
     try:
         yield
     finally:
-        interrupt_heeded()
+        interrupt_handled()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         sys.unraisablehook = hook
 
 
-def interrupt_heeded() -> None:
+def interrupt_handled() -> None:
     """Say that a Ctrl-C is known to whoever it was meant for, and is not to be raised again."""
     if signal.getsignal(signal.SIGALRM) is _look_again:
         signal.setitimer(signal.ITIMER_REAL, 0.0)

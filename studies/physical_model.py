@@ -1,9 +1,8 @@
-"""The physical model of a study as everybody asks it: supervised, spread over processes, and never twice."""
+"""The physical model of a study as its stages ask it: supervised, spread over processes, and never twice."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
@@ -13,7 +12,6 @@ from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
 from studies.calibration.states import StateSignals, watching_states
 from studies.paths import ProjectPaths
-from studies.report.wording import count
 from studies.stages.pipeline import StageError, Study
 from studies.watched_model import StoredWatchedModel
 
@@ -91,25 +89,6 @@ def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int 
     n_reused = model.n_reused - n_repeated
     if n_reused:
         study.console.say(f"{stage}: {n_reused} of {n_reused + model.n_simulated} simulations reused")
-
-
-def failed_numbers(model: StoredModel) -> dict[str, Any]:
-    """Return how many of the rows that a stage asked for failed, and why the first one did."""
-    return {"n_failed": len(model.failures), "first_failure": next(iter(model.failures), None)}
-
-
-def warn_failed(study: Study, found: Mapping[str, Any]) -> None:
-    """Warn of simulations that failed, if any.
-
-    Args:
-        study: the study.
-        found: numbers of a stage, with those of `failed_numbers` where it is not an older one.
-    """
-    if n_failed := found.get("n_failed", 0):
-        study.console.warn(
-            f"{count(n_failed, 'simulation')} failed, the first one: {found['first_failure']} "
-            "(--retry-failed asks again)"
-        )
 
 
 @contextmanager

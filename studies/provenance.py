@@ -1,73 +1,75 @@
-"""What an MLflow run says of how its result was made, read into frozen types before anything follows it."""
+"""What made a result, and makes it again: kept with stages and with MLflow's runs as `provenance.json`.
 
+It holds the case file's text and names everything else by its SHA-256. So it can be followed where the
+project was moved, and in another clone.
+"""
+
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted, shortened
-from studies.calibration.adaptive import Adaptive
-from studies.profile import Profile, in_one_line
-from studies.recipe import SCHEMA
+from studies.profile import Profile
+from studies.stages.saved import plain, rebuilt
 from studies.tuning.declaration import Declaration
 
+if TYPE_CHECKING:
+    from studies.stages.pipeline import Study
 
-@dataclass(frozen=True)
-class NamedCase:
-    """The case of a recipe: where it lay, and the SHA-256 of its file, its model and its measurement."""
-
-    place: str
-    sha256: str
-    digest: str
-    measurement_digest: str
-
-
-@dataclass(frozen=True)
-class FollowedRecipe:
-    """What is followed of a recipe.
-
-    Args:
-        kind: what it makes.
-        label: the study's label.
-        command: the command line that made it.
-        case: the case.
-        window_d: the window. [d]
-        profile: the budget.
-        settings: how an adaptive calibration searched.
-        n_train: size of a calibration's training set.
-        surrogate: run of a calibration's surrogate, by "run_id".
-    """
-
-    kind: str
-    label: str
-    command: str
-    case: NamedCase
-    window_d: tuple[float, float]
-    profile: Profile
-    settings: Adaptive | None = None
-    n_train: int = 0
-    surrogate: dict[str, str | int] = field(default_factory=dict)
+SCHEMA = 3
+NEEDED = {"training": "declaration", "calibration": "surrogate_run", "adaptive": "settings"}
+"""What can be made again, and what must be known for it."""
+FILE = "provenance.json"
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What an MLflow run says of how it was made.
+    """What made a result.
 
     Args:
-        recipe: what is done.
-        environment: packages, code and machine.
+        schema: version of this form.
+        kind: "training", "calibration", "adaptive", "sensitivity" or "uncertainty".
+        label: the study's label.
+        command: the command line that made it.
+        case_file: place of the case file.
+        case_text: its text.
+        case_digest: SHA-256 of the model.
+        measurement_digest: SHA-256 of the measurement.
+        files: SHA-256 of the case file, the FMU and the recordings by place.
+        window_d: the window. [d]
+        profile: the budget.
+        settings: how an adaptive calibration searched.
+        n_train: size of a calibration's training set.
+        surrogate_run: MLflow's run of a calibration's surrogate.
         declaration: a trial's study.
         params: a trial's hyperparameters.
         seed: seed of a trial's training.
+        environment: packages, code and machine.
     """
 
-    recipe: FollowedRecipe
-    environment: dict[str, str] = field(default_factory=dict)
+    schema: int
+    kind: str
+    label: str
+    command: str
+    case_file: str
+    case_text: str
+    case_digest: str
+    measurement_digest: str
+    files: dict[str, str]
+    window_d: tuple[float, float]
+    profile: Profile
+    settings: dict[str, Any] | None = None
+    n_train: int = 0
+    surrogate_run: str = ""
     declaration: Declaration | None = None
     params: dict[str, int | float | str | bool] = field(default_factory=dict)
     seed: Annotated[int, Field(ge=0)] = 0
+    environment: dict[str, str] = field(default_factory=dict)
 
     @property
     def n_threads(self) -> int | None:
@@ -76,13 +78,40 @@ class Provenance:
         return int(noted) if noted.isdecimal() and len(noted) < len("10000") else None
 
 
-_READER = TypeAdapter(Provenance)
-NEEDED = {"training": "declaration", "calibration": "surrogate", "adaptive": "settings"}
-"""What can be made again, and what must be known for it."""
+def provenance_of(study: "Study", kind: str, **more: Any) -> dict[str, Any]:
+    """Return what makes a result of a study again, as JSON values.
+
+    Args:
+        study: the study.
+        kind: what the result is.
+        more: what this kind needs beyond case and profile.
+    """
+    from simulation.case_reading import read_case_file
+
+    case = study.case
+    declared, folder = read_case_file(case.path), case.path.parent
+    names = [one.file for one in declared.inputs] + [one.file for one in declared.outputs]
+    data = (folder / declared.data / name for name in names)
+    files = dict.fromkeys([case.path, folder / declared.fmu, *data])
+    made = Provenance(
+        schema=SCHEMA,
+        kind=kind,
+        label=study.label,
+        command=study.typed,
+        case_file=study.paths.recorded(case.path),
+        case_text=case.path.read_text(encoding="utf-8-sig"),
+        case_digest=case.digest,
+        measurement_digest=case.measurement.digest,
+        files={study.paths.recorded(file.resolve()): file_digest(file) for file in files},
+        window_d=case.window_d,
+        profile=study.profile,
+        **more,
+    )
+    return plain(made)
 
 
-def provenance_of(record: Mapping[str, Any], owner: str) -> Provenance:
-    """Read what a run says of how it was made; behind this nothing of its form is checked again.
+def read_provenance(record: Mapping[str, Any], owner: str) -> Provenance:
+    """Read what made a result; behind this nothing of its form is checked again.
 
     Args:
         record: the record as it was kept.
@@ -91,22 +120,23 @@ def provenance_of(record: Mapping[str, Any], owner: str) -> Provenance:
     Raises:
         InputError: it says nothing, is damaged, or is of another version.
     """
-    recipe = record.get("recipe")
-    if not recipe:
-        raise InputError(f"{owner} was recorded without a recipe; make it again with this version")
-    kind, schema = (recipe.get("kind"), recipe.get("schema")) if isinstance(recipe, dict) else (None, None)
+    kind, schema = record.get("kind"), record.get("schema")
     if schema != SCHEMA or kind not in [*NEEDED]:  # which may be anything
         raise InputError(
             f"{owner} is a {quoted(kind)} of schema {quoted(schema)}, which this version cannot make again"
         )
+    made = rebuilt(Provenance, record, f"{owner}: {FILE}")
     try:
-        made = _READER.validate_python(record)
         if made.declaration is not None:
             made.declaration.config(made.params)
     except ValueError as error:
-        said = in_one_line(error) if isinstance(error, ValidationError) else shortened(str(error))
-        raise InputError(f"{owner}: provenance.json: {said}; use the version that wrote it") from None
-    needed = NEEDED[kind]
-    if not getattr(made.recipe, needed, None) and getattr(made, needed, None) is None:
-        raise InputError(f"{owner}: provenance.json: {needed} is missing; make it again with this version")
+        raise InputError(f"{owner}: {FILE}: {shortened(str(error))}; use the version that wrote it") from None
+    if not getattr(made, NEEDED[kind]):
+        raise InputError(f"{owner}: {FILE}: {NEEDED[kind]} is missing; make it again with this version")
     return made
+
+
+def file_digest(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

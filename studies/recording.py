@@ -157,7 +157,7 @@ def _read_matlab(content: bytes, source: str) -> Series:
     except InputError:
         raise
     except Exception as error:
-        # scipy raises many kinds of exception for bytes that are not what they claim to be
+        # scipy raises many kinds of exception for bytes that are no MATLAB file
         raise InputError(
             f"{source} is not a readable MATLAB file ({type(error).__name__}: {shortened(str(error))})"
         ) from None

@@ -1,41 +1,66 @@
-"""Make a trial or a stage again from what its MLflow run holds, and compare every number.
+"""Make a trial or a calibration again from what its MLflow run holds, and compare every number.
 
-The run says what was done: the case file's text, the SHA-256 of every file, settings and seed. What it says
-is compared with the project, never written into it: the case and its files must be here as they were.
+What the run says is compared with the project, never written into it: the case and its files must be here as
+they were.
 """
 
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.foreign_text import quoted, shortened
-from studies.comparison import Compared, compare
+from studies.calibration.adaptive import Adaptive
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
-from studies.provenance import FollowedRecipe, Provenance, provenance_of
-from studies.recipe import file_digest
+from studies.provenance import FILE, Provenance, file_digest, read_provenance
+from studies.stages.adaptive import calibrate_adaptively
+from studies.stages.calibrate import calibrate
 from studies.stages.pipeline import Study, read_json
-from studies.stages.results import read_arrays
+from studies.stages.results import SURROGATE_FIELDS, Calibration
+from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt
+from studies.stages.simulate import simulate_stage
+from studies.stages.warm_start import StartRows
 from studies.tracking.origin import environment
+from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import CURVE, RunStore
 from studies.tracking.stage_run import run_store
+from studies.tuning.training import load_data, train
 
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
-Result = tuple[Mapping[str, Any], Mapping[str, NDArray[Any]]]
-LOOSE = ("wall", "recipe", "environment", "n_reused")
-"""Numbers and records of a stage that are others each time."""
+Numbers = Mapping[str, Any]
+"""Nested JSON values and arrays by name."""
+OF_THE_STORE = ("n_simulated", *(f"screening.{of}" for of in SURROGATE_FIELDS))
+"""Of a calibration: what depends on what is stored, or says which surrogate was taken."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One number, text or row of numbers, recorded and made again.
+
+    Args:
+        name: what it is.
+        recorded: as it was recorded, in all its digits.
+        now: as it came out now.
+        is_equal: whether they are the same to the last digit.
+        relative: largest difference over the recorded value; None where it has no meaning. [1]
+    """
+
+    name: str
+    recorded: str
+    now: str
+    is_equal: bool
+    relative: float | None = None
 
 
 class _LastEpochError(Exception):
@@ -62,24 +87,35 @@ def reproduce(paths: ProjectPaths, name: str, console: Console, *, n_jobs: int) 
     run = _find(runs, name)
     run_id = str(run.info.run_id)
     with tempfile.TemporaryDirectory(prefix="studies-reproduce-") as scratch:
-        record = read_json(runs.fetch(run_id, "provenance.json", Path(scratch))) or {}
-        made = provenance_of(record, f"MLflow's run {run_id}")
-        recipe = made.recipe
-        study = _study(paths, recipe, console, n_jobs)
+        record = read_json(runs.fetch(run_id, FILE, Path(scratch))) or {}
+        made = read_provenance(record, f"MLflow's run {run_id}")
+        study = _study(paths, made, console, n_jobs)
         _say_differences(console, made.environment)
         what = f"{run.info.run_name} of {study.label} once more"
         with console.stage("reproduce", what), threadpool_limits(made.n_threads):
             if made.declaration is not None:
-                (numbers, arrays), (numbers_now, arrays_now) = _trial(run, runs, study, made)
+                recorded, now = _trial(run, runs, study, made)
             else:
-                numbers, arrays = _recorded(run, runs, Path(scratch))
+                stage = f"calibrate-{run.info.run_name.removesuffix(' calibration')}"
+                arrays = read_arrays(runs.fetch(run_id, f"{stage}.npz", Path(scratch)))
                 # In a folder of its own, so that stored rows are simulated again as well.
                 apart = replace(study, paths=ProjectPaths(Path(scratch) / "project"))
-                again = _calibration if recipe.settings is None else _adaptive
-                numbers_now, arrays_now = again(apart, recipe, (numbers, arrays), runs)
-    # A stage notes more of its circumstances than what it calculates.
-    kept = {k: v for k, v in numbers.items() if k in numbers_now and not k.startswith(LOOSE)}
-    return run_id, compare(kept, numbers_now) + compare(arrays, arrays_now)
+                before = rebuilt(Calibration, record.get("result"), FILE, arrays)
+                again = _calibration(apart, made, before, runs)
+                recorded, now = ({**plain(one), **arrays_of(one)} for one in (before, again))
+    return run_id, compare(recorded, now)
+
+
+def compare(recorded: Numbers, now: Numbers) -> list[Compared]:
+    """Compare every number that was recorded.
+
+    Args:
+        recorded: as it was.
+        now: the same made again; what was not recorded is left out.
+    """
+    again = dict(_leaves(now))
+    was = [(name, value) for name, value in _leaves(recorded) if not name.startswith(OF_THE_STORE)]
+    return [_compared(name, value, again.get(name)) for name, value in was]
 
 
 def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> None:
@@ -101,6 +137,27 @@ def show_reproduction(console: Console, run_id: str, rows: list[Compared]) -> No
     console.result(f"differs: {n_other} of {len(rows)} rows" if n_other else equal)
 
 
+def _leaves(content: Numbers, before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
+
+
+def _compared(name: str, recorded: Any, now: Any) -> Compared:
+    was, is_now = np.asarray(recorded), np.asarray(now)
+    before, after = (f"{np.size(one)} values" if np.ndim(one) else repr(one) for one in (recorded, now))
+    are_numbers = was.dtype.kind in "iuf" and is_now.dtype.kind in "iuf" and was.shape == is_now.shape
+    if np.array_equal(was, is_now, equal_nan=are_numbers):
+        return Compared(name, before, after, True, 0.0 if are_numbers else None)
+    if not are_numbers:
+        return Compared(name, before, after, False)
+    with np.errstate(all="ignore"):
+        relative = float(np.nanmax(np.abs(is_now - was)) / max(np.nanmax(np.abs(was)), 1e-300))
+    return Compared(name, before, after, False, relative if np.isfinite(relative) else None)
+
+
 def _find(runs: RunStore, name: str) -> "Run":
     """Find a run by its id, or the latest one of a calibration's name."""
     from mlflow.exceptions import MlflowException
@@ -117,35 +174,26 @@ def _find(runs: RunStore, name: str) -> "Run":
     raise InputError(f"nothing is called {name!r}; give {known}")
 
 
-def _study(paths: ProjectPaths, recipe: FollowedRecipe, console: Console, n_jobs: int) -> Study:
-    """Put a recipe's study together from the case that is here.
+def _study(paths: ProjectPaths, made: Provenance, console: Console, n_jobs: int) -> Study:
+    """Put the study together from the case that is here.
 
     Raises:
         InputError: the case or one of its files is not as it was.
     """
-    recorded = recipe.case
-    file = paths.located(recorded.place)
+    file, place = paths.located(made.case_file), made.case_file
     if file is None:
-        raise InputError(f"this run's case file {quoted(recorded.place)} is not in the project; put it there")
-    case = load_case(file, window_d=recipe.window_d)
+        raise InputError(f"this run's case file {quoted(place)} is not in the project; put it there")
+    case = load_case(file, window_d=made.window_d)
     checks = (
-        (recorded.sha256, file_digest(file), "the file itself"),
-        (recorded.digest, case.digest, "its FMU or its inputs"),
-        (recorded.measurement_digest, case.measurement.digest, "its measurement"),
+        (made.files.get(place, ""), file_digest(file), "the file itself"),
+        (made.case_digest, case.digest, "its FMU or its inputs"),
+        (made.measurement_digest, case.measurement.digest, "its measurement"),
     )
     for was, now, what in checks:
         if was != now:
             before = shortened(was[:12])
             raise InputError(f"{paths.show(file)}: {what} changed since this was made; restore it ({before})")
-    return Study(
-        case=case,
-        profile=recipe.profile,
-        paths=paths,
-        console=console,
-        n_jobs=n_jobs,
-        label=recipe.label,
-        command=recipe.command,
-    )
+    return Study(case, made.profile, paths, console, n_jobs, made.label, made.command)
 
 
 def _say_differences(console: Console, was: Mapping[str, str]) -> None:
@@ -157,11 +205,8 @@ def _say_differences(console: Console, was: Mapping[str, str]) -> None:
             console.say(f"  {key}: {before} -> {after}")
 
 
-def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[Result, Result]:
+def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[Numbers, Numbers]:
     """Train a trial's surrogate again, as far as it was trained."""
-    from studies.stages.simulate import simulate_stage
-    from studies.tuning.training import load_data, train
-
     spec = made.declaration
     assert spec is not None, "of every trial"
     config = spec.config(made.params)
@@ -176,7 +221,7 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
     is_pruned = run.data.tags.get("pruned") == "True"
     seen: dict[str, dict[int, float]] = {name: {} for name in history}
 
-    def hear(report: Any) -> None:
+    def on_epoch(report: Any) -> None:
         now = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
         for name, value in now.items():
             seen.setdefault(f"{CURVE}{name}", {})[report.epoch] = value
@@ -185,40 +230,24 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
 
     numbers: dict[str, float] = {}
     with suppress(_LastEpochError):
-        _, numbers = train(spec, config, made.seed, data, on_epoch=hear, on_report=lambda *_: None)
-    was = {name: value for name, value in run.data.metrics.items() if not name.startswith(CURVE)}
+        _, numbers = train(spec, config, made.seed, data, on_epoch=on_epoch, on_report=lambda *_: None)
+    was = {name: run.data.metrics[name] for name in numbers if name in run.data.metrics}
 
-    def rows(of: Mapping[str, Mapping[int, float]]) -> dict[str, NDArray[Any]]:
+    def curves(of: Mapping[str, Mapping[int, float]]) -> Numbers:
         return {name: np.array([of[name].get(step) for step in sorted(history[name])]) for name in history}
 
-    return (was, rows(history)), (numbers, rows(seen))
+    return {**was, **curves(history)}, {**numbers, **curves(seen)}
 
 
-def _recorded(run: "Run", runs: RunStore, folder: Path) -> Result:
-    """Fetch the numbers and arrays of a calibration from its run."""
-    stem = f"calibration-{run.info.run_name.removesuffix(' calibration')}"
-    numbers = read_json(runs.fetch(run.info.run_id, f"{stem}.json", folder)) or {}
-    return numbers, read_arrays(runs.fetch(run.info.run_id, f"{stem}.npz", folder))
-
-
-def _calibration(study: Study, recipe: FollowedRecipe, _: Result, runs: RunStore) -> Result:
-    from studies.stages.calibrate import calibrate
-    from studies.tracking.registry import load_surrogate
-
-    surrogate = load_surrogate(runs, str(recipe.surrogate.get("run_id")))
-    return calibrate(study, surrogate, recipe.n_train)
-
-
-def _adaptive(study: Study, recipe: FollowedRecipe, recorded: Result, _: RunStore) -> Result:
-    from studies.stages.adaptive import calibrate_adaptively
-    from studies.stages.known_rows import Known
-
-    assert recipe.settings is not None, "of every adaptive calibration"
-    has_equations, known_rows = "state_equations" in recorded[0], None
-    if "known_theta" in recorded[1]:
-        known = Known(recorded[1]["known_theta"], recorded[1]["known_watched"])
-        known_rows = lambda *_: known  # noqa: E731
-    numbers, arrays, _n_simulated = calibrate_adaptively(
-        study, recipe.settings, known_rows, state_equations=has_equations
+def _calibration(study: Study, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:
+    if made.settings is None:
+        return calibrate(study, load_surrogate(runs, made.surrogate_run), made.n_train)
+    stored = None
+    if before.start_theta is not None and before.start_watched is not None:
+        stored = StartRows(before.start_theta, before.start_watched)
+    return calibrate_adaptively(
+        study,
+        rebuilt(Adaptive, made.settings, FILE),
+        None if stored is None else lambda *_: stored,
+        state_equations=before.state_equations is not None,
     )
-    return numbers, arrays

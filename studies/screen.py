@@ -1,26 +1,20 @@
-"""How tables and texts become the lines of a terminal: widths, colours, and a screen that is drawn again."""
+"""How tables and texts become the lines of a terminal: widths and colours."""
 
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console as RichConsole
 from rich.console import Group, RenderableType
-from rich.live import Live
-from rich.segment import Segment, Segments
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from studies.console import Block, Said, Table
-from studies.interrupts import interrupt_heeded
+from studies.blocks import Block, Said, Table
 
 PLAIN_WIDTH = 160
 """Columns of a table that is written to a file or a pipe."""
-LOOKING = 9.0
-"""Pause between two looks, as a multiple of what a look costs: looking takes a tenth of a core at most."""
 _STYLES = {"": "", "strong": "bold", "dim": "dim", "good": "green", "warn": "yellow", "bad": "red"}
 
 
@@ -39,27 +33,6 @@ def print_blocks(blocks: Sequence[Block]) -> None:
             screen.print(_drawn(block, screen.width), soft_wrap=is_whole)
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in drawn.get().splitlines()))
     sys.stdout.flush()
-
-
-def watch_blocks(look: Callable[[], Sequence[Block]], *, period_s: float) -> None:
-    """Draw what is seen again and again until Ctrl-C, then leave the last of it on the terminal.
-
-    Args:
-        look: returns what to show.
-        period_s: shortest pause between two looks. [s]
-    """
-    screen = rich_console(sys.stdout)
-    blocks: Sequence[Block] = ()
-    try:
-        with Live(console=screen, screen=True, auto_refresh=False) as live:
-            while True:
-                started = time.perf_counter()
-                blocks = look()
-                live.update(_cropped(blocks, screen), refresh=True)
-                time.sleep(max(period_s, LOOKING * (time.perf_counter() - started)))
-    except KeyboardInterrupt:
-        interrupt_heeded()
-        print_blocks(blocks)
 
 
 def _drawn(block: Block, width: int) -> RenderableType:
@@ -103,15 +76,3 @@ def _fitting(table: Table, width: int) -> tuple[list[int], bool]:
     while sum(widths[i] for i in kept) > width and any(table.columns[i].spare for i in kept):
         kept.remove(max(kept, key=lambda i: table.columns[i].spare))
     return kept, sum(widths[i] for i in kept) <= width
-
-
-def _cropped(blocks: Sequence[Block], screen: RichConsole) -> RenderableType:
-    """Return blocks cut to the height of the terminal, saying so."""
-    whole = Group(*(_drawn(block, screen.width) for block in blocks))
-    lines = screen.render_lines(whole, pad=False)
-    if len(lines) <= screen.height:
-        return whole
-    fitting = lines[: screen.height - 1]
-    segments = [segment for line in fitting for segment in (*line, Segment.line())]
-    left = len(lines) - len(fitting)
-    return Segments([*segments, Segment(f"... {left} more lines: a taller window shows them")])

@@ -1,8 +1,7 @@
 """Sobol indices of every output at every time step."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
 from simulation.store.stored_model import StoredModel
-from simulation.whole_file import whole_file
+from studies.stages.saved import WITH_ARRAYS
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
 CONSTANT = 1e-6
@@ -21,7 +20,7 @@ CONFIDENCE_LEVEL = 0.95
 OnProgress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SobolIndices:
     """How much of an output's variance each parameter explains, step by step.
 
@@ -40,6 +39,8 @@ class SobolIndices:
         n_dropped: Blocks left out because one of their rows failed.
         n_calls: Rows asked of the model.
     """
+
+    __pydantic_config__ = WITH_ARRAYS
 
     time: FloatArray
     names: tuple[str, ...]
@@ -71,35 +72,22 @@ class SobolIndices:
         mean = np.nan_to_num(self.mean_first_order()[output], nan=-np.inf)
         return tuple(int(i) for i in np.argsort(-mean, kind="stable"))
 
-    def save(self, path: Path) -> None:
-        """Write to an .npz file, old or new but never half of one."""
-        content = {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-        with whole_file(Path(path)) as file:
-            np.savez(file, allow_pickle=False, **content)
+    @property
+    def mean(self) -> dict[str, tuple[float | None, float | None]]:
+        """First and total order of the first output, averaged over time; None where undefined. [1]."""
+        orders = np.stack([self.mean_first_order()[0], self.mean_total_order()[0]]).tolist()
+        first, total = ([None if np.isnan(one) else one for one in order] for order in orders)
+        return {self.names[i]: (first[i], total[i]) for i in self.order()}
 
-    @classmethod
-    def load(cls, path: Path) -> "SobolIndices":
-        """Read a file written by save().
+    @property
+    def news(self) -> str:
+        """How many rows they took."""
+        return f"{self.n_calls} simulations reused"
 
-        Raises:
-            InputError: If the file is missing.
-        """
-        if not Path(path).is_file():
-            raise InputError(f"{path}: no such file; run the sensitivity analysis first")
-        with np.load(path, allow_pickle=False) as content:
-            return cls(
-                time=content["time"],
-                names=tuple(str(name) for name in content["names"]),
-                output_names=tuple(str(name) for name in content["output_names"]),
-                first_order=content["first_order"],
-                total_order=content["total_order"],
-                first_order_ci=content["first_order_ci"],
-                total_order_ci=content["total_order_ci"],
-                variance=content["variance"],
-                n_base=int(content["n_base"]),
-                n_dropped=int(content["n_dropped"]),
-                n_calls=int(content["n_calls"]),
-            )
+    @property
+    def has_failures(self) -> bool:
+        """Whether a failed row cost a block."""
+        return self.n_dropped > 0
 
 
 def sobol_indices(

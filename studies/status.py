@@ -6,10 +6,9 @@ from dataclasses import asdict
 from typing import Any
 
 from studies.console import Block, Column, Said, Table, format_seconds
-from studies.finished import FIRST_WORDS, Calibration, Project
-from studies.leaderboard import error
+from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.records_tuning import TunedSize
-from studies.report.wording import MISSING, count, quantity, setting, significant
+from studies.report.wording import MISSING, count, setting, significant
 from studies.tuning.results import STATES, TrialView, TunedStudy
 
 
@@ -31,7 +30,7 @@ def status_document(project: Project) -> dict[str, Any]:
     return {
         "command": "status",
         "studies": [asdict(one) for one in project.sizes],
-        "calibrations": [asdict(one) for one in project.calibrations],
+        "calibrations": [one.to_dict() for one in project.calibrations],
     }
 
 
@@ -51,7 +50,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
             Said(str(one.n_failed), "bad") if one.n_failed else 0,
             one.n_running,
             *(setting(one.params.get(name)) for name in names),
-            *(error(one, name) for name in ("test/mae", "test/p90")),
+            *(MISSING if error is None else significant(error) for error in (one.mae, one.p90)),
             significant(one.baseline["test/mae"]) if one.baseline else MISSING,
             f"{3600.0 * one.n_trials / one.wall_s:.0f}" if one.wall_s else MISSING,
             MISSING if one.to_go_s is None else format_seconds(one.to_go_s) if one.to_go_s else "done",
@@ -85,25 +84,27 @@ def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
     return Table("", columns, rows, is_dense=True)
 
 
-def _calibrations(calibrations: Sequence[Calibration]) -> Table:
+def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
     """Return a line per calibration, the best of each label standing out."""
     columns = [Column("calibration"), Column("final MSE", True), Column("calls (paper)", True)]
     columns += [Column("calls (all)", True, 2), Column("ended because", spare=3), Column("finished", True, 1)]
     is_any_changed = any(one.changed_since for one in calibrations)
     columns += [Column("changed since")] * is_any_changed
-    least = {one.label: min(o.error for o in calibrations if o.label == one.label) for one in calibrations}
-    rows = [
-        [
-            one.name,
-            "failed"
-            if one.mse is None
-            else Said(quantity(one.mse, one.unit, 4), "strong" if one.mse == least[one.label] else ""),
-            f"{one.n_calls_paper} + {one.n_known} stored" if one.n_known else one.n_calls_paper,
-            one.n_calls_all,
-            one.reason,
-            one.finished[:16].replace("T", " "),
-            *([Said(", ".join(one.changed_since), "warn")] if is_any_changed else []),
-        ]
-        for one in calibrations
-    ]
+    least = {
+        one.label: min(o.found.mse for o in calibrations if o.label == one.label) for one in calibrations
+    }
+    rows = []
+    for one in calibrations:
+        found, calls = one.found, str(one.found.n_calls_paper)
+        rows.append(
+            [
+                one.name,
+                Said(one.mse_text, "strong" if found.mse == least[one.label] else ""),
+                f"{calls} + {found.n_warm_start} stored" if found.n_warm_start else calls,
+                found.n_calls,
+                found.stop_reason,
+                one.outcome.finished[:16].replace("T", " "),
+                *([Said(", ".join(one.changed_since), "warn")] if is_any_changed else []),
+            ]
+        )
     return Table("", columns, rows, is_dense=True)

@@ -16,8 +16,9 @@ N_UNREAD = 2
 class StoredWatchedModel(StoredModel):
     """A stored model whose new rows are asked of another one that watches the same model's states.
 
-    Rows lie in both stores: with their states in the other one's, and without, for everybody, in its own. An
-    FMU may declare states and yet fail where they are read; then rows are asked without from there on.
+    Rows lie in both stores: with their states in the other one's, and without, for all other stages, in its
+    own. An FMU may declare states and yet fail where they are read; then rows are asked without from there
+    on.
 
     Attributes:
         signals: What is known of the states.

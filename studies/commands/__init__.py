@@ -23,7 +23,7 @@ Examples:
   studies check office                     what is wrong with a case, and what to do
   studies tune --n-train 64 --trials 40    more trials for one size; finished trials are kept
   studies calibrate --n-train 64 --json    one calibration from the stored surrogate
-  studies status --live                    running trials, progress, time to go
+  studies status                           running trials, progress, time to go
   studies ui                               compare the runs in MLflow
 
 The project is the nearest folder with a file studies.toml, from the working folder upwards. Without such a

@@ -30,8 +30,8 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.best import best_blocks, best_document
-    from studies.finished import read_project
     from studies.paths import find_project
+    from studies.project import read_project
 
     paths = find_project(chosen.storage)
     project = read_project(paths, chosen.which)

@@ -7,7 +7,7 @@ search stops when it expects little gain, at the latest after --max-calls. With 
 that error, --max-calls, or until the state equations know no lower error. Each simulation is stored at
 once: after an interruption or a kill, the same command reads the stored ones and goes on. --parallel Q runs
 Q simulations per round, spread over --jobs: fewer rounds, but more calls. Results:
-mlruns/results/<label>/calibration-adaptive.json and .npz, a run in MLflow, a page by studies report.
+mlruns/results/<label>/calibrate-adaptive.json and .npz, a run in MLflow, a page by studies report.
 
 --from-stored begins with the stored simulations of this model, at most 250. They may come from training
 sets or from an earlier calibration, also with other data, weights, priors or bounds. They cost no call.
@@ -25,7 +25,7 @@ an FMU cannot be read.
 --n-train 64 uses the method of the paper with the surrogate of 64 simulations; --method paper uses it for
 all tuned sizes. Differential evolution searches the whole box on the surrogate. One FMU call checks the
 point that it finds; the difference of the errors is the screening gap. LS-TRF polishes from there on the
-FMU. Results: calibration-n<size>.json and .npz.
+FMU. Results: calibrate-n<size>.json and .npz.
 
 Both methods use the priors of the parameters (case.toml: prior = { about = 0.7, within_factor = 1.5 }).
 
@@ -101,21 +101,20 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.calibrate import calibrate_stage, tuned_sizes
-    from studies.stages.shown import calibrations_of, guideline_numbers, show_polished
+    from studies.stages.shown import guideline_numbers, show_polished
 
     study = open_study(chosen, console)
     sizes = tuned_sizes(study, chosen.n_train)
     outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
-    stored = calibrations_of(study, outcomes)
-    show_polished(study, stored)
-    judged = {one.numbers["n_train"]: guideline_numbers(study, one) for one in stored}
+    show_polished(study, outcomes)
+    judged = {one.result.n_train: guideline_numbers(study, one.result) for one in outcomes}
     return hand_over(study, "calibrate", outcomes, guideline14=judged)
 
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.adaptive import adaptive_settings, adaptive_stage
-    from studies.stages.guided import are_state_equations_learnt
-    from studies.stages.shown import calibrations_of, guideline_numbers, show_adaptive
+    from studies.stages.equations_found import are_state_equations_learnt
+    from studies.stages.shown import guideline_numbers, show_adaptive
 
     study = open_study(chosen, console)
     state_equations = are_state_equations_learnt(study.case, chosen.state_equations)
@@ -134,14 +133,14 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         state_equations=state_equations,
         again=chosen.again,
     )
-    (stored,) = calibrations_of(study, [outcome])
-    show_adaptive(study, outcome, stored)
+    show_adaptive(study, outcome)
     targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}
+    history = outcome.result.history
     return hand_over(
         study,
         "calibrate",
         [outcome],
         method="adaptive",
-        guideline14=guideline_numbers(study, stored),
-        calls_to_target={f"{target:g}": stored.calls_to(target) for target in sorted(targets)},
+        guideline14=guideline_numbers(study, outcome.result),
+        calls_to_target={f"{target:g}": history.calls_to(target) for target in sorted(targets)},
     )

@@ -34,10 +34,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import show_diagnosis
     from studies.stages.check import check_stage
+    from studies.stages.saved import plain
 
     study = open_study(chosen, console)
     console.say(options.NATIVE_CODE)
-    _, diagnosis = check_stage(study, again=True, is_thorough=chosen.thorough)
+    diagnosis = check_stage(study, again=True, is_thorough=chosen.thorough).result
     show_diagnosis(console, study.label, diagnosis)
-    console.document({"command": "check", "label": study.label, **diagnosis.to_dict()})
+    document = {"command": "check", "label": study.label, "sound": diagnosis.is_sound}
+    console.document(document | plain(diagnosis))
     return OK if diagnosis.is_sound else FAILED

@@ -26,5 +26,5 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     study = open_study(chosen, console)
     outcome = report_stage(study)
-    show_report(study, outcome)
+    show_report(study, outcome.result)
     return hand_over(study, "report", [outcome])

@@ -13,10 +13,14 @@ Examples:
 """
 
 import argparse
+from typing import TYPE_CHECKING, Any
 
 from studies.commands import options
 from studies.commands.study import FAILED, foretell, hand_over, open_study
 from studies.console import Console
+
+if TYPE_CHECKING:
+    from studies.stages.pipeline import Outcome
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -34,14 +38,15 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.check import check_stage
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
     from studies.stages.report import report_stage, show_report
-    from studies.stages.shown import calibrations_of, show_polished
+    from studies.stages.shown import show_polished
     from studies.stages.simulate import sensitivity_stage, simulate_stage
 
     study = open_study(chosen, console)
     if chosen.dry_run:
         return foretell(study, "run", whole=True)
     require_tuning(study)
-    checked, diagnosis = check_stage(study)
+    checked = check_stage(study)
+    diagnosis = checked.result
     if not diagnosis.is_sound:
         show_diagnosis(console, study.label, diagnosis)
         console.document({"command": "run", "label": study.label, "stages": [checked.to_dict(study.paths)]})
@@ -54,8 +59,8 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         calibrate_stage(study, n_train, again=chosen.again) for n_train in study.profile.data.n_train
     ]
     reported = report_stage(study)
-    show_tuning(study, tuned)
-    show_polished(study, calibrations_of(study, calibrated))
-    show_report(study, reported)
-    outcomes = [checked, simulated, sensitivity, tuned, *calibrated, reported]
+    show_tuning(study, tuned.result)
+    show_polished(study, calibrated)
+    show_report(study, reported.result)
+    outcomes: list[Outcome[Any]] = [checked, simulated, sensitivity, tuned, *calibrated, reported]
     return hand_over(study, "run", outcomes)

@@ -1,8 +1,8 @@
 """Estimate first- and total-order Sobol indices per time step.
 
 What happens: the command simulates Saltelli's sample on the FMU. It estimates the indices with bootstrapped
-confidence intervals at every output step. Results: mlruns/results/<label>/sensitivity.npz. The table shows
-averages over time.
+confidence intervals at every output step. Results:
+mlruns/results/<label>/sensitivity.json and .npz. The table shows averages over time.
 
 Examples:
   studies sensitivity
@@ -24,9 +24,14 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.simulate import sensitivity_stage, show_sensitivity
+    from studies.page_tables import terminal_table
+    from studies.report.tables import sensitivity_table
+    from studies.stages.shown import report_of
+    from studies.stages.simulate import sensitivity_stage
 
     study = open_study(chosen, console)
     outcome = sensitivity_stage(study)
-    show_sensitivity(study, outcome)
-    return hand_over(study, "sensitivity", [outcome])
+    table = sensitivity_table(report_of(study, sensitivity=outcome.result))
+    console.show([terminal_table(table)] if table else [])
+    mean = {name: {"first": first, "total": total} for name, (first, total) in outcome.result.mean.items()}
+    return hand_over(study, "sensitivity", [outcome], mean_indices=mean)

@@ -37,5 +37,5 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     study = open_study(chosen, console)
     outcome = simulate_stage(study)
-    show_sets(study, outcome)
+    show_sets(study, outcome.result)
     return hand_over(study, "simulate", [outcome])

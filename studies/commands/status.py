@@ -3,12 +3,11 @@
 What happens: the command reads Optuna's studies (mlruns/optuna.db, or the database of --storage) and the
 finished calibrations. It changes nothing, so you may type it at any moment. Each study has one line: trials
 done and planned, pruned, failed and running trials. The line also shows the hyperparameters and errors of
-the best trial and the training time that is left. Below are the running trials and the calibrations. --live
-repeats the table until Ctrl-C.
+the best trial and the training time that is left. Below are the running trials and the calibrations.
 
 Examples:
   studies status                           all studies
-  studies status office --live             studies of one case, again and again
+  watch -n 10 studies status office        studies of one case, again and again
   studies status 'office-quick-seed*'      labels that match a pattern
   studies status --json                    for programs
 """
@@ -23,20 +22,16 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
     )
-    command.add_argument("--live", "--watch", action="store_true", help="repeat the table until Ctrl-C")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.finished import read_project
     from studies.paths import find_project
+    from studies.project import read_project
     from studies.status import status_blocks, status_document
 
     paths = find_project(chosen.storage)
     project = read_project(paths, chosen.which)
-    if chosen.live and not console.as_json:
-        console.watch(lambda: status_blocks(read_project(paths, chosen.which)))
-        return 0
     console.show(status_blocks(project))
     console.document(status_document(project))
     return 0

@@ -3,6 +3,7 @@
 import argparse
 import os
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,7 +92,7 @@ def _changed(profile: "Profile", chosen: argparse.Namespace) -> "Profile":
 def _keep_compiled_loops(paths: ProjectPaths) -> None:
     """Keep numba's compiled loops in the project where the installed package cannot be written.
 
-    Elsewhere they lie beside the package's byte code. numba's own choice would be the home folder.
+    Otherwise they lie beside the package's byte code. numba's own choice would be the home folder.
     """
     import simulation
 
@@ -148,7 +149,7 @@ def foretell(study: "Study", command: str, *, whole: bool) -> int:
     return OK
 
 
-def hand_over(study: "Study", command: str, outcomes: "list[Outcome]", **extra: Any) -> int:
+def hand_over(study: "Study", command: str, outcomes: "Sequence[Outcome[Any]]", **extra: Any) -> int:
     """Write the results of stages as one JSON document, where one is wanted, and return the exit code."""
     study.console.document(
         {

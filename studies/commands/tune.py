@@ -41,5 +41,5 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     require_tuning(study)
     simulated = simulate_stage(study)
     tuned = tune_stage(study, simulated)
-    show_tuning(study, tuned)
+    show_tuning(study, tuned.result)
     return hand_over(study, "tune", [simulated, tuned])

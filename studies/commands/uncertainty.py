@@ -7,7 +7,7 @@ is fitted to all stored simulations near the optimum. The FMU simulates a sample
 reweighted by the result. Their 5 to 95 % bands are shown with the measurement. If the calibration learnt
 state equations, these replace the FMU, which then simulates only the sample. If the FMU disagrees with
 them, the command begins again with the FMU alone. Each simulation is stored at once: after an interruption,
-the same command goes on. Results: mlruns/results/<label>/posterior-<calibration>.json and .npz, a run in
+the same command goes on. Results: mlruns/results/<label>/uncertainty-<calibration>.json and .npz, a run in
 MLflow, a page by studies report.
 
 --noise is the model of the residuals:
@@ -49,19 +49,14 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.results import stored_posterior
     from studies.stages.shown import show_uncertainty
-    from studies.stages.uncertainty import (
-        UncertaintySettings,
-        calibration_to_judge,
-        uncertainty_stage,
-        usual_calls,
-    )
+    from studies.stages.uncertainty import calibration_to_judge, uncertainty_stage, usual_calls
 
     study = open_study(chosen, console)
     calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
     max_calls = chosen.max_calls or usual_calls(study.case.parameter_space.n_parameters)
-    settings = UncertaintySettings(noise=chosen.noise, max_calls=max_calls)
-    outcome = uncertainty_stage(study, calibration, settings, again=chosen.again)
-    show_uncertainty(study, stored_posterior(study, calibration))
+    outcome = uncertainty_stage(
+        study, calibration, noise=chosen.noise, max_calls=max_calls, again=chosen.again
+    )
+    show_uncertainty(study, outcome.result)
     return hand_over(study, "uncertainty", [outcome])

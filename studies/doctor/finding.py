@@ -2,12 +2,13 @@
 
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from studies.console import Column, Console
+from studies.report.wording import count
 
 Level = Literal["ok", "warn", "fail"]
 LONGEST = 4
@@ -48,9 +49,15 @@ class Diagnosis:
         """Whether nothing failed."""
         return all(finding.level != "fail" for finding in self.findings)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as JSON values."""
-        return {"sound": self.is_sound, **asdict(self)}
+    @property
+    def news(self) -> str:
+        """How much was found."""
+        return count(len(self.findings), "finding")
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether simulations failed that could be retried: what failed is a finding."""
+        return False
 
 
 @cache

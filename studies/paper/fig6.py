@@ -19,6 +19,7 @@ from studies.row_set import RowSet
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage
 from studies.stages.pipeline import Outcome, Study
+from studies.stages.results import SimulatedSets
 from studies.stages.simulate import set_files, simulate_stage
 from studies.stages.tuned_trials import tuned_by_size
 from studies.tuning.results import TrialView, TunedStudy, importances
@@ -149,7 +150,7 @@ def read_trials(folder: Path) -> tuple[Origin, tuple[SizeTrials, ...]]:
     return read_sizes(folder, SizeTrials, "trials of Fig. 6")
 
 
-def tune_sizes(study: Study, trials_of: Callable[[int], int]) -> Outcome:
+def tune_sizes(study: Study, trials_of: Callable[[int], int]) -> Outcome[SimulatedSets]:
     """Simulate the sets of a study and tune all its sizes.
 
     Args:
@@ -262,9 +263,9 @@ def _floats(values: Sequence[float | None]) -> FloatArray:
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
-def _mean_predictor(study: Study, simulated: Outcome) -> dict[int, float]:
+def _mean_predictor(study: Study, simulated: Outcome[SimulatedSets]) -> dict[int, float]:
     """Return the test error of predicting the training set's mean trajectory, by size. [output's unit]."""
-    files = set_files(study, simulated.summary)
+    files = set_files(study, simulated.result)
     scales = study.case.measurement.error_scales
     train, test = (RowSet.load(files[name]).read().y for name in ("train", "test"))
     test = test[np.isfinite(test).all(axis=(1, 2))]

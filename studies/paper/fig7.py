@@ -18,8 +18,8 @@ from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
 from studies.stages.calibrate import best_surrogate
+from studies.stages.finished import stored_indices
 from studies.stages.pipeline import Study
-from studies.stages.results import stored_indices
 from studies.stages.simulate import TEST_SEED, sensitivity_stage
 from studies.surrogate_model import SurrogateModel
 

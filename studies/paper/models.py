@@ -65,5 +65,5 @@ def train_again(study: Study, n_train: int, settings: Settings) -> tuple[Study, 
     search = {name: SearchParameter("categorical", choices=(value,)) for name, value in settings.items()}
     tuning = replace(profile.tuning, n_trials=1, search=search, enqueue=(), baseline=False)
     one_size = replace(profile, data=replace(profile.data, n_train=(n_train,)), tuning=tuning)
-    (found,) = tune_stage(replace(study, profile=one_size), simulated).summary["studies"]
-    return study, float(found["wall_s"])
+    (found,) = tune_stage(replace(study, profile=one_size), simulated).result.studies
+    return study, found.wall_s

@@ -32,7 +32,6 @@ from studies.report.drawing import (
 from studies.report.wording import axis_label, count, squared
 from studies.stages.calibrate import calibrate_stage
 from studies.stages.pipeline import Study
-from studies.stages.results import calibration_files, read_arrays
 
 COLUMNS = (
     "n_train", "seeds", "test MAE", "MSE surrogate", "MSE screened", "polish calls", "final MSE", "calls",
@@ -164,28 +163,32 @@ def calibrated(study: Study, n_train: int, settings: Settings) -> SeedCalibratio
         settings: hyperparameters of the surrogate.
     """
     study, training_s = train_again(study, n_train, settings)
-    numbers = calibrate_stage(study, n_train).summary
-    errors, ledger = numbers["surrogate_errors"], numbers["ledger"]
-    arrays = read_arrays(calibration_files(study, n_train).arrays)
-    squared_polish = paper_polish(study, arrays["theta_screened"])
+    found = calibrate_stage(study, n_train).result
+    screened = found.screening
+    assert screened is not None, "by the paper's method"
+    squared_polish = paper_polish(study, np.array(list(screened.theta.values())))
     return SeedCalibration(
         seed=study.profile.seed,
-        val_mae=errors["val/mae"],
-        test_mae=errors["test/mae"],
-        test_p90=errors["test/p90"],
+        val_mae=screened.errors["val/mae"],
+        test_mae=screened.errors["test/mae"],
+        test_p90=screened.errors["test/p90"],
         training_s=round(training_s, 1),
-        mse_surrogate=numbers["mse_surrogate"],
-        mse_screened=numbers["mse_screened"],
-        n_checks=ledger["n_screen_checks"],
-        polish_calls=tuple((arrays["history_calls"] - n_train).tolist()),
-        polish_mse=tuple(arrays["history_mse"].tolist()),
-        n_polish=ledger["n_polish"],
-        mse_polished=numbers["mse_polished"],
-        stop_reason=numbers["polish_stop_reason"],
+        mse_surrogate=_plain(screened.mse_surrogate),
+        mse_screened=_plain(screened.mse),
+        n_checks=found.ledger["n_screen_checks"],
+        polish_calls=tuple((found.history_calls - n_train).tolist()),
+        polish_mse=tuple(found.history_mse.tolist()),
+        n_polish=found.ledger["n_polish"],
+        mse_polished=_plain(found.mse),
+        stop_reason=found.stop_reason,
         squared_calls=squared_polish.n_calls,
-        squared_mse=squared_polish.mse if np.isfinite(squared_polish.mse) else None,
-        theta=numbers["theta"],
+        squared_mse=_plain(squared_polish.mse),
+        theta=found.theta,
     )
+
+
+def _plain(mse: float) -> float | None:
+    return mse if np.isfinite(mse) else None
 
 
 def paper_polish(study: Study, screened: FloatArray) -> PolishResult:

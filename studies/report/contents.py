@@ -29,7 +29,7 @@ def sections_of(data: ReportData) -> list[Section]:
     Returns:
         The parts of the page in their order.
     """
-    headline, tuned, sobol = data.headline, tuning_table(data), sensitivity_table(data)
+    headline, tuned, sobol = data.headline, tuning_table(data.tuned), sensitivity_table(data)
     others = tuple(_calibration(data, c) for c in data.by_size if c is not headline)
     whole = (calibrations_table(data),) if data.calibrations else ()
     sections = [Section("tuned", "Tuned surrogates", tables=(tuned,) if tuned else (), is_leading=True)]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from simulation.time_unit import period_text
 from studies.report.data import ReportData
 from studies.report.records import CalibrationRecord
+from studies.report.records_tuning import TunedSize
 from studies.report.validation import ValidationRecord
 from studies.report.wording import (
     MISSING,
@@ -98,17 +99,23 @@ def _plain(cell: Cell) -> Cell:
     return None if isinstance(cell, float) and not math.isfinite(cell) else cell
 
 
-def tuning_table(data: ReportData) -> Table | None:
+def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
     """Tabulate the best surrogate of each training-set size beside PCA + GP; None where nothing was tuned."""
-    if not data.tuned:
+    found = [one for one in sorted(tuned, key=lambda one: one.n_train) if one.trial is not None]
+    if not found:
         return None
-    unit = difference_unit(data.measurement.units[0])
-    names = tuple(dict.fromkeys(name for one in data.tuned for name in one.params))
+    unit, names = found[0].unit, tuple(dict.fromkeys(name for one in found for name in one.params))
+    errors = dict.fromkeys(name for one in found for name in one.metrics)
+    outputs = [name for name in errors if name.startswith("test/mae_")]
     columns = (
         Column("n_train", "n_train", "", count),
         *(Column(name, name) for name in names),
         Column("test_mae", "MAE", unit),
         Column("test_p90", "P90", unit),
+        *(
+            Column(name.replace("/", "_"), name.removeprefix("test/").replace("_", " ", 1))
+            for name in outputs
+        ),
         Column("gain", "gain over default", "", percent),
         Column("pca_gp_test_mae", "PCA+GP MAE", unit),
         Column("pca_gp_test_p90", "PCA+GP P90", unit),
@@ -123,6 +130,7 @@ def tuning_table(data: ReportData) -> Table | None:
             *(one.params.get(name) for name in names),
             one.mae,
             one.p90,
+            *(one.metrics.get(name) for name in outputs),
             one.gain,
             one.baseline.get("test/mae"),
             one.baseline.get("test/p90"),
@@ -131,7 +139,7 @@ def tuning_table(data: ReportData) -> Table | None:
             one.n_failed,
             one.metrics["val/mae"],
         )
-        for one in sorted(data.tuned, key=lambda one: one.n_train)
+        for one in found
     )
     title = "Best surrogate per training-set size by validation error (MAE and 90th percentile: test set)"
     return Table("tuning", title, columns, rows)

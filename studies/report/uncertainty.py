@@ -97,44 +97,6 @@ class UncertaintyRecord:
         return tuple(name for name, known in zip(self.names, self.known, strict=True) if known == how)
 
 
-def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) -> UncertaintyRecord:
-    """Return stored results as a record.
-
-    Args:
-        numbers: The numbers of the stage.
-        arrays: Its arrays.
-    """
-    parameters, local = numbers["parameters"], numbers["identifiability"]
-    is_trusted, interval = numbers["sample"]["is_trusted"], [one["interval"] for one in parameters.values()]
-    n_null = local["n_null_directions"]
-    directions = local["directions"]
-    return UncertaintyRecord(
-        calibration=numbers["calibration"],
-        level=numbers["level"],
-        noise=numbers["noise"],
-        names=tuple(parameters),
-        calibrated=np.array([one["calibrated"] for one in parameters.values()]),
-        linear=np.array([one["linear"] for one in parameters.values()]).T,
-        interval=np.array(interval).T if is_trusted else np.full((2, len(parameters)), np.nan),
-        known=tuple(one["known"] if is_trusted else "unsure" for one in parameters.values()),
-        pairs=tuple(one["in_words"] for one in numbers["pairs"] if is_trusted),
-        # Results of earlier versions say only how many of the last ones they are.
-        null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
-        particles=arrays["particles_theta"],
-        weights=arrays["weights"],
-        simulated=arrays["simulated"],
-        predictive=arrays["predictive"],
-        n_effective=numbers["sample"]["n_effective"],
-        is_trusted=is_trusted,
-        mse=numbers["mse"],
-        best_mse=numbers["sample"]["best_mse"],
-        has_prior=numbers.get("has_prior", False),
-        # Results of earlier versions do not say.
-        sensor=numbers.get("sensor") or math.inf,
-        ledger=numbers["ledger"],
-    )
-
-
 def noise_sentence(noise: Mapping[str, Any], unit: str) -> str:
     """State the noise model.
 

@@ -3,10 +3,10 @@
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 
-from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.errors import InputError
 from simulation.store.stored_model import StoredModel
@@ -18,16 +18,17 @@ from studies.calibration.recorder import Progress
 from studies.calibration.row_choice import best_and_far
 from studies.console import OnBar
 from studies.doctor.region import commonest
-from studies.physical_model import failed_numbers, open_physical_model, open_watched_model, say_reused
-from studies.report.wording import count, difference_unit, mse_text, quantity, squared
-from studies.stages.determined import determined_numbers
-from studies.stages.guided import asked_twice, guide_of, guided_numbers
-from studies.stages.knowledge import case_inputs, prior_numbers, prior_of
-from studies.stages.known_rows import ChooseRows, KnownRows, stored_in_box
+from studies.physical_model import open_physical_model, open_watched_model, say_reused
+from studies.provenance import provenance_of
+from studies.report.wording import count, difference_unit, quantity, squared
+from studies.stages.calibrated_point import determined, fits
+from studies.stages.equations_found import asked_twice, equations_found, learned_ode_of
+from studies.stages.knowledge import case_inputs, prior_found, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
-from studies.stages.results import ADAPTIVE, Arrays, Numbers, ResultFiles, keep_result
-from studies.stages.tracking import log_calibration
-from studies.stages.validation import validate_calibration, validation_inputs
+from studies.stages.results import ADAPTIVE, Calibration
+from studies.stages.stage_runs import log_calibration
+from studies.stages.validate import validate_calibration, validation_inputs
+from studies.stages.warm_start import ChooseRows, WarmStart, stored_in_box
 
 MAX_CALLS = 100
 STAGE = f"calibrate-{ADAPTIVE}"
@@ -55,7 +56,7 @@ def adaptive_settings(
         max_calls: most simulations, None for the usual number.
         n_parallel: rows per round, None for one.
         target_mse: error to stop at, or None. [first output's unit squared]
-        from_stored: whether it begins with what is stored, which may be a first design or most of one.
+        from_stored: whether it starts from what is stored, which may be a first design or most of one.
         state_equations: whether it learns state equations, from less than a first design.
 
     Raises:
@@ -86,7 +87,7 @@ def adaptive_stage(
     from_stored: bool = False,
     state_equations: bool = False,
     again: bool = False,
-) -> Outcome:
+) -> Outcome[Calibration]:
     """Calibrate with the physical model alone.
 
     Every simulation is stored as soon as it is finished and the rows follow from case, settings and seed: a
@@ -95,11 +96,11 @@ def adaptive_stage(
     Args:
         study: the study.
         settings: how to search.
-        from_stored: whether to begin with the simulations that are stored, whatever they were made for.
+        from_stored: whether to start from the simulations that are stored, whatever they were made for.
         state_equations: whether to learn the model's state equations from the states that its FMU shows.
         again: calibrate though it is finished, with what is stored now.
     """
-    case, files = study.case, ResultFiles.of(study, "calibration", ADAPTIVE)
+    case = study.case
     inputs = {
         **case_inputs(case),
         "settings": asdict(settings),
@@ -108,136 +109,106 @@ def adaptive_stage(
         **({"from_stored": True} if from_stored else {}),
         **({"state_equations": True} if state_equations else {}),
     }
-    known_rows = None
-    if from_stored:
-        # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
-        any_end = replace(settings, max_calls=1, target_mse=None)
-        question = inputs | {"settings": asdict(any_end)}
-        is_finished = (study.results / f"{STAGE}.json").is_file()
-        known_rows = KnownRows(files.rows, digest_of(question), best_and_far, anew=again and is_finished)
-
     equations = "state equations or " if state_equations else ""
     what = (
         f"{equations}a Gaussian process of the residuals, {count(settings.max_calls, 'simulation')} at most"
     )
-    stage = Stage(study, STAGE, what, inputs)
-    before = stage.finished(lambda summary: f"final MSE {mse_text(summary['mse'])}", again=again)
+    stage = Stage(study, STAGE, what, inputs, Calibration)
+    start, files = None, list[Path]()
+    if from_stored:
+        # Another budget or target goes on with the same rows, as does what was begun again and interrupted.
+        any_end = replace(settings, max_calls=1, target_mse=None)
+        question = inputs | {"settings": asdict(any_end)}
+        files = [stage.file.with_name(f"{STAGE}-rows.npz")]
+        start = WarmStart(files[0], digest_of(question), best_and_far, anew=again and stage.file.is_file())
+    before = stage.finished(again=again)
     if before is not None:
         return before
     with stage.work() as work:
-        numbers, arrays, n_simulated = calibrate_adaptively(
-            study, settings, known_rows, state_equations=state_equations
-        )
-        return keep_result(
-            work,
-            files,
-            numbers,
-            arrays,
-            this_time={"n_simulated": n_simulated},
-            recipe={"kind": "adaptive", "settings": asdict(settings)},
-            log=log_calibration,
-            more_files=[files.rows] if from_stored else [],
-        )
+        found = calibrate_adaptively(study, settings, start, state_equations=state_equations)
+        made = provenance_of(study, "adaptive", settings=asdict(settings))
+        return work.keep(found, files, provenance=made, log=log_calibration)
 
 
 def calibrate_adaptively(
     study: Study,
     settings: Adaptive,
-    known_rows: ChooseRows | None = None,
+    start: ChooseRows | None = None,
     *,
     state_equations: bool = False,
-) -> tuple[Numbers, Arrays, int]:
+) -> Calibration:
     """Calibrate and keep nothing but the simulations.
 
     Args:
         study: the study.
         settings: how to search.
-        known_rows: which simulations are known beforehand, None for none.
+        start: which stored simulations to start from, None for none.
         state_equations: whether to learn the model's state equations.
-
-    Returns:
-        The numbers, the arrays and how many rows were not stored before.
     """
-    case, seed, space, prior = (
-        study.case,
-        study.profile.seed,
-        study.case.parameter_space,
-        prior_of(study.case),
-    )
+    case, seed, prior = study.case, study.profile.seed, prior_of(study.case)
+    measurement, names = case.measurement, case.parameter_space.names
     n_first = min(settings.n_parallel, MOST_AT_FIRST)
     opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
-        problem = CalibrationProblem(physical, case.measurement, prior)
-        guide = guide_of(physical, problem)
+        problem = CalibrationProblem(physical, measurement, prior)
+        learned_ode = learned_ode_of(physical, problem)
         rows = known = None
-        if known_rows is not None:
-            rows = known_rows(physical, problem, lambda found: -found.objective)
+        if start is not None:
+            rows = start(physical, problem, lambda found: -found.objective)
             known = rows.judged(physical, problem)
-        _say_known(study, physical, None if known is None else known.n)
+        _say_start(study, physical, None if known is None else known.n)
         n_read = physical.n_reused
         result = settings.minimize(
-            problem, seed=seed, known=known, learned_ode=guide, on_progress=_reporter(study, physical, bars)
+            problem,
+            seed=seed,
+            known=known,
+            learned_ode=learned_ode,
+            on_progress=_reporter(study, physical, bars),
         )
     if not np.isfinite(result.mse):
         raise _hopeless(study, physical)
     say_reused(study, STAGE, physical, n_repeated=n_read)
-    validated, simulated = validate_calibration(study, {"calibrated": result.theta})
-    numbers = {
-        "method": ADAPTIVE,
-        "n_train": 0,
-        "seed": seed,
-        "settings": asdict(settings),
-        **({} if known is None else {"n_known": known.n}),
-        **guided_numbers(guide, physical),
-        "theta": dict(zip(space.names, result.theta.tolist(), strict=True)),
-        "mse": result.mse,
-        "outputs": _outputs(case, result.y),
-        "ledger": Ledger(n_adaptive=result.n_calls + asked_twice(physical)).to_dict(),
-        "n_rounds": result.n_rounds,
-        **failed_numbers(physical),
-        "stop_reason": result.stop_reason,
-        "converged": result.converged,
-        "left": result.left,
-        "without_effect": [name for name, is_so in zip(space.names, result.is_flat, strict=True) if is_so],
-        **determined_numbers(
-            space.names, case.measurement, prior, u=result.u, y=result.y, slopes=result.slopes
-        ),
-        "expected_gain": result.expected_gain if np.isfinite(result.expected_gain) else None,
-        **validated,
-        **prior_numbers(case, result.theta),
-    }
-    arrays = {
-        "time": case.measurement.time,
-        "measured": case.measurement.y,
-        "theta": result.theta,
-        "y": result.y,
-        "history_calls": result.history.n_calls,
-        "history_mse": result.history.best_mse,
-        **({} if rows is None else rows.arrays),
-        **simulated,
-    }
-    return numbers, arrays, physical.n_simulated
+    ledger = Ledger(n_adaptive=result.n_calls + asked_twice(physical))
+    return Calibration(
+        case=case.name,
+        method="adaptive",
+        n_train=0,
+        seed=seed,
+        settings=asdict(settings),
+        theta=dict(zip(names, result.theta.tolist(), strict=True)),
+        units={one.name: one.unit for one in case.parameter_space.parameters},
+        output_unit=case.outputs[0].unit,
+        mse=result.mse,
+        stop_reason=result.stop_reason,
+        converged=result.converged,
+        left=result.left,
+        outputs=fits(case, result.y),
+        ledger=ledger.to_dict(),
+        n_failed=len(physical.failures),
+        first_failure=next(iter(physical.failures), None),
+        n_simulated=physical.n_simulated,
+        time=measurement.time,
+        y=result.y,
+        history_calls=result.history.n_calls,
+        history_mse=result.history.best_mse,
+        n_rounds=result.n_rounds,
+        n_warm_start=None if known is None else known.n,
+        expected_gain=result.expected_gain if np.isfinite(result.expected_gain) else None,
+        without_effect=tuple(name for name, is_so in zip(names, result.is_flat, strict=True) if is_so),
+        state_equations=equations_found(learned_ode, physical),
+        determined_by_data=determined(names, measurement, prior, y=result.y, slopes=result.slopes),
+        prior=prior_found(case, result.theta),
+        start_theta=None if rows is None else rows.theta,
+        start_watched=None if rows is None else rows.watched,
+        **validate_calibration(study, {"calibrated": result.theta}),
+    )
 
 
-def _outputs(case: Case, y: FloatArray) -> dict[str, dict[str, float | None]]:
-    """Return how each output differs from its measurement, beside its sensor's uncertainty."""
-    found = {}
-    for k, output in enumerate(case.outputs):
-        difference = case.measurement.differences(y[None], k)[0]
-        sensor = float(case.measurement.uncertainty[k])
-        found[output.name] = {
-            "rmse": float(np.sqrt(np.mean(difference**2))),
-            "uncertainty": sensor if np.isfinite(sensor) else None,
-            "share_within": float(np.mean(np.abs(difference) <= sensor)) if np.isfinite(sensor) else None,
-        }
-    return found
-
-
-def _say_known(study: Study, physical: StoredModel, n_known: int | None) -> None:
-    """Say with how many stored simulations it begins, None for those that were not asked for."""
-    if n_known is not None:
-        begun = f"begins with {count(n_known, 'stored simulation')} of this model"
-        study.console.say(begun if n_known else "no good simulation within the bounds is stored")
+def _say_start(study: Study, physical: StoredModel, n_start: int | None) -> None:
+    """Say from how many stored simulations it starts, None for those that were not asked for."""
+    if n_start is not None:
+        begun = f"begins with {count(n_start, 'stored simulation')} of this model"
+        study.console.say(begun if n_start else "no good simulation within the bounds is stored")
     elif n_good := int(physical.store.find_good(stored_in_box(physical)).sum()):
         stored = count(n_good, "stored simulation")
         study.console.say(f"{stored} of this model: --from-stored begins with the best")

@@ -1,4 +1,4 @@
-"""What is known about parameters beforehand, as stages have it: in inputs, numbers and on the terminal."""
+"""What a case says beforehand of its parameters: inputs of the stages, and how far a result moved from it."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -7,12 +7,7 @@ from typing import Any
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from studies.calibration.prior import Prior
-from studies.console import Column
-from studies.report.wording import difference_unit, quantity, squared
-from studies.stages.pipeline import Study
-
-FAR = 2.0
-"""So many standard deviations from what was known, the data contradict it."""
+from studies.stages.results import Held, PriorFound
 
 
 def prior_of(case: Case) -> Prior | None:
@@ -39,15 +34,15 @@ def _prior_inputs(case: Case) -> dict[str, Any]:
     return {"prior": {"parameters": beliefs, "weight": prior.weight}}
 
 
-def is_of_this_density(inputs: Mapping[str, Any], case: Case) -> bool:
-    """Say whether a stage had the scales and priors that the case declares now.
+def is_current(inputs: Mapping[str, Any], case: Case) -> bool:
+    """Say whether a stage had the case, measurement, scales and priors that are declared now.
 
     Args:
         inputs: The stage's inputs, as its manifest has them.
         case: The case.
     """
     present = case_inputs(case)
-    return all(inputs.get(name) == present.get(name) for name in ("is_log", "prior"))
+    return all(inputs.get(name) == present.get(name) for name in ("case", "measurement", "is_log", "prior"))
 
 
 def sensor_inputs(case: Case) -> dict[str, Any]:
@@ -67,8 +62,8 @@ def declared_inputs(case: Case) -> dict[str, Any]:
     }
 
 
-def prior_numbers(case: Case, theta: FloatArray) -> dict[str, Any]:
-    """Return how far a calibrated point lies from what was known; empty where nothing was.
+def prior_found(case: Case, theta: FloatArray) -> PriorFound | None:
+    """Return how far a calibrated point lies from what was known; None where nothing was.
 
     Args:
         case: The case.
@@ -76,76 +71,12 @@ def prior_numbers(case: Case, theta: FloatArray) -> dict[str, Any]:
     """
     prior = prior_of(case)
     if prior is None:
-        return {}
+        return None
     space = case.parameter_space
     u = space.to_unit(theta)
-    moved = prior.deviations(u)
-    return {
-        "prior": {
-            "weight": prior.weight,
-            "n_independent": prior.n_independent,
-            "penalty": float(prior.penalty(u[None])[0]),
-            "parameters": {
-                one.name: {
-                    "about": one.prior.centre,
-                    ("within_factor" if one.scale == "log" else "within"): one.prior.deviation,
-                    "moved_deviations": float(moved[j]),
-                }
-                for j, one in enumerate(space.parameters)
-                if one.prior is not None
-            },
-        }
-    }
-
-
-def show_prior(study: Study, found: Mapping[str, Any], how: str) -> None:
-    """Print how far the result moved from what was known; nothing where nothing was.
-
-    Args:
-        study: the study.
-        found: a calibration's numbers.
-        how: how it was found, in a word.
-    """
-    if "prior" not in found:
-        return
-    prior, units = found["prior"], {one.name: one.unit for one in study.case.parameter_space.parameters}
-    rows = [
-        [
-            name,
-            units[name],
-            belief_text(one),
-            f"{found['theta'][name]:.6g}",
-            f"{one['moved_deviations']:+.2f}",
-            "the data contradict it" if abs(one["moved_deviations"]) > FAR else "",
-        ]
-        for name, one in prior["parameters"].items()
-    ]
-    columns = [Column("parameter"), Column("unit"), Column("known before", True), Column("calibrated", True)]
-    columns += [Column("moved by [standard deviations]", True), Column("")]
-    unit = squared(difference_unit(study.case.outputs[0].unit))
-    study.console.table(f"{study.label}: parameters held by a prior ({how})", columns, rows)
-    study.console.result(
-        f"One standard deviation weighs as much as {quantity(prior['weight'], unit)} of MSE "
-        f"({prior['n_independent']:.4g} independent samples); all priors together "
-        f"{quantity(prior['penalty'], unit)}, which no MSE shown here includes"
-    )
-
-
-def known_before(numbers: Mapping[str, Any]) -> tuple[str, ...]:
-    """Say what was known of each parameter, "" for nothing; empty where of none."""
-    held = numbers.get("prior", {}).get("parameters")
-    if not held:
-        return ()
-    return tuple(
-        f"prior {belief_text(held[name])}, moved by {held[name]['moved_deviations']:+.2f} of it"
-        if name in held
-        else ""
-        for name in numbers["theta"]
-    )
-
-
-def belief_text(one: Mapping[str, float]) -> str:
-    """Say what is known of a parameter, e.g. `0.7 ×/÷ 1.5` or `290 ± 2`."""
-    if "within_factor" in one:
-        return f"{one['about']:.4g} ×/÷ {one['within_factor']:.4g}"
-    return f"{one['about']:.4g} ± {one['within']:.4g}"
+    held = {}
+    for one, moved in zip(space.parameters, prior.deviations(u).tolist(), strict=True):
+        if one.prior is not None:
+            how = "within_factor" if one.scale == "log" else "within"
+            held[one.name] = Held(one.prior.centre, moved, **{how: one.prior.deviation})
+    return PriorFound(prior.weight, prior.n_independent, float(prior.penalty(u[None])[0]), held)

@@ -2,26 +2,28 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from optuna.trial import FrozenTrial
 
 from pelsvae.config import VARIANTS
+from pelsvae.device import resolve_device
 from simulation.errors import InputError
-from studies.leaderboard import leaderboard
-from studies.recipe import recipe_of
-from studies.report.records_tuning import TunedSize
+from studies.page_tables import terminal_table
+from studies.provenance import provenance_of
+from studies.report.tables import tuning_table
 from studies.report.wording import count, difference_unit, quantity
 from studies.row_set import RowSet
-from studies.stages.pipeline import Outcome, StageError, Study, Summary, digest_of
-from studies.stages.simulate import datasets_of, set_files
+from studies.stages.pipeline import Outcome, StageError, Study, digest_of
+from studies.stages.results import SimulatedSets, Tuned
+from studies.stages.simulate import set_files
+from studies.tuning.attempts import places
 from studies.tuning.declaration import SETS, Declaration
-
-if TYPE_CHECKING:
-    from optuna.trial import FrozenTrial
-
-    from studies.tuning.results import TunedStudy
+from studies.tuning.results import TunedStudy
+from studies.tuning.sampler import make_pruner, make_sampler
+from studies.tuning.tune import TuningError, closed_studies, tune
 
 
 def require_tuning(study: Study) -> None:
@@ -30,26 +32,20 @@ def require_tuning(study: Study) -> None:
     Raises:
         InputError: there is no such sampler, pruner or device.
     """
-    from studies.tuning.sampler import make_pruner, make_sampler
-
     make_sampler(study.profile.tuning.sampler, study.profile.seed)
     make_pruner(study.profile.tuning.pruner)
     if study.profile.tuning.device == "cuda":
-        from pelsvae.device import resolve_device
-
         try:
             resolve_device("cuda")
         except ValueError as error:
             raise InputError(f"profile {study.profile.name}: tuning.device: {error}") from None
 
 
-def tune_stage(study: Study, simulated: Outcome) -> Outcome:
+def tune_stage(study: Study, simulated: Outcome[SimulatedSets]) -> Outcome[Tuned]:
     """Bring the study of each training-set size to its trials; Optuna knows what is finished."""
-    from studies.tuning.tune import TuningError, closed_studies, tune
-
     budget, sizes = study.profile.tuning, study.profile.data.n_train
     started_s = time.perf_counter()
-    specs = declarations(study, simulated.summary)
+    specs = declarations(study, simulated.result)
     found = closed_studies(specs, study.paths, budget.n_trials)
     if found is not None:
         n = sum(one.n_ended for one in found)
@@ -59,21 +55,11 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     with study.console.stage("tune", what), study.console.bars() as bars:
         unit = difference_unit(study.case.outputs[0].unit)
 
-        def show(spec: Declaration, trials: "Sequence[FrozenTrial]") -> None:
+        def show(spec: Declaration, trials: Sequence[FrozenTrial]) -> None:
             done, total, best = _progress(spec, trials, budget.n_trials)
             news = "" if best is None else f": best MAE {quantity(best, unit)}"
             bars(f"n_train {spec.size.removeprefix('n').lstrip('0')}", done, total, news)
 
-        files = simulated.summary["files"]
-        recipes = [
-            recipe_of(
-                study,
-                "training",
-                n_train=spec.n_train,
-                datasets=datasets_of(study.profile, spec.n_train, spec.digests, files),
-            )
-            for spec in specs
-        ]
         try:
             found = tune(
                 specs,
@@ -82,7 +68,7 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
                 n_jobs=study.n_jobs,
                 n_parallel=budget.n_parallel,
                 until_s=None if study.max_hours is None else time.time() + 3600.0 * study.max_hours,
-                recipes=recipes,
+                provenance=provenance_of(study, "training"),
                 on_trials=show,
             )
         except TuningError as error:
@@ -103,12 +89,12 @@ def tune_stage(study: Study, simulated: Outcome) -> Outcome:
     return _outcome(specs, found, reused=False, wall_s=time.perf_counter() - started_s)
 
 
-def declarations(study: Study, simulated: Summary) -> list[Declaration]:
+def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
     """Return the study of each training-set size, and the baseline of each beside it.
 
     Args:
         study: the study.
-        simulated: summary of the finished simulate stage.
+        simulated: the sets.
 
     Raises:
         InputError: a set has fewer rows than asked for, or the parameters of another case.
@@ -176,11 +162,9 @@ def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _progress(
-    spec: Declaration, trials: "Sequence[FrozenTrial]", n_trials: int
+    spec: Declaration, trials: Sequence[FrozenTrial], n_trials: int
 ) -> tuple[float, int, float | None]:
     """Return what is done of a study, what there is to do, and its best error so far."""
-    from studies.tuning.attempts import places
-
     latest = places(trials)
     total = max(1 if spec.is_baseline else n_trials, len(latest))
     done = sum(trial.state.is_finished() for trial in latest)
@@ -194,14 +178,14 @@ def _progress(
 
 
 def _outcome(
-    specs: Sequence[Declaration], found: "Sequence[TunedStudy]", *, reused: bool, wall_s: float
-) -> Outcome:
+    specs: Sequence[Declaration], found: Sequence[TunedStudy], *, reused: bool, wall_s: float
+) -> Outcome[Tuned]:
     digest = digest_of({"studies": [spec.name for spec in specs], "ended": [one.n_ended for one in found]})
-    studies = [asdict(one.summary(found)) for one in found if not one.spec.is_baseline]
-    return Outcome("tune", digest, {"studies": studies}, reused, wall_s)
+    tuned = Tuned(tuple(one.summary(found) for one in found if not one.spec.is_baseline))
+    return Outcome("tune", tuned, digest, reused=reused, wall_s=wall_s)
 
 
-def show_tuning(study: Study, outcome: Outcome) -> None:
+def show_tuning(study: Study, found: Tuned) -> None:
     """Print the best surrogate of each size."""
-    sizes = [TunedSize(**one) for one in outcome.summary["studies"]]
-    study.console.show([leaderboard(sizes, f"{study.label}: best surrogate per training-set size")])
+    if (table := tuning_table(found.studies)) is not None:
+        study.console.show([terminal_table(table)])

@@ -1,33 +1,45 @@
 """Stages with a memory: a stage whose inputs have a known digest and whose files exist is finished.
 
-Each stage leaves a manifest beside the results: digest, case file, inputs, files, seed, environment, wall
-time. It is written last and in one step, so that an interruption leaves a finished stage or none.
+A stage leaves `<stage>.json`: its result, and what made it. Arrays of the result lie beside it in
+`<stage>.npz`. The JSON file is written last and in one step: an interruption leaves a finished stage or none.
 """
 
 import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from simulation.foreign_file import RECORD, read_limited
-from simulation.whole_file import whole_file
+from simulation.errors import InputError
 from studies.console import Console
 from studies.paths import ProjectPaths
 from studies.profile import Profile
+from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt, write_arrays
+from studies.stages.saved import read_json as read_json
+from studies.stages.saved import write_json as write_json
 from studies.tracking.origin import environment
 
 if TYPE_CHECKING:
     from simulation.case import Case
 
-Summary = dict[str, Any]
 
-_PLACES = ("file", "files", "folder", "index", "store")
-"""Keys of a summary that name files of the project."""
+class Result(Protocol):
+    """What a stage comes to: a frozen dataclass that terminal, page, MLflow and programs read alike."""
+
+    @property
+    def news(self) -> str:
+        """What is said where the stage was finished before."""
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether simulations failed that `--retry-failed` would ask again."""
+
+
+R = TypeVar("R", bound=Result)
 
 
 class StageError(RuntimeError):
@@ -42,12 +54,12 @@ class Study:
         case: the physics.
         profile: the budget.
         paths: where everything lies.
-        console: tells the user.
+        console: shows progress and results.
         n_jobs: processes for simulations and trainings.
         label: what a user sees of case, profile, window and seed.
         command: the end of the command line that names this study, for messages.
         typed: the whole command line, as records and the report give it.
-        retry_failed: whether simulations that failed before are asked again.
+        retry_failed: whether failed simulations are retried.
         dask: address of a Dask scheduler whose workers simulate; None for processes of this machine.
         max_hours: no trial begins later than this after the tuning did; None sets no limit. [h]
     """
@@ -70,37 +82,42 @@ class Study:
         return self.paths.results(self.label)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a stage came to.
+@dataclass(frozen=True, eq=False)
+class Outcome(Generic[R]):
+    """What a stage came to, and what made it.
 
     Args:
         stage: name of the stage.
+        result: its result.
         digest: digest of its inputs.
-        summary: its results as JSON values.
+        inputs: all that decided the result, as JSON values.
         reused: whether it was finished before.
         wall_s: how long it took, this time or before. [s]
+        finished: when it was finished, UTC.
+        provenance: what makes the result again, as JSON values; empty where nothing does.
+        file: its JSON file; None where another program keeps the result.
     """
 
     stage: str
+    result: R
     digest: str
-    summary: Summary
-    reused: bool
-    wall_s: float
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    reused: bool = False
+    wall_s: float = 0.0
+    finished: str = ""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    file: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of a calibration, of which there are several: "adaptive" or "n0064"."""
+        return self.stage.partition("-")[2]
 
     def to_dict(self, paths: ProjectPaths) -> dict[str, Any]:
-        """Return the outcome as JSON values whose paths hold in the working folder."""
+        """Return the outcome as JSON values; places in it are relative to the project's folder."""
         head = {"stage": self.stage, "digest": self.digest, "finished_before": self.reused}
-        places = {name: _shown(self.summary[name], paths) for name in _PLACES if name in self.summary}
-        return {**head, "wall_s": round(self.wall_s, 3), **self.summary, **places}
-
-
-def _shown(recorded: Any, paths: ProjectPaths) -> Any:
-    """Return the recorded place of a file, or several by name, as the user would type it."""
-    if isinstance(recorded, Mapping):
-        return {name: _shown(one, paths) for name, one in recorded.items()}
-    file = paths.located(recorded)
-    return recorded if file is None else paths.show(file)
+        file = {} if self.file is None else {"file": paths.show(self.file)}
+        return {**head, "wall_s": round(self.wall_s, 3), **plain(self.result), **file}
 
 
 def digest_of(inputs: Mapping[str, Any]) -> str:
@@ -109,59 +126,97 @@ def digest_of(inputs: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def read_outcome(folder: Path, stage: str, kind: type[R]) -> Outcome[R] | None:
+    """Read what a finished stage has left; None where there is nothing.
+
+    Args:
+        folder: the results of a label.
+        stage: name of the stage.
+        kind: type of its result.
+
+    Raises:
+        InputError: it cannot be read by this version, or its arrays are damaged.
+    """
+    file = folder / f"{stage}.json"
+    manifest, arrays = read_json(file), file.with_suffix(".npz")
+    if manifest is None or "result" not in manifest:  # which an earlier version wrote
+        return None
+    try:
+        return Outcome(
+            stage=stage,
+            result=rebuilt(
+                kind, manifest["result"], str(file), read_arrays(arrays) if arrays.is_file() else {}
+            ),
+            digest=str(manifest["digest"]),
+            inputs=dict(manifest["inputs"]),
+            reused=True,
+            wall_s=float(manifest["wall_s"]),
+            finished=str(manifest["finished"]),
+            provenance=dict(manifest.get("provenance", {})),
+            file=file,
+        )
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file}: not written by this version ({error!r}); move it away") from None
+
+
 @dataclass(frozen=True)
-class Stage:
-    """A stage of a study, which is finished once its manifest `<name>.json` lies in the results folder.
+class Stage(Generic[R]):
+    """A stage of a study, which is finished once its file `<name>.json` lies in the results folder.
 
     Args:
         study: the study.
         name: the stage's name.
         what: what is done, for the user.
         inputs: all that decides the result, as JSON values.
+        kind: type of the result.
     """
 
     study: Study
     name: str
     what: str
     inputs: Mapping[str, Any]
+    kind: type[R]
 
     @property
     def digest(self) -> str:
         """Digest of the inputs."""
         return digest_of(self.inputs)
 
-    def finished(self, note: Callable[[Summary], str], *, again: bool = False) -> Outcome | None:
+    @property
+    def file(self) -> Path:
+        """The file that says that the stage is finished; its arrays have the same name with .npz."""
+        return self.study.results / f"{self.name}.json"
+
+    def finished(self, *, again: bool = False) -> Outcome[R] | None:
         """Return what the stage came to before, and say so; None where it has to be done.
 
         Args:
-            note: what to say of a finished stage.
             again: do it though it is finished; until it is done again it counts as unfinished.
         """
-        study, file = self.study, self._manifest
         if again:
-            file.unlink(missing_ok=True)
-        manifest = read_manifest(study.paths, file, self.digest)
-        if manifest is not None and study.retry_failed and has_failed(manifest["summary"]):
-            file.unlink(missing_ok=True)
-            manifest = None
-        if manifest is None:
+            self.file.unlink(missing_ok=True)
+        if not _is_whole(self.study.paths, self.file, self.digest):
             return None
-        study.console.say(f"{self.name}: finished before, {note(manifest['summary'])}")
-        return Outcome(self.name, self.digest, manifest["summary"], True, float(manifest["wall_s"]))
+        outcome = None
+        with suppress(InputError):  # what cannot be read is done again
+            outcome = read_outcome(self.study.results, self.name, self.kind)
+        if outcome is None or (self.study.retry_failed and outcome.result.has_failures):
+            self.file.unlink(missing_ok=True)
+            return None
+        self.study.console.say(f"{self.name}: finished before, {outcome.result.news}")
+        return outcome
 
     @contextmanager
-    def work(self) -> Iterator["Work"]:
+    def work(self) -> Iterator["Work[R]"]:
         """Say when the work of the stage begins and when it has ended."""
         with self.study.console.stage(self.name, self.what):
             yield Work(self, time.time(), time.perf_counter())
 
-    @property
-    def _manifest(self) -> Path:
-        return self.study.results / f"{self.name}.json"
-
 
 @dataclass(frozen=True)
-class Work:
+class Work(Generic[R]):
     """The work of a stage that goes on.
 
     Args:
@@ -170,75 +225,67 @@ class Work:
         counted_from: the same by a monotonic clock. [s]
     """
 
-    stage: Stage
+    stage: Stage[R]
     started_s: float
     counted_from: float
 
-    @property
-    def wall_s(self) -> float:
-        """How long it has taken so far. [s]."""
-        return time.perf_counter() - self.counted_from
-
-    def keep(self, summary: Summary, files: Sequence[Path] = (), *, is_finished: bool = True) -> Outcome:
-        """Write the manifest, last of all and in one step, and return what the stage came to.
+    def keep(
+        self,
+        result: R,
+        files: Sequence[Path] = (),
+        *,
+        provenance: Mapping[str, Any] | None = None,
+        log: Callable[["Work[R]", Outcome[R]], None] | None = None,
+        is_finished: bool = True,
+    ) -> Outcome[R]:
+        """Write the result, then its run in MLflow, then the file that makes the stage a finished one.
 
         Args:
-            summary: its results as JSON values.
+            result: what the stage came to.
             files: must exist as they are for the stage to count as finished.
+            provenance: what makes the result again.
+            log: writes the run in MLflow.
             is_finished: whether it counts as finished with this result.
         """
-        stage, study, wall_s = self.stage, self.stage.study, self.wall_s
-        if is_finished:
-            manifest = {
-                "stage": stage.name,
-                "digest": stage.digest,
-                "case_file": study.paths.recorded(study.case.path),
-                "inputs": stage.inputs,
-                "summary": summary,
-                "files": {study.paths.relative(made): made.stat().st_size for made in files},
-                "seed": study.profile.seed,
-                "wall_s": wall_s,
-                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-                "environment": environment(),
-            }
-            write_json(stage._manifest, manifest)
-        return Outcome(stage.name, stage.digest, summary, False, wall_s)
+        stage, study = self.stage, self.stage.study
+        outcome = Outcome(
+            stage=stage.name,
+            result=result,
+            digest=stage.digest,
+            inputs=stage.inputs,
+            wall_s=time.perf_counter() - self.counted_from,
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+            provenance=provenance or {},
+            file=stage.file,
+        )
+        if not is_finished:
+            return replace(outcome, file=None)
+        if arrays := arrays_of(result):
+            write_arrays(stage.file.with_suffix(".npz"), arrays)
+            files = [*files, stage.file.with_suffix(".npz")]
+        if log is not None:
+            log(self, outcome)
+        manifest = {
+            "stage": stage.name,
+            "digest": stage.digest,
+            "case_file": study.paths.recorded(study.case.path),
+            "inputs": stage.inputs,
+            "files": {study.paths.relative(made): made.stat().st_size for made in files},
+            "seed": study.profile.seed,
+            "wall_s": outcome.wall_s,
+            "finished": outcome.finished,
+            "environment": environment(),
+            "provenance": outcome.provenance,
+            "result": plain(result),
+        }
+        write_json(stage.file, manifest)
+        return outcome
 
 
-def has_failed(summary: Summary) -> bool:
-    """Say whether a stage counted simulations that failed, in all or by kind, or blocks that they cost it."""
-    n_failed = summary.get("n_failed", 0)
-    n_failed = sum(n_failed.values()) if isinstance(n_failed, dict) else n_failed
-    return bool(n_failed or summary.get("n_dropped_blocks", 0))
-
-
-def read_manifest(paths: ProjectPaths, file: Path, digest: str) -> dict[str, Any] | None:
-    """Return a finished stage's manifest, None where it is absent, of other inputs, or a file is gone."""
+def _is_whole(paths: ProjectPaths, file: Path, digest: str) -> bool:
+    """Say whether a finished stage had these inputs, and its files are as it left them."""
     manifest = read_json(file)
     if manifest is None or manifest.get("digest") != digest:
-        return None
-    for name, size in manifest.get("files", {}).items():
-        made = paths.root / name
-        if not made.is_file() or made.stat().st_size != size:
-            return None
-    return manifest
-
-
-def read_json(file: Path) -> dict[str, Any] | None:
-    """Return a JSON object, or None where there is no readable one."""
-    try:
-        content = json.loads(read_limited(file, RECORD))
-    except (ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) else None
-
-
-def write_json(file: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON object in one step, so that a reader sees the old file or the new one."""
-    write_text(file, json.dumps(content, indent=2, allow_nan=True, default=str) + "\n")
-
-
-def write_text(file: Path, text: str) -> None:
-    """Write a text file in one step, safe against a crash of the machine."""
-    with whole_file(file, synced=True) as stream:
-        stream.write(text.encode())
+        return False
+    made = {paths.root / name: size for name, size in manifest.get("files", {}).items()}
+    return all(one.is_file() and one.stat().st_size == size for one, size in made.items())

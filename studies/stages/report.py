@@ -6,31 +6,25 @@ from typing import Any
 
 from simulation.errors import InputError
 from simulation.time_unit import period_text
-from studies.recipe import file_digest
+from studies.provenance import file_digest
 from studies.report import Provenance, ReportData, build
-from studies.report.uncertainty import uncertainty_record
+from studies.stages.finished import stored_calibrations, stored_indices, stored_uncertainties
 from studies.stages.pipeline import Outcome, Stage, Study
-from studies.stages.results import (
-    calibration_record,
-    coverage_set,
-    measured_series,
-    stored_calibrations,
-    stored_indices,
-    stored_posteriors,
-    validation_record,
-)
-from studies.stages.tracking import log_run
+from studies.stages.report_records import coverage_set, uncertainty_record
+from studies.stages.results import Reported
+from studies.stages.shown import report_of
+from studies.stages.stage_runs import log_report
 from studies.stages.tuned_trials import trials_record, tuned_by_size, tuned_sizes
 from studies.tracking.origin import versions
 
 
-def report_stage(study: Study) -> Outcome:
+def report_stage(study: Study) -> Outcome[Reported]:
     """Put all stored results of the label on one page.
 
     Raises:
         InputError: there is no calibration to report.
     """
-    if not any(True for _ in stored_calibrations(study)):
+    if not any(stored_calibrations(study)):
         raise InputError(
             f"{study.label} has no calibration to report; type: studies calibrate {study.command}"
         )
@@ -51,59 +45,46 @@ def report_stage(study: Study) -> Outcome:
     }
 
     index = folder / "index.html"
-    stage = Stage(study, "report", f"tables and figures of {study.label}", inputs)
-    before = stage.finished(lambda summary: f"{study.paths.show(index)} is up to date")
+    stage = Stage(study, "report", f"tables and figures of {study.label}", inputs, Reported)
+    before = stage.finished()
     if before is not None:
         return before
     with stage.work() as work:
         build(_report_data(study), folder)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
-        log_run(work, artifacts=[index])
-        summary = {"index": study.paths.recorded(index), "n_files": sum(1 for _ in folder.iterdir())}
-        return work.keep(summary, [index])
+        found = Reported(study.paths.recorded(index))
+        return work.keep(found, [index], log=log_report)
 
 
-def show_report(study: Study, outcome: Outcome) -> None:
+def show_report(study: Study, found: Reported) -> None:
     """Say where the report lies."""
-    study.console.result(f"Report: {study.paths.root / outcome.summary['index']}")
+    study.console.result(f"Report: {study.paths.root / found.index}")
 
 
 def _report_data(study: Study) -> ReportData:
-    case, tuned = study.case, tuned_by_size(study)
-    return ReportData(
-        label=study.label,
-        title=case.title,
-        note=case.note,
-        measurement=measured_series(case),
-        parameters=case.parameter_space,
-        calibrations=tuple(calibration_record(stored) for stored in stored_calibrations(study)),
+    tuned = tuned_by_size(study)
+    return report_of(
+        study,
+        list(stored_calibrations(study)),
         coverage=coverage_set(study),
         sensitivity=stored_indices(study),
-        validations=tuple(
-            record
-            for stored in stored_calibrations(study)
-            if (record := validation_record(case, stored)) is not None
-        ),
-        uncertainties=tuple(
-            uncertainty_record(stored.numbers, stored.arrays) for stored in stored_posteriors(study)
-        ),
+        uncertainties=tuple(uncertainty_record(stored.result) for stored in stored_uncertainties(study)),
         tuned=tuned_sizes(study),
         trials=trials_record(tuned),
-        references=case.references,
         provenance=_provenance(study),
     )
 
 
 def _provenance(study: Study) -> Provenance:
     case, stored = study.case, list(stored_calibrations(study))
-    commands = dict.fromkeys(str(one.numbers["recipe"]["command"]) for one in stored)
+    commands = dict.fromkeys(str(one.provenance["command"]) for one in stored)
     settings = {
         "window": period_text(case.window_d),
         "communication step": f"{case.communication_step_s:g} s",
     }
     settings |= _flat(study.profile.to_dict())
     for one in stored:
-        settings |= _flat(one.numbers.get("settings", {}), f"{one.name}.")
+        settings |= _flat(one.result.settings, f"{one.name}.")
     return Provenance(
         commands=(*commands, f"studies ui  # {study.label} in MLflow"),
         settings=tuple(settings.items()),
@@ -128,6 +109,7 @@ def _flat(settings: Mapping[str, Any], before: str = "") -> dict[str, str]:
 
 
 def _source_files(study: Study) -> list[Path]:
-    files = [one.files.numbers for one in (*stored_calibrations(study), *stored_posteriors(study))]
-    files += [study.results / name for name in ("simulate.json", "sensitivity.json")]
+    stages = ["simulate", "sensitivity", *(one.stage for one in stored_calibrations(study))]
+    stages += [one.stage for one in stored_uncertainties(study)]
+    files = [study.results / f"{stage}.json" for stage in stages]
     return [file for file in files if file.is_file()]

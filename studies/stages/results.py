@@ -1,297 +1,563 @@
-"""What the stages left on disk, read back as the records that figures and tables are made of."""
+"""What each stage comes to: one frozen dataclass, which terminal, page, MLflow and programs read alike."""
 
 import math
-import zipfile
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simulation.arrays import FloatArray
-from simulation.case import Case
-from simulation.errors import InputError
-from simulation.whole_file import whole_file
+from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
-from studies.paths import size_name
-from studies.recipe import recipe_of
-from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
-from studies.report.validation import OutputFit, ValidatedPoint, ValidationRecord
-from studies.row_set import RowSet
-from studies.sensitivity import SobolIndices
-from studies.stages.determined import open_in_words
-from studies.stages.guided import equations_in_words
-from studies.stages.knowledge import is_of_this_density, known_before
-from studies.stages.pipeline import Outcome, Study, Summary, Work, read_json, write_json
-from studies.tracking.origin import environment
+from studies.report.records_tuning import TunedSize
+from studies.report.validation import ValidatedPoint
+from studies.report.wording import count, listed, mse_text, percent
+from studies.stages.saved import WITH_ARRAYS, Error
+from studies.uncertainty.findings import Compensation
+from studies.uncertainty.identifiability import DETERMINED, Pair
+from studies.uncertainty.noise import Noise
 
 ADAPTIVE = "adaptive"
-"""What stage and files of an adaptive calibration are called."""
-
-N_COVERAGE = 256
-"""Trajectories drawn of the training set, as in the paper's Fig. 4."""
-
-Numbers = dict[str, Any]
-Arrays = dict[str, NDArray[Any]]
+"""What an adaptive calibration is called; one by the paper's method has the name of its size, as n0064."""
+Setting = bool | int | float | str | None
 
 
-@dataclass(frozen=True)
-class ResultFiles:
-    """Where the result of a calibration or of its uncertainty lies.
-
-    Args:
-        numbers: all numbers but the trajectories, without wall times: the same again when done again.
-        arrays: trajectories, histories, samples.
-    """
-
-    numbers: Path
-    arrays: Path
-
-    @classmethod
-    def of(cls, study: Study, kind: str, name: str) -> "ResultFiles":
-        """Return the files of a "calibration" or a "posterior", of "adaptive" or "n0064"."""
-        stem = study.results / f"{kind}-{name}"
-        return cls(stem.with_suffix(".json"), stem.with_suffix(".npz"))
-
-    @property
-    def rows(self) -> Path:
-        """Where it is noted which stored simulations it began with."""
-        return self.numbers.with_name(f"{self.numbers.stem}-rows.npz")
+def error_text(mse: float) -> str:
+    """Write a mean squared error without its unit; an infinite one is that of a simulation that failed."""
+    return mse_text(mse if math.isfinite(mse) else None)
 
 
 @dataclass(frozen=True)
-class StoredResult:
-    """A calibration, or its uncertainty, as it lies on disk.
+class SimulatedSets:
+    """The sets of simulations behind the surrogates, by name: train, validation, test.
 
-    Args:
-        files: where.
-        numbers: content of the JSON file.
-        arrays: content of the array file.
-        started_s: when it was begun. [s since 1970, UTC]
-        wall_s: how long it took. [s]
+    Attributes:
+        n: Rows of each set.
+        n_failed: Failed rows of each set.
+        first_failures: Up to three reasons.
+        files: Place of each set in the project.
+        digests: SHA-256 of each set's rows.
+        store: Place of the store that holds the rows.
+        n_reused: Rows that were stored before.
     """
 
-    files: ResultFiles
-    numbers: Numbers
-    arrays: Arrays
-    started_s: float
-    wall_s: float
+    n: dict[str, int]
+    n_failed: dict[str, int]
+    first_failures: tuple[str, ...]
+    files: dict[str, str]
+    digests: dict[str, str]
+    store: str
+    n_reused: int
 
     @property
-    def name(self) -> str:
-        """What the calibration's stage and files are called: "adaptive" or the size of the training set."""
-        return self.files.numbers.stem.partition("-")[2]
+    def news(self) -> str:
+        """How many rows there are."""
+        return f"{count(sum(self.n.values()), 'simulation')} reused"
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether a row failed."""
+        return any(self.n_failed.values())
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The best surrogate of each training-set size.
+
+    Attributes:
+        studies: One per size.
+    """
+
+    studies: tuple[TunedSize, ...]
+
+    @property
+    def news(self) -> str:
+        """How many trials there are."""
+        return f"{count(sum(one.n_trials for one in self.studies), 'trial')} reused"
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether a simulation failed: it has none."""
+        return False
+
+
+@dataclass(frozen=True)
+class Reported:
+    """The page of a study.
+
+    Attributes:
+        index: Its place in the project.
+    """
+
+    index: str
+
+    @property
+    def news(self) -> str:
+        """Where it lies."""
+        return f"{self.index} is up to date"
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether a simulation failed: it has none."""
+        return False
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How one output differs from its measurement over the calibrated window.
+
+    Attributes:
+        rmse: Root mean square difference. [output's unit]
+        uncertainty: That of its sensor; None where it is not declared. [output's unit]
+        share_within: Share of the samples that differ by no more; None likewise. [1]
+    """
+
+    rmse: Error
+    uncertainty: float | None = None
+    share_within: float | None = None
+
+
+@dataclass(frozen=True)
+class Determined:
+    """What the data determine of a calibrated point.
+
+    Attributes:
+        spread: Standard deviation of each parameter, as a share of its range. [1]
+        open: Parameters that the data leave open.
+        pairs: Parameters of which one makes up for the other.
+    """
+
+    spread: dict[str, float]
+    open: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+
+    def note(self, name: str) -> str:
+        """Say that a parameter is open and how far, "" where it is not."""
+        is_open = name in self.open
+        return f"not determined: ±{percent(self.spread[name])} of the range" if is_open else ""
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Which parameters are left open and which compensate each other; none where all are determined."""
+        if not self.open:
+            return ()
+        n = count(len(self.spread), "parameter")
+        first = (
+            f"The data do not determine {len(self.open)} of {n} (standard deviation at the result of "
+            f"{percent(DETERMINED)} of the range or more): {listed(self.open)}"
+        )
+        pairs = f"These compensate each other: {'; '.join(pair.in_words for pair in self.pairs)}"
+        return (first, pairs) if self.pairs else (first,)
+
+
+@dataclass(frozen=True)
+class EquationsFound:
+    """What became of the state equations that a calibration looked for.
+
+    Attributes:
+        n_states: States of the FMU.
+        n_calls: Calls that the equations chose.
+        misfit: Of the equations to the derivatives; None where none were learnt. [1]
+        hidden_inputs: Variables inside the FMU that act as inputs.
+        error_at_best: Difference of equations and best simulation as a share of its error; None where they
+            are not believed. [1]
+        are_believed: Whether their last predictions were right.
+        why_not: Why none were learnt, None where they were.
+        without_effect: Parameters that changed nothing in any simulation.
+    """
+
+    n_states: int
+    n_calls: int
+    misfit: float | None
+    hidden_inputs: tuple[str, ...]
+    error_at_best: float | None
+    are_believed: bool
+    why_not: str | None
+    without_effect: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The same in words."""
+        calls, hidden = count(self.n_calls, "call"), self.hidden_inputs
+        inputs = "input" if len(hidden) == 1 else "inputs"
+        learnt = f"learnt with {listed(hidden)} of the FMU as {inputs}" if hidden else "learnt"
+        if self.are_believed:
+            end = f"{learnt}, and {calls} went where they expect the lowest error"
+            if self.without_effect:
+                end += f"; {listed(self.without_effect)} changed nothing in any simulation"
+        elif self.why_not is None:
+            end = (
+                f"{learnt}, but their last predictions were wrong, after {calls}; the search went on without"
+            )
+        else:
+            how = f"given up after {calls}" if self.n_calls else "not learnt"
+            end = f"{how}, for {self.why_not}; the search did without"
+        return f"State equations of {count(self.n_states, 'state')}: {end}"
+
+
+@dataclass(frozen=True)
+class Held:
+    """A parameter of which something was known before.
+
+    Attributes:
+        about: What it was expected to be. [parameter's unit]
+        moved_deviations: How far it was moved, in standard deviations of the prior. [1]
+        within_factor: Standard deviation as a factor; None on a linear scale. [1]
+        within: Standard deviation; None on a logarithmic scale. [parameter's unit]
+    """
+
+    about: float
+    moved_deviations: float
+    within_factor: float | None = None
+    within: float | None = None
+
+    @property
+    def in_words(self) -> str:
+        """What was known, e.g. `0.7 ×/÷ 1.5` or `290 ± 2`."""
+        if self.within_factor is not None:
+            return f"{self.about:.4g} ×/÷ {self.within_factor:.4g}"
+        return f"{self.about:.4g} ± {self.within:.4g}"
+
+
+@dataclass(frozen=True)
+class PriorFound:
+    """How far a calibrated point lies from what was known.
+
+    Attributes:
+        weight: What one standard deviation weighs. [first output's unit squared]
+        n_independent: Independent samples that the measurement is worth.
+        penalty: Of all priors together. [first output's unit squared]
+        parameters: Each parameter of which something was known.
+    """
+
+    weight: float
+    n_independent: float
+    penalty: float
+    parameters: dict[str, Held]
+
+
+@dataclass(frozen=True)
+class Validated:
+    """How parameter sets do on a period that was not calibrated.
+
+    Attributes:
+        period_d: The period. [d]
+        points: The parameter sets by name, the calibrated one last. Each took one simulation.
+    """
+
+    period_d: tuple[float, float]
+    points: dict[str, ValidatedPoint]
+
+    @property
+    def final(self) -> ValidatedPoint:
+        """The calibrated parameter set."""
+        return list(self.points.values())[-1]
+
+
+SURROGATE_FIELDS = ("study", "trial", "run_id", "params", "errors", "weights_sha256")
+"""Fields of `Screened` that say which surrogate screened."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """The point that the surrogate chose, and the surrogate.
+
+    Attributes:
+        theta: The point. [per parameter]
+        mse_surrogate: Its error by the surrogate. [first output's unit squared]
+        mse: Its error by the physical model, infinite where that failed. [first output's unit squared]
+        stop_reason: Why the screening ended.
+        study: Optuna study of the surrogate.
+        trial: Number of its trial.
+        run_id: MLflow's run of the trial.
+        params: Its hyperparameters.
+        errors: Its errors by name. [first output's unit]
+        weights_sha256: Of its weights.
+    """
+
+    theta: dict[str, float]
+    mse_surrogate: Error
+    mse: Error
+    stop_reason: str
+    study: str = ""
+    trial: int = 0
+    run_id: str = ""
+    params: dict[str, Setting] = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
+    weights_sha256: str = ""
+
+    @property
+    def gap(self) -> float:
+        """Error by the physical model minus that by the surrogate. [first output's unit squared]."""
+        return self.mse - self.mse_surrogate
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibration, by the adaptive method or by the paper's: screened on a surrogate, polished on the FMU.
+
+    Attributes:
+        case: Name of the case.
+        method: "adaptive" or "paper".
+        n_train: Size of the surrogate's training set; 0 for an adaptive one.
+        seed: Seed of all draws.
+        settings: How it searched.
+        theta: Calibrated parameters. [units]
+        units: Their units.
+        output_unit: Unit of the first output.
+        mse: Final error, infinite where no simulation succeeded. [first output's unit squared]
+        stop_reason: Why it ended.
+        converged: Whether a tolerance, or the target, ended it.
+        left: Why it stopped without having converged; "" where it has.
+        outputs: How each output differs from its measurement.
+        ledger: Model calls by purpose, and their totals.
+        n_rounds: Rounds of simulations of an adaptive one.
+        n_warm_start: Stored simulations that it started from; they are none of its calls.
+        n_failed: Rows that failed.
+        first_failure: Why the first one failed.
+        n_simulated: Rows that were not stored before.
+        expected_gain: Part of the error that an adaptive one expected to gain when it ended. [1]
+        without_effect: Parameters on which the error hardly depends.
+        state_equations: What became of state equations; None where none were looked for.
+        determined_by_data: What the data determine; None where too little is known for that.
+        prior: What was known before; None for nothing.
+        validation: How it does on the validation period; None without one.
+        screening: What the surrogate chose; None for an adaptive one.
+        time: Output times. Shape (t,). [s]
+        y: The model at the calibrated parameters. Shape (t, k). [per output]
+        history_calls: Model calls so far, as the paper counts them. Shape (h,).
+        history_mse: Best error after so many calls. Shape (h,). [first output's unit squared]
+        y_screened: The model at the screened point. Shape (t, k). [per output]
+        validation_time: Output times of the validation period. Shape (v,). [s]
+        validation_y: The model there. Shape (v, k). [per output]
+        validation_y_screened: The model there at the screened point. Shape (v, k). [per output]
+        start_theta: The stored simulations that it started from. Shape (n, p). [per parameter]
+        start_watched: Which of them are stored with the model's states. Shape (n,).
+    """
+
+    __pydantic_config__ = WITH_ARRAYS
+
+    case: str
+    method: Literal["adaptive", "paper"]
+    n_train: int
+    seed: int
+    settings: dict[str, Setting]
+    theta: dict[str, float]
+    units: dict[str, str]
+    output_unit: str
+    mse: Error
+    stop_reason: str
+    converged: bool
+    outputs: dict[str, Fit]
+    ledger: dict[str, int]
+    n_failed: int
+    first_failure: str | None
+    n_simulated: int
+    time: FloatArray
+    y: FloatArray
+    history_calls: IntArray
+    history_mse: FloatArray
+    left: str = ""
+    n_rounds: int | None = None
+    n_warm_start: int | None = None
+    expected_gain: float | None = None
+    without_effect: tuple[str, ...] = ()
+    state_equations: EquationsFound | None = None
+    determined_by_data: Determined | None = None
+    prior: PriorFound | None = None
+    validation: Validated | None = None
+    screening: Screened | None = None
+    y_screened: FloatArray | None = None
+    validation_time: FloatArray | None = None
+    validation_y: FloatArray | None = None
+    validation_y_screened: FloatArray | None = None
+    start_theta: FloatArray | None = None
+    start_watched: BoolArray | None = None
+
+    @property
+    def news(self) -> str:
+        """Its error."""
+        return f"final MSE {error_text(self.mse)}"
+
+    @property
+    def has_failures(self) -> bool:
+        """Whether a row failed."""
+        return self.n_failed > 0
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the calibration needed no surrogate."""
-        return self.name == ADAPTIVE
+        """Whether it needed no surrogate."""
+        return self.method == ADAPTIVE
 
     @property
-    def learnt_equations(self) -> bool:
-        """Whether the calibration believed in state equations when it ended."""
-        return bool(self.numbers.get("state_equations", {}).get("are_believed", False))
+    def believes_equations(self) -> bool:
+        """Whether it believed in state equations when it ended."""
+        return self.state_equations is not None and self.state_equations.are_believed
+
+    @cached_property
+    def point(self) -> FloatArray:
+        """The calibrated parameters. Shape (p,). [per parameter]."""
+        return np.array(list(self.theta.values()))
 
     @property
-    def mse(self) -> float:
-        """The calibration's final error, infinite where it failed. [first output's unit squared]."""
-        return _number(self.numbers["mse" if self.is_adaptive else "mse_polished"])
+    def history(self) -> History:
+        """Best error over model calls, as the paper counts them."""
+        return History(self.history_calls, self.history_mse)
 
     @property
-    def y(self) -> FloatArray:
-        """What the model answered at the calibrated parameters. Shape (t, k). [per output]."""
-        return self.arrays["y" if self.is_adaptive else "y_polished"]
+    def n_calls_paper(self) -> int:
+        """Model calls in the paper's count."""
+        return self.ledger.get("total_paper", 0)
 
-    def calls_to(self, target: float) -> int | None:
-        """Return the calls, as the paper counts, after which the error was at most the target, or None."""
-        return History(self.arrays["history_calls"], self.arrays["history_mse"]).calls_to(target)
-
-
-def calibration_files(study: Study, n_train: int) -> ResultFiles:
-    """Return the files of a calibration with the surrogate of a training-set size."""
-    return ResultFiles.of(study, "calibration", size_name(n_train))
+    @property
+    def n_calls(self) -> int:
+        """All model calls, those for validation and test sets included."""
+        return sum(n for what, n in self.ledger.items() if what.startswith("n_"))
 
 
-def keep_result(
-    work: Work,
-    files: ResultFiles,
-    found: Numbers,
-    arrays: Arrays,
-    *,
-    this_time: Summary,
-    recipe: Mapping[str, Any],
-    log: Callable[[Study, StoredResult, str], None],
-    more_files: Sequence[Path] = (),
-) -> Outcome:
-    """Write the result of a stage into its files and MLflow, and return what the stage came to.
+@dataclass(frozen=True)
+class Known:
+    """What is known of one parameter.
 
-    Args:
-        work: the stage's work, at its end.
-        files: where the result goes.
-        found: its numbers.
-        arrays: its arrays.
-        this_time: what the summary says of this time alone.
-        recipe: what makes it again beyond case, profile and seed; `kind` says what it is.
-        log: writes it to MLflow; called with the digest of the stage's inputs.
-        more_files: files beside it without which the stage is unfinished.
+    Attributes:
+        calibrated: Its calibrated value. [parameter's unit]
+        linear: Linearised interval. [parameter's unit]
+        interval: Interval of the posterior. [parameter's unit]
+        median: Median of the posterior. [parameter's unit]
+        known: "determined", "narrowed", "open" or "prior".
     """
-    study = work.stage.study
-    numbers = {
-        "label": study.label,
-        "note": study.case.note,
-        "case_sha256": study.case.digest,
-        "measurement_sha256": study.case.measurement.digest,
-        **found,
-    }
-    shown = {name: value for name, value in numbers.items() if not name.endswith("_history")}
-    numbers |= {"recipe": recipe_of(study, **recipe), "environment": environment()}
-    write_arrays(files.arrays, arrays)
-    write_json(files.numbers, numbers)
-    log(study, StoredResult(files, numbers, arrays, work.started_s, work.wall_s), work.stage.digest)
-    summary = {**shown, **this_time, "file": study.paths.recorded(files.numbers)}
-    return work.keep(summary, [files.numbers, files.arrays, *more_files])
+
+    calibrated: float
+    linear: tuple[float, float]
+    interval: tuple[float, float]
+    median: float
+    known: str
 
 
-def stored_calibrations(study: Study) -> Iterator[StoredResult]:
-    """Read all calibrations of this case and measurement, the adaptive first, then by training set."""
-    for file in sorted(study.results.glob("calibration-*.json"), key=lambda one: one.stem):
-        found = stored_calibration(study, file.stem.removeprefix("calibration-"))
-        if found is not None:
-            yield found
+@dataclass(frozen=True)
+class SampleFound:
+    """A sample of equally good parameter sets.
 
-
-def stored_calibration(study: Study, name: str) -> StoredResult | None:
-    """Read one calibration of this case, measurement and density by its name, None where there is none."""
-    return _stored(study, ResultFiles.of(study, "calibration", name), f"calibrate-{name}")
-
-
-def stored_posteriors(study: Study) -> Iterator[StoredResult]:
-    """Read what is known of the stored calibrations' uncertainty."""
-    for calibration in stored_calibrations(study):
-        if (found := stored_posterior(study, calibration)) is not None:
-            yield found
-
-
-def stored_posterior(study: Study, calibration: StoredResult) -> StoredResult | None:
-    """Read what is known of a calibration's uncertainty, None where nothing is."""
-    name = calibration.name
-    found = _stored(study, ResultFiles.of(study, "posterior", name), f"uncertainty-{name}")
-    is_of_it = found is not None and np.array_equal(found.arrays["theta"], calibration.arrays["theta"])
-    return found if is_of_it else None
-
-
-def _stored(study: Study, files: ResultFiles, stage: str) -> StoredResult | None:
-    numbers, manifest = read_json(files.numbers), read_json(study.results / f"{stage}.json")
-    if numbers is None or manifest is None or not files.arrays.is_file():
-        return None
-    made_of = (numbers.get("case_sha256"), numbers.get("measurement_sha256"))
-    is_present = made_of == (study.case.digest, study.case.measurement.digest)
-    if not is_present or not is_of_this_density(manifest["inputs"], study.case):
-        return None
-    return StoredResult(files, numbers, read_arrays(files.arrays), math.nan, float(manifest["wall_s"]))
-
-
-def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an .npz file in one step."""
-    with whole_file(file) as stream:
-        np.savez_compressed(stream, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
-
-
-def read_arrays(file: Path) -> Arrays:
-    """Read a calibration's array file.
-
-    Raises:
-        InputError: it is damaged.
+    Attributes:
+        n: Sets that were simulated.
+        n_effective: Sets of equal weight that these are worth.
+        is_trusted: Whether that is enough.
+        best_mse: Lowest error of all rows that are known. [first output's unit squared]
+        best_theta: Where. [per parameter]
     """
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise InputError(f"{file} is damaged; remove it and type `studies calibrate` again") from None
+
+    n: int
+    n_effective: float
+    is_trusted: bool
+    best_mse: float
+    best_theta: dict[str, float]
 
 
-def measured_series(case: Case) -> MeasuredSeries:
-    """Return what the case is calibrated against."""
-    return MeasuredSeries(case.measurement, tuple(output.unit for output in case.outputs))
+@dataclass(frozen=True)
+class Covered:
+    """How the bands of one output lie over its measurement.
+
+    Attributes:
+        share_within_simulated: Share of the samples within the band of the simulations. [1]
+        share_within_predictive: The same with noise. [1]
+    """
+
+    share_within_simulated: float
+    share_within_predictive: float
 
 
-def calibration_record(stored: StoredResult) -> CalibrationRecord:
-    """Return a calibration as a record; an adaptive one has no training set and no screened point."""
-    numbers, arrays, ledger = stored.numbers, stored.arrays, stored.numbers["ledger"]
-    errors, equations = numbers.get("surrogate_errors", {}), numbers.get("state_equations")
-    nowhere = np.nan
-    return CalibrationRecord(
-        n_train=numbers["n_train"],
-        theta_screened=arrays.get("theta_screened", np.full_like(arrays["theta"], nowhere)),
-        theta_polished=arrays["theta"],
-        mse_surrogate=_number(numbers.get("mse_surrogate", nowhere)),
-        mse_screened=_number(numbers.get("mse_screened", nowhere)),
-        mse_polished=stored.mse,
-        y_screened=arrays.get("y_screened", np.full_like(stored.y, nowhere)),
-        y_polished=stored.y,
-        history_calls=arrays["history_calls"],
-        history_mse=arrays["history_mse"],
-        n_validation=ledger["n_validation"],
-        n_test=ledger["n_test"],
-        n_screen_checks=ledger["n_screen_checks"],
-        n_polish=ledger["n_polish"],
-        n_adaptive=ledger["n_adaptive"],
-        wall_s=stored.wall_s,
-        test_mae=errors.get("test/mae", nowhere),
-        test_p90=errors.get("test/p90", nowhere),
-        stop_reason=numbers["stop_reason" if stored.is_adaptive else "polish_stop_reason"],
-        method="adaptive" if stored.is_adaptive else "paper",
-        n_known=numbers.get("n_known", 0),
-        knowledge=known_before(numbers),
-        state_equations="" if equations is None else equations_in_words(equations),
-        left_open=tuple(open_in_words(numbers)),
-    )
+@dataclass(frozen=True)
+class Cost:
+    """Model calls of an uncertainty.
+
+    Attributes:
+        n_differences: For the differences.
+        n_taught: To teach the surrogate.
+        n_sample: Of the sample.
+        total: All of them.
+        n_warm_start: Stored simulations that taught the surrogate too; no calls.
+        by_equations: Whether state equations gave all but the sample.
+    """
+
+    n_differences: int
+    n_taught: int
+    n_sample: int
+    total: int
+    n_warm_start: int
+    by_equations: bool
 
 
-def validation_record(case: Case, stored: StoredResult) -> ValidationRecord | None:
-    """Return a calibration on the validation period, None where the case has none."""
-    if case.validation is None:
-        return None
-    numbers, arrays = stored.numbers["validation"], stored.arrays
-    last = list(numbers["points"])[-1]
-    y_polished = arrays[f"validation_y_{last}"]
-    measured = replace(measured_series(case), measurement=case.validation.measurement.from_first_sample)
-    return ValidationRecord(
-        n_train=stored.numbers["n_train"],
-        period_d=case.validation.window_d,
-        measurement=measured,
-        y_screened=arrays.get("validation_y_screened", np.full_like(y_polished, np.nan)),
-        y_polished=y_polished,
-        points={
-            name: ValidatedPoint(
-                **point | {"outputs": {output: OutputFit(**fit) for output, fit in point["outputs"].items()}}
-            )
-            for name, point in numbers["points"].items()
-        },
-    )
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How sure a calibration is.
 
+    Attributes:
+        calibration: Name of the calibration.
+        seed: Seed of all draws.
+        max_calls: Most model calls that were allowed.
+        mse: Error of the calibration. [first output's unit squared]
+        level: Probability of intervals and bands. [1]
+        noise: The noise model with its numbers.
+        sensor: Uncertainty of the first output's sensor; None where it is not declared. [output's unit]
+        has_prior: Whether something was known before.
+        parameters: What is known of each parameter.
+        pairs: Parameters that compensate each other, the clearest first.
+        null_directions: Combinations of parameters that change no output near the point, in words.
+        sample: Equally good parameter sets.
+        outputs: How the bands lie over each measured output.
+        ledger: Model calls.
+        n_failed: Rows that failed.
+        first_failure: Why the first one failed.
+        n_simulated: Rows that were not stored before.
+        time: Output times. Shape (t,). [s]
+        sample_theta: The sample. Shape (n, p). [per parameter]
+        weights: What each counts; sum 1. Shape (n,). [1]
+        particles_theta: Points of equal weight by the surrogate. Shape (c, p). [per parameter]
+        simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
+        predictive: Band of a measurement. Shape (2, t, k). [per output]
+        start_theta: Stored simulations that it started from. Shape (n, p). [per parameter]
+        start_watched: Which of them are stored with the model's states. Shape (n,).
+    """
 
-def stored_indices(study: Study) -> SobolIndices | None:
-    """Return the Sobol indices of this case, None where there are none."""
-    manifest, file = read_json(study.results / "sensitivity.json"), study.results / "sensitivity.npz"
-    if manifest is None or manifest["inputs"]["case"] != study.case.digest or not file.is_file():
-        return None
-    return SobolIndices.load(file)
+    __pydantic_config__ = WITH_ARRAYS
 
+    calibration: str
+    seed: int
+    max_calls: int
+    mse: float
+    level: float
+    noise: Noise
+    sensor: float | None
+    has_prior: bool
+    parameters: dict[str, Known]
+    pairs: tuple[Compensation, ...]
+    null_directions: tuple[str, ...]
+    sample: SampleFound
+    outputs: dict[str, Covered]
+    ledger: Cost
+    n_failed: int
+    first_failure: str | None
+    n_simulated: int
+    time: FloatArray
+    sample_theta: FloatArray
+    weights: FloatArray
+    particles_theta: FloatArray
+    simulated: FloatArray
+    predictive: FloatArray
+    start_theta: FloatArray
+    start_watched: BoolArray
 
-def coverage_set(study: Study) -> CoverageSet | None:
-    """Return the first rows of the training design, None where nothing was simulated."""
-    manifest = read_json(study.results / "simulate.json")
-    if manifest is None or manifest["inputs"]["case"] != study.case.digest:
-        return None
-    file = study.paths.root / manifest["summary"]["files"]["train"]
-    if not file.is_file():
-        return None
-    return CoverageSet("training", RowSet.load(file).read(N_COVERAGE).y)
+    @property
+    def news(self) -> str:
+        """What its sample is worth."""
+        return f"a sample worth {self.sample.n_effective:.0f} parameter sets"
 
+    @property
+    def has_failures(self) -> bool:
+        """Whether a row failed."""
+        return self.n_failed > 0
 
-def _number(value: float | None) -> float:
-    return float("inf") if value is None else value
+    @property
+    def point(self) -> FloatArray:
+        """The calibrated parameters that it is about. Shape (p,). [per parameter]."""
+        return np.array([one.calibrated for one in self.parameters.values()])

@@ -9,143 +9,140 @@ import numpy as np
 from simulation.time_unit import period_text
 from studies.calibration.misfit_threshold import SENSOR_UNCERTAINTIES
 from studies.console import Column, format_seconds
-from studies.physical_model import warn_failed
+from studies.page_tables import terminal_table
+from studies.report import ReportData
 from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
-from studies.report.uncertainty import HOW_KNOWN, sentences, uncertainty_record
-from studies.report.wording import (
-    MISSING,
-    bound_at,
-    count,
-    difference_unit,
-    mse_text,
-    percent,
-    quantity,
-    significant,
-    squared,
-)
+from studies.report.tables import validation_table
+from studies.report.tables_of_calibrations import calibrations_table, intervals_table
+from studies.report.uncertainty import sentences
+from studies.report.wording import bound_at, count, difference_unit, percent, quantity, squared
 from studies.stages.check import found_of_the_step
-from studies.stages.determined import open_in_words, open_note
-from studies.stages.guided import equations_in_words
-from studies.stages.knowledge import show_prior
 from studies.stages.pipeline import Outcome, Study
-from studies.stages.results import Numbers, StoredResult, stored_calibration
+from studies.stages.report_records import (
+    calibration_record,
+    measured_series,
+    uncertainty_record,
+    validation_record,
+)
+from studies.stages.results import ADAPTIVE, Calibration, Uncertainty
+
+FAR = 2.0
+"""So many standard deviations from what was known, the data contradict it."""
 
 
-def calibrations_of(study: Study, outcomes: Sequence[Outcome]) -> list[StoredResult]:
-    """Return the calibrations that stages have just left, or left before."""
-    stages = [outcome.stage.removeprefix("calibrate-") for outcome in outcomes]
-    return [found for name in stages if (found := stored_calibration(study, name)) is not None]
+def report_of(study: Study, outcomes: Sequence[Outcome[Calibration]] = (), **more: Any) -> ReportData:
+    """Return what the report's tables of a study are made from.
 
-
-def show_polished(study: Study, stored: Sequence[StoredResult]) -> None:
-    """Print a row per training-set size, as the paper's Table 4, and the parameters of the least error."""
-    titles = ["n_train", "MAE val", "MAE test", "MSE surrogate", "MSE screened", "gap"]
-    titles += ["polish calls", "final MSE", "calls (paper)", "calls (all)"]
-    rows = []
-    for found in (one.numbers for one in stored):
-        errors, ledger = found["surrogate_errors"], found["ledger"]
-        rows.append(
-            [
-                found["n_train"],
-                significant(errors["val/mae"]),
-                significant(errors["test/mae"]),
-                mse_text(found["mse_surrogate"]),
-                mse_text(found["mse_screened"]),
-                mse_text(found["screening_gap"]),
-                ledger["n_polish"],
-                mse_text(found["mse_polished"]),
-                ledger["total_paper"],
-                ledger["total_honest"],
-            ]
-        )
-    unit = difference_unit(study.case.outputs[0].unit)
-    units = f"MAE of the surrogate in {unit}; MSE in {squared(unit)}; " if unit else ""
-    title = f"{study.label}: calibration ({units}MSE screened and final by the FMU)"
-    study.console.table(title, [Column(title, True) for title in titles], rows)
-    for one in stored:
-        warn_failed(study, one.numbers)
-    _show_validation(study, stored)
-    best = min(stored, key=lambda one: one.mse)
-    if math.isfinite(best.mse):
-        _show_values(study, best, f"n_train = {best.numbers['n_train']}")
-
-
-def show_adaptive(study: Study, outcome: Outcome, stored: StoredResult) -> None:
-    """Print what was found, why it ended and what it cost."""
-    found, console, case = stored.numbers, study.console, study.case
-    unit = squared(difference_unit(case.outputs[0].unit))
-    cost = count(found["ledger"]["total_paper"], "model call")
-    if found["settings"]["n_parallel"] > 1:
-        cost += f" in {count(found['n_rounds'], 'round')}"
-    if n_known := found.get("n_known"):
-        cost += f", begun with {count(n_known, 'stored simulation')}"
-    console.result(
-        f"{study.label}: MSE {quantity(found['mse'], unit, 4)} after {cost} "
-        f"({format_seconds(outcome.wall_s)}); it ended because {found['stop_reason']}"
+    Args:
+        study: the study.
+        outcomes: its calibrations.
+        more: other fields of `ReportData`.
+    """
+    case, found = study.case, [(one, validation_record(study.case, one.result)) for one in outcomes]
+    return ReportData(
+        label=study.label,
+        title=case.title,
+        note=case.note,
+        measurement=measured_series(case),
+        parameters=case.parameter_space,
+        calibrations=tuple(calibration_record(one) for one, _ in found),
+        validations=tuple(record for _, record in found if record is not None),
+        references=case.references,
+        **more,
     )
-    if found["left"]:
-        console.result(f"Stopped, not converged: {found['left']}")
-    warn_failed(study, found)
-    if "state_equations" in found:
-        console.result(equations_in_words(found["state_equations"]))
+
+
+def show_polished(study: Study, outcomes: Sequence[Outcome[Calibration]]) -> None:
+    """Print a row per training-set size, as the paper's Table 4, and the parameters of the least error."""
+    study.console.show([terminal_table(calibrations_table(report_of(study, outcomes)))])
+    for one in outcomes:
+        _warn_failed(study, one.result)
+    _show_validation(study, outcomes)
+    best = min((one.result for one in outcomes), key=lambda one: one.mse)
+    if math.isfinite(best.mse):
+        _show_values(study, best, f"n_train = {best.n_train}")
+
+
+def show_adaptive(study: Study, outcome: Outcome[Calibration]) -> None:
+    """Print what was found, why it ended and what it cost."""
+    found, console, case = outcome.result, study.console, study.case
+    unit = squared(difference_unit(case.outputs[0].unit))
+    cost = count(found.n_calls_paper, "model call")
+    if found.settings["n_parallel"] != 1:
+        cost += f" in {count(found.n_rounds or 0, 'round')}"
+    if found.n_warm_start:
+        cost += f", begun with {count(found.n_warm_start, 'stored simulation')}"
+    console.result(
+        f"{study.label}: MSE {quantity(found.mse, unit, 4)} after {cost} "
+        f"({format_seconds(outcome.wall_s)}); it ended because {found.stop_reason}"
+    )
+    if found.left:
+        console.result(f"Stopped, not converged: {found.left}")
+    _warn_failed(study, found)
+    if found.state_equations is not None:
+        console.result(found.state_equations.sentence)
     console.result(_fit(study, found))
-    doubtful = found["settings"]["misfit_threshold"]
-    if doubtful is not None and found["mse"] > doubtful:
+    threshold = found.settings["misfit_threshold"]
+    if isinstance(threshold, float) and found.mse > threshold:
         many = f"{SENSOR_UNCERTAINTIES:g} times the sensor's uncertainty"
-        console.result(f"That is more than {many}: {_doubt(study, found)}")
+        console.result(f"That is more than {many}: {_misfit(study, found)}")
     for known in case.references:
         if known.is_target:
-            reached = stored.calls_to(known.mse)
+            reached = found.history.calls_to(known.mse)
             calls = "not reached" if reached is None else f"reached after {count(reached, 'call')}"
             console.result(f"MSE {quantity(known.mse, unit)} ({known.label}): {calls}")
-    _show_validation(study, [stored])
-    _show_values(study, stored, stored.name)
+    _show_validation(study, [outcome])
+    _show_values(study, found, ADAPTIVE)
     console.result(f"Pictures: studies report {study.command}")
 
 
-def _fit(study: Study, found: Numbers) -> str:
+def _fit(study: Study, found: Calibration) -> str:
     parts = []
     for output in study.case.outputs:
-        fit, unit = found["outputs"][output.name], difference_unit(output.unit)
-        part = f"{output.name} differs by {quantity(fit['rmse'], unit)} (RMS)"
-        if fit["uncertainty"] is not None:
-            sensor = f"±{fit['uncertainty']:g} {unit}".strip()
-            part += f", {percent(fit['share_within'])} of it within the sensor's {sensor}"
+        fit, unit = found.outputs[output.name], difference_unit(output.unit)
+        part = f"{output.name} differs by {quantity(fit.rmse, unit)} (RMS)"
+        if fit.uncertainty is not None and fit.share_within is not None:
+            sensor = f"±{fit.uncertainty:g} {unit}".strip()
+            part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
         parts.append(part)
     return f"On {period_text(study.case.window_d)} {'; '.join(parts)}"
 
 
-def _doubt(study: Study, found: Numbers) -> str:
+def _misfit(study: Study, found: Calibration) -> str:
     """Say what an error that is too large may come from."""
     of_the_step, lacks = found_of_the_step(study), "the model lacks something"
     if of_the_step:
         lacks = f"studies check found that {of_the_step}; else {lacks}"
     elif of_the_step is None and study.case.scenario.inputs_at_edges is None:
-        # Elsewhere outputs see their inputs in time.
+        # With inputs at the edges outputs see them in time.
         lacks += ", or outputs lag behind inputs by a part of the communication step (studies check tests it)"
-    settings = found["settings"]
-    if settings["target_mse"] is not None and found["mse"] <= settings["target_mse"]:
+    target, most = found.settings["target_mse"], found.settings["max_calls"]
+    if isinstance(target, float) and found.mse <= target:
         return "the search ended at its target; without --target it goes on"
-    if found["converged"]:
-        is_guided = found.get("state_equations", {}).get("are_believed", False)
-        who = "state equations know of" if is_guided else "surrogate expects"
+    if found.converged:
+        who = "state equations know of" if found.believes_equations else "surrogate expects"
         return f"the {who} no deeper valley in the box: {lacks}, or a bound is in the way"
-    more = "more --max-calls, " if found["ledger"]["total_paper"] >= settings["max_calls"] else ""
+    more = "more --max-calls, " if isinstance(most, int) and found.n_calls_paper >= most else ""
     return f"there may be a deeper valley, or {lacks}; try {more}another --seed, or studies run"
 
 
-def _show_values(study: Study, stored: StoredResult, how: str) -> None:
+def _show_values(study: Study, found: Calibration, how: str) -> None:
     """Print the calibrated parameters, what judges them, and what to type next."""
-    found, space, console = stored.numbers, study.case.parameter_space, study.console
-    theta = np.array([found["theta"][name] for name in space.names])
+    space, console, judged = study.case.parameter_space, study.console, found.determined_by_data
+    held = {} if found.prior is None else found.prior.parameters
     rows = []
-    for parameter, value, u in zip(space.parameters, theta, space.to_unit(theta), strict=True):
-        note = open_note(parameter.name, found)
-        if parameter.name in found.get("without_effect", ()):
+    for parameter, value, u in zip(space.parameters, found.point, space.to_unit(found.point), strict=True):
+        note = "" if judged is None else judged.note(parameter.name)
+        if parameter.name in found.without_effect:
             # A bound that it happens to lie at says nothing.
             note = "the error hardly depends on it"
         elif not note and (bound := bound_at(float(u))):
             note = f"at the {bound} bound: widen it?"
+        if (known := held.get(parameter.name)) is not None:
+            before = f"known before: {known.in_words}, moved by {known.moved_deviations:+.2f} deviations"
+            if abs(known.moved_deviations) > FAR:
+                before += ": the data contradict it"
+            note = "; ".join(filter(None, (note, before)))
         rows.append(
             [
                 parameter.name,
@@ -159,10 +156,16 @@ def _show_values(study: Study, stored: StoredResult, how: str) -> None:
     columns = [Column("parameter"), Column("unit"), Column("estimate", True), Column("calibrated", True)]
     columns += [Column("bounds", True), Column("")]
     console.table(f"{study.label}: calibrated parameters ({how})", columns, rows)
-    for line in open_in_words(found):
+    for line in () if judged is None else judged.sentences:
         console.result(line)
-    show_prior(study, found, how)
-    periods, days = judged_periods(study, stored), {"calibrated": study.case.window_d}
+    if (prior := found.prior) is not None:
+        unit = squared(difference_unit(study.case.outputs[0].unit))
+        console.result(
+            f"One standard deviation of a prior weighs as much as {quantity(prior.weight, unit)} of MSE "
+            f"({prior.n_independent:.4g} independent samples); all priors together "
+            f"{quantity(prior.penalty, unit)}, which no MSE shown here includes"
+        )
+    periods, days = judged_periods(study, found), {"calibrated": study.case.window_d}
     if study.case.validation is not None:
         days["validation"] = study.case.validation.window_d
     for name, one in periods.items():
@@ -170,95 +173,59 @@ def _show_values(study: Study, stored: StoredResult, how: str) -> None:
             console.result(f"On {period_text(days[name])} ({name}): {said}")
     if study.case.note:
         console.result(f"Note: {study.case.note}")
-    which = "" if stored.is_adaptive else f" --n-train {found['n_train']}"
+    which = "" if found.is_adaptive else f" --n-train {found.n_train}"
     console.result(f"How sure it is: studies uncertainty {study.command}{which}")
 
 
-def judged_periods(study: Study, stored: StoredResult) -> dict[str, tuple[Judged, ...]]:
+def judged_periods(study: Study, found: Calibration) -> dict[str, tuple[Judged, ...]]:
     """Judge a calibration by ASHRAE guideline 14.
 
     Returns:
         The verdicts by period: "calibrated" and, where the case has one, "validation"; none of a failed one.
     """
     case, units = study.case, [output.unit for output in study.case.outputs]
-    if not np.isfinite(stored.y).all():
+    if not np.isfinite(found.y).all():
         return {}
-    periods = {"calibrated": judge(case.measurement, units, stored.y)}
-    if case.validation is not None:
-        last = list(stored.numbers["validation"]["points"].values())[-1]
+    periods = {"calibrated": judge(case.measurement, units, found.y)}
+    if case.validation is not None and found.validation is not None:
+        fits = found.validation.final.outputs.values()
         periods["validation"] = tuple(
-            judged(case.validation.measurement, k, unit, fit["cv_rmse"], fit["nmbe"])
-            for k, (unit, fit) in enumerate(zip(units, last["outputs"].values(), strict=False))
+            judged(case.validation.measurement, k, unit, fit.cv_rmse, fit.nmbe)
+            for k, (unit, fit) in enumerate(zip(units, fits, strict=False))
         )
     return periods
 
 
-def guideline_numbers(study: Study, stored: StoredResult) -> dict[str, Any]:
+def guideline_numbers(study: Study, found: Calibration) -> dict[str, Any]:
     """Return the verdicts by period as plain values, for the document of a command."""
-    return {name: [one.to_dict() for one in found] for name, found in judged_periods(study, stored).items()}
+    periods = judged_periods(study, found)
+    return {name: [one.to_dict() for one in verdicts] for name, verdicts in periods.items()}
 
 
-def _show_validation(study: Study, stored: Sequence[StoredResult]) -> None:
-    """Print one row per training-set size and parameter set; nothing without a validation period."""
-    validation = study.case.validation
-    if validation is None:
-        return
-    unit = squared(difference_unit(study.case.outputs[0].unit))
-    units = {output.name: output.unit for output in study.case.outputs}
-    columns = [Column("n_train", True), Column("parameters"), Column("MSE window", True)]
-    columns += [Column("MSE validation", True), Column("RMSE by output", True)]
-    rows = [
-        [
-            one.numbers["n_train"] or MISSING,
-            name,
-            *(MISSING if mse is None else significant(mse, 4) for mse in (point["mse_window"], point["mse"])),
-            ", ".join(
-                f"{output} {quantity(fit['rmse'], difference_unit(units[output]))}"
-                for output, fit in point["outputs"].items()
-            )
-            or f"failed: {point['failure']}",
-        ]
-        for one in stored
-        for name, point in one.numbers["validation"]["points"].items()
-    ]
-    study.console.table(
-        f"{study.label}: validation on {period_text(validation.window_d)} (MSE in {unit}; its simulations "
-        "are in no count of calls)",
-        columns,
-        rows,
-    )
+def _show_validation(study: Study, outcomes: Sequence[Outcome[Calibration]]) -> None:
+    """Print a row per parameter set and output; nothing without a validation period."""
+    data = report_of(study, outcomes)
+    for one in data.by_size:
+        if (record := data.validation_of(one)) is not None:
+            study.console.show([terminal_table(validation_table(one, record))])
+            study.console.result("No count of calls includes the simulations of the validation")
 
 
-def show_uncertainty(study: Study, stored: StoredResult | None) -> None:
+def show_uncertainty(study: Study, found: Uncertainty) -> None:
     """Print intervals, and what the data determine and what not."""
-    assert stored is not None, "its stage is finished"
-    found = stored.numbers
-    record = uncertainty_record(found, stored.arrays)
-    share, rows = percent(found["level"]), []
-    by_parameter = zip(
-        study.case.parameter_space.parameters, record.digits, record.interval.T, record.known, strict=True
-    )
-    for parameter, digits, (low, high), known in by_parameter:
-        one = found["parameters"][parameter.name]
-        rows.append(
-            [
-                parameter.name,
-                parameter.unit,
-                f"{one['calibrated']:.{digits}g}",
-                f"{low:.{digits}g} to {high:.{digits}g}" if record.is_trusted else MISSING,
-                f"{one['linear'][0]:.{digits}g} to {one['linear'][1]:.{digits}g}",
-                f"{parameter.lower:.4g} to {parameter.upper:.4g}",
-                HOW_KNOWN[known],
-            ]
-        )
-    columns = [Column("parameter"), Column("unit", spare=2), Column("calibrated", True)]
-    columns += [Column(f"{share} interval", True), Column("linearised", True, spare=3)]
-    columns += [Column("bounds", True, spare=1), Column("by the data")]
-    title = f"{study.label}: {share} intervals of the {found['calibration']} calibration"
-    study.console.table(title, columns, rows)
-    warn_failed(study, found)
-    for sentence in sentences(record, tuple(output.unit for output in study.case.outputs)):
+    record, case = uncertainty_record(found), study.case
+    study.console.show([terminal_table(intervals_table(case.parameter_space, record))])
+    _warn_failed(study, found)
+    for sentence in sentences(record, tuple(output.unit for output in case.outputs)):
         study.console.result(sentence)
-    if study.case.note:
-        study.console.result(f"Note: {study.case.note}")
+    if case.note:
+        study.console.result(f"Note: {case.note}")
     study.console.result(f"Pictures: studies report {study.command}")
+
+
+def _warn_failed(study: Study, found: Calibration | Uncertainty) -> None:
+    if found.n_failed:
+        study.console.warn(
+            f"{count(found.n_failed, 'simulation')} failed, the first one: {found.first_failure} "
+            "(--retry-failed asks again)"
+        )

@@ -2,9 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.design import uniform_design
@@ -13,14 +10,13 @@ from simulation.store.store import SimulationStore
 from studies.console import Column, OnProgress
 from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
-from studies.recipe import recipe_of
+from studies.provenance import provenance_of
 from studies.report.wording import count
 from studies.row_set import RowSet, SetContent, content_of
-from studies.stages.pipeline import Outcome, Stage, Study, Summary, Work, digest_of
-from studies.tracking.origin import environment
-
-if TYPE_CHECKING:
-    pass
+from studies.sensitivity import SobolIndices, sobol_indices
+from studies.stages.pipeline import Outcome, Stage, Study, digest_of
+from studies.stages.results import SimulatedSets
+from studies.stages.stage_runs import log_sensitivity
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
 """Validation and test sets are the same for every profile and seed, so that all errors can be compared."""
@@ -54,31 +50,7 @@ def _designs(study: Study) -> dict[str, FloatArray]:
     return {name: uniform_design(space, n, seeds[name]) for name, n in set_sizes(study.profile).items()}
 
 
-def datasets_of(
-    profile: Profile, n_train: int, digests: Mapping[str, str], files: Mapping[str, str] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Return how the sets behind one surrogate are drawn, for a recipe.
-
-    Args:
-        profile: the budget.
-        n_train: training-set size.
-        digests: what each set came to.
-        files: place of each set's file, where it is known.
-    """
-    n = set_sizes(profile) | {"train": n_train}
-    return {
-        name: {
-            "design": "uniform",
-            "seed": seed,
-            "n": n[name],
-            "digest": digests[name],
-            "file": (files or {}).get(name, ""),
-        }
-        for name, seed in set_seeds(profile).items()
-    }
-
-
-def simulate_stage(study: Study) -> Outcome:
+def simulate_stage(study: Study) -> Outcome[SimulatedSets]:
     """Simulate the nested training design, the validation and the test set."""
     sizes, total = set_sizes(study.profile), sum(set_sizes(study.profile).values())
     inputs = {
@@ -91,8 +63,8 @@ def simulate_stage(study: Study) -> Outcome:
     if missing_rows(study)[0]:
         (study.results / "simulate.json").unlink(missing_ok=True)
     what = f"{total} simulations ({', '.join(f'{n} {name}' for name, n in sizes.items())})"
-    stage = Stage(study, "simulate", what, inputs)
-    before = stage.finished(lambda summary: f"{count(summary['n_simulations'], 'simulation')} reused")
+    stage = Stage(study, "simulate", what, inputs, SimulatedSets)
+    before = stage.finished()
     if before is not None:
         return before
     with stage.work() as work:
@@ -108,13 +80,13 @@ def simulate_stage(study: Study) -> Outcome:
                 sets[name].save()
                 contents[name] = content_of(model.store.stream(theta))
         say_reused(study, "simulate", model)
-        summary = _summary(study, sets, contents) | {"n_reused": model.n_reused}
-        if n_failed := sum(summary["n_failed"].values()):
-            reasons = "; ".join(summary["first_failures"])
+        found = _found(study, sets, contents, model.n_reused)
+        if n_failed := sum(found.n_failed.values()):
+            reasons = "; ".join(found.first_failures)
             study.console.warn(
                 f"{count(n_failed, 'simulation')} failed, left out: {reasons} (--retry-failed repeats them)"
             )
-        return work.keep(summary, [rows.file for rows in sets.values()])
+        return work.keep(found, [rows.file for rows in sets.values()])
 
 
 def missing_rows(study: Study) -> tuple[int, int]:
@@ -137,42 +109,42 @@ def _set_file(study: Study, name: str, theta: FloatArray) -> Path:
     return study.paths.generated(study.case.name) / "sets" / f"{name}-n{len(theta):05d}-{identity[:12]}.npz"
 
 
-def _summary(study: Study, sets: dict[str, RowSet], contents: dict[str, SetContent]) -> Summary:
+def _found(
+    study: Study, sets: Mapping[str, RowSet], contents: Mapping[str, SetContent], n_reused: int
+) -> SimulatedSets:
     failed = {name: [reason for reason in one.failures if reason] for name, one in contents.items()}
-    training = contents["train"].failures
-    return {
-        "n": {name: rows.n for name, rows in sets.items()},
-        "n_simulations": sum(rows.n for rows in sets.values()),
-        "n_failed": {name: len(reasons) for name, reasons in failed.items()},
-        "n_failed_of_training_size": {
-            str(n): sum(map(bool, training[:n])) for n in study.profile.data.n_train
-        },
-        "first_failures": sorted({reason for reasons in failed.values() for reason in reasons})[:3],
-        "files": {name: study.paths.relative(rows.file) for name, rows in sets.items()},
-        "digests": {name: one.digest for name, one in contents.items()},
-        "store": study.paths.relative(store_file(study.paths, study.case)),
-    }
+    return SimulatedSets(
+        n={name: rows.n for name, rows in sets.items()},
+        n_failed={name: len(reasons) for name, reasons in failed.items()},
+        first_failures=tuple(sorted({reason for reasons in failed.values() for reason in reasons})[:3]),
+        files={name: study.paths.relative(rows.file) for name, rows in sets.items()},
+        digests={name: one.digest for name, one in contents.items()},
+        store=study.paths.relative(store_file(study.paths, study.case)),
+        n_reused=n_reused,
+    )
 
 
-def show_sets(study: Study, outcome: Outcome) -> None:
+def show_sets(study: Study, found: SimulatedSets) -> None:
     """Print the simulated sets."""
-    found, paths = outcome.summary, study.paths
-    files = {name: paths.show(paths.root / file) for name, file in found["files"].items()}
+    paths = study.paths
     study.console.table(
         f"{study.label}: simulations",
         [Column("set"), Column("rows", True), Column("failed", True), Column("file")],
-        [[name, found["n"][name], found["n_failed"][name], file] for name, file in files.items()],
+        [
+            [name, found.n[name], found.n_failed[name], paths.show(file)]
+            for name, file in set_files(study, found).items()
+        ],
     )
-    store = paths.show(paths.root / found["store"])
+    store = paths.show(paths.root / found.store)
     study.console.result(f"all simulations: {store} (`studies simulate --help` shows how to read them)")
 
 
-def set_files(study: Study, summary: Summary) -> dict[str, Path]:
+def set_files(study: Study, found: SimulatedSets) -> dict[str, Path]:
     """Return the files of a finished simulate stage's sets."""
-    return {name: study.paths.root / file for name, file in summary["files"].items()}
+    return {name: study.paths.root / file for name, file in found.files.items()}
 
 
-def sensitivity_stage(study: Study) -> Outcome:
+def sensitivity_stage(study: Study) -> Outcome[SobolIndices]:
     """Estimate the Sobol indices of the physical model."""
     budget = study.profile.sensitivity
     n_rows = budget.n_base * (study.case.parameter_space.n_parameters + 2)
@@ -182,14 +154,10 @@ def sensitivity_stage(study: Study) -> Outcome:
         "n_resamples": budget.n_resamples,
         "seed": study.profile.seed,
     }
-    file = study.results / "sensitivity.npz"
-
-    stage = Stage(study, "sensitivity", f"Sobol indices from {n_rows} simulations", inputs)
-    before = stage.finished(lambda summary: f"{summary['n_calls']} simulations reused")
+    stage = Stage(study, "sensitivity", f"Sobol indices from {n_rows} simulations", inputs, SobolIndices)
+    before = stage.finished()
     if before is not None:
         return before
-    from studies.sensitivity import sobol_indices
-
     with stage.work() as work:
         with open_physical_model(study) as model, study.console.progress("simulations", n_rows) as advance:
             indices = sobol_indices(
@@ -200,53 +168,7 @@ def sensitivity_stage(study: Study) -> Outcome:
                 on_progress=advance,
             )
         say_reused(study, "sensitivity", model)
-        indices.save(file)
-        mean = {"first_order": indices.mean_first_order()[0], "total_order": indices.mean_total_order()[0]}
-        summary: Summary = {
-            "n_calls": indices.n_calls,
-            "n_dropped_blocks": indices.n_dropped,
-            "output": indices.output_names[0],
-            "file": study.paths.recorded(file),
-        }
-        for name, values in mean.items():
-            plain = [float(value) if np.isfinite(value) else None for value in values]
-            summary[f"mean_{name}"] = {indices.names[i]: plain[i] for i in indices.order()}
-        _log_sensitivity(work, summary, file)
-        return work.keep(summary, [file])
-
-
-def _log_sensitivity(work: Work, summary: Summary, file: Path) -> None:
-    """Write the indices to MLflow."""
-    from studies.stages.tracking import log_run
-
-    study = work.stage.study
-    if not study.paths.tracking_database.is_file():
-        study.console.say("sensitivity: making MLflow's store, once")
-    metrics = {
-        f"{order}/{name}": value
-        for order in ("first_order", "total_order")
-        for name, value in summary[f"mean_{order}"].items()
-        if value is not None
-    }
-    record = {
-        "recipe": recipe_of(study, "sensitivity"),
-        "environment": environment(),
-        "numbers": summary,
-    }
-    params = {"n_base": study.profile.sensitivity.n_base, "seed": study.profile.seed}
-    log_run(work, params=params, metrics=metrics, artifacts=[file], record=record)
-
-
-def show_sensitivity(study: Study, outcome: Outcome) -> None:
-    """Print the indices averaged over time, most influential parameter first."""
-    first, total = outcome.summary["mean_first_order"], outcome.summary["mean_total_order"]
-    units = {parameter.name: parameter.unit for parameter in study.case.parameter_space.parameters}
-    study.console.table(
-        f"{study.label}: Sobol indices of {outcome.summary['output']}, averaged over time",
-        [Column("parameter"), Column("unit"), Column("first order", True), Column("total order", True)],
-        [[name, units[name], _cell(first[name]), _cell(total[name])] for name in first],
-    )
-
-
-def _cell(value: float | None) -> str:
-    return "undefined" if value is None else f"{value:.3f}"
+        if not study.paths.tracking_database.is_file():
+            study.console.say("sensitivity: making MLflow's store, once")
+        made = provenance_of(study, "sensitivity")
+        return work.keep(indices, provenance=made, log=log_sensitivity)

@@ -6,35 +6,31 @@ and the list of stored rows that was written when the stage first began: interru
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from simulation.errors import InputError
+from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
-from studies.physical_model import failed_numbers, open_physical_model, open_watched_model, say_reused
+from studies.physical_model import open_physical_model, open_watched_model, say_reused
+from studies.provenance import provenance_of
 from studies.report.uncertainty import FITS_BETTER
 from studies.report.wording import count, listed
-from studies.stages.guided import guide_of
+from studies.stages.equations_found import learned_ode_of
+from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
-from studies.stages.known_rows import KnownRows
 from studies.stages.pipeline import Outcome, Stage, StageError, Study
-from studies.stages.results import (
-    ADAPTIVE,
-    Arrays,
-    Numbers,
-    ResultFiles,
-    StoredResult,
-    keep_result,
-    stored_calibrations,
-)
-from studies.stages.tracking import log_posterior
+from studies.stages.results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
+from studies.stages.stage_runs import log_uncertainty
+from studies.stages.warm_start import StartRows, WarmStart
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
-from studies.uncertainty.findings import LEVEL, compensations, correlation, knowledge
+from studies.uncertainty.emulator import particles_for
+from studies.uncertainty.findings import LEVEL, compensations, knowledge
 from studies.uncertainty.noise import NoiseKind, noise_of
-from studies.uncertainty.stand_in import particles_for
+from studies.uncertainty.rows import informative_rows
 
 LEAST_BUDGET, BUDGET_PER_PARAMETER = 100, 20
 """Most calls unless others are asked for; a sample that is good earlier ends earlier."""
@@ -48,20 +44,9 @@ def usual_calls(n_parameters: int) -> int:
     return max(LEAST_BUDGET, BUDGET_PER_PARAMETER * n_parameters)
 
 
-@dataclass(frozen=True)
-class UncertaintySettings:
-    """What is asked for.
-
-    Attributes:
-        noise: Model of the noise.
-        max_calls: Most rows that may be asked of the model.
-    """
-
-    noise: NoiseKind
-    max_calls: int
-
-
-def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] | None) -> StoredResult:
+def calibration_to_judge(
+    study: Study, method: str | None, sizes: Sequence[int] | None
+) -> Outcome[Calibration]:
     """Return the calibration that was asked for: the adaptive one, else the best of the paper's.
 
     Args:
@@ -78,15 +63,15 @@ def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] 
     fitting = [
         one
         for one in every
-        if math.isfinite(one.mse)
-        and (not sizes or one.numbers["n_train"] == sizes[0])
-        and (method is None or one.is_adaptive == (method == ADAPTIVE))
+        if math.isfinite(one.result.mse)
+        and (not sizes or one.result.n_train == sizes[0])
+        and method in (None, one.result.method)
     ]
     if fitting:
-        return min(fitting, key=lambda one: (not one.is_adaptive, one.mse))
+        return min(fitting, key=lambda one: (not one.result.is_adaptive, one.result.mse))
     asked = f"n_train = {sizes[0]}" if sizes else f"--method {method}" if method else "any kind"
     how = f" --n-train {sizes[0]}" if sizes else " --method paper" if method == "paper" else ""
-    is_other = not every and any(study.results.glob("calibration-*.json"))
+    is_other = not every and any(study.results.glob("calibrate-*.json"))
     other = " (what is stored is of another window, measurement, scale or prior)" if is_other else ""
     there = f", there is {listed(one.name for one in every)}" if every else ""
     raise InputError(
@@ -96,75 +81,71 @@ def calibration_to_judge(study: Study, method: str | None, sizes: Sequence[int] 
 
 
 def uncertainty_stage(
-    study: Study, calibration: StoredResult, settings: UncertaintySettings, *, again: bool = False
-) -> Outcome:
+    study: Study,
+    calibration: Outcome[Calibration],
+    *,
+    noise: NoiseKind,
+    max_calls: int,
+    again: bool = False,
+) -> Outcome[Uncertainty]:
     """Say how sure a stored calibration is.
 
     Args:
         study: The study.
         calibration: The calibration.
-        settings: What is asked for.
+        noise: Model of the noise.
+        max_calls: Most rows that may be asked of the model.
         again: Do it though it is finished.
     """
     case, name = study.case, calibration.name
     inputs = {
         **case_inputs(case),
-        "theta": calibration.numbers["theta"],
-        "settings": asdict(settings),
-        "sampling": asdict(sampling_within(settings.max_calls, case.parameter_space.n_parameters)),
+        "theta": calibration.result.theta,
+        "settings": {"noise": noise, "max_calls": max_calls},
+        "sampling": asdict(sampling_within(max_calls, case.parameter_space.n_parameters)),
         "step": STEP,
         "seed": study.profile.seed,
-        **(sensor_inputs(case) if settings.noise == "sensor" else {}),
-        **({"state_equations": True} if calibration.learnt_equations else {}),
+        **(sensor_inputs(case) if noise == "sensor" else {}),
+        **({"state_equations": True} if calibration.result.believes_equations else {}),
     }
-    files = ResultFiles.of(study, "posterior", name)
-
-    what = f"differences and a posterior sample, {count(settings.max_calls, 'simulation')} at most"
-    stage = Stage(study, f"uncertainty-{name}", what, inputs)
-    before = stage.finished(
-        lambda summary: f"a sample worth {summary['sample']['n_effective']:.0f} parameter sets", again=again
-    )
+    what = f"differences and a posterior sample, {count(max_calls, 'simulation')} at most"
+    stage = Stage(study, f"uncertainty-{name}", what, inputs, Uncertainty)
+    before = stage.finished(again=again)
     if before is not None:
         return before
     with stage.work() as work:
-        known_rows = KnownRows(files.rows, stage.digest)
-        numbers, arrays, n_simulated = _judge(study, calibration, settings, known_rows)
-        return keep_result(
-            work,
-            files,
-            numbers,
-            arrays,
-            this_time={"n_simulated": n_simulated},
-            recipe={"kind": "uncertainty", "settings": asdict(settings), "calibration": name},
-            log=log_posterior,
-            more_files=[files.rows],
-        )
+        start = WarmStart(stage.file.with_name(f"{stage.name}-rows.npz"), stage.digest, informative_rows)
+        found = _judge(study, calibration, start, noise, max_calls)
+        made = provenance_of(study, "uncertainty")
+        return work.keep(found, [start.file], provenance=made, log=log_uncertainty)
 
 
 def _judge(
-    study: Study, calibration: StoredResult, settings: UncertaintySettings, known_rows: KnownRows
-) -> tuple[Numbers, Arrays, int]:
+    study: Study, calibration: Outcome[Calibration], start: WarmStart, kind: NoiseKind, max_calls: int
+) -> Uncertainty:
     """Say how sure a calibrated point is, and keep nothing but the simulations."""
-    case, theta, prior = study.case, calibration.arrays["theta"], prior_of(study.case)
+    case, theta, prior = study.case, calibration.result.point, prior_of(study.case)
     measurement, n_parameters = case.measurement, case.parameter_space.n_parameters
-    opened = open_watched_model(study) if calibration.learnt_equations else open_physical_model(study)
+    has_equations = calibration.result.believes_equations
+    opened = open_watched_model(study) if has_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
         problem = CalibrationProblem(physical, measurement, prior)
         y = physical.simulate(theta[None]).y[0]
-        noise = noise_of(settings.noise, measurement, y, n_parameters)
+        noise = noise_of(kind, measurement, y, n_parameters)
         posterior = Posterior(noise, prior)
-        rows = known_rows(physical, problem, lambda found: posterior.at(found.u, found.mse))
+        rows = start(physical, problem, lambda found: posterior.at(found.u, found.mse))
         known = rows.judged(physical, problem)
-        guide = guide_of(physical, problem)
-        if guide is not None and known.n:
-            guide.note(known)
+        learned_ode = learned_ode_of(physical, problem)
+        if learned_ode is not None and known.n:
+            learned_ode.note(known)
         if known.n and known.mse.min() < FITS_BETTER * float(measurement.mse(y[None])[0]):
             # What a calibration that ended early has left over is not noise.
-            noise = noise_of(settings.noise, measurement, known.y[np.argmin(known.mse)], n_parameters)
-        stand_in = None if guide is None else guide.model
-        sampling = sampling_within(settings.max_calls, n_parameters)
-        if stand_in is not None:
-            sampling = replace(sampling, n_of_stand_in=particles_for(stand_in.equations.flow.n_operations))
+            noise = noise_of(kind, measurement, known.y[np.argmin(known.mse)], n_parameters)
+        emulator = None if learned_ode is None else learned_ode.model
+        sampling = sampling_within(max_calls, n_parameters)
+        if emulator is not None:
+            n_particles = particles_for(emulator.equations.flow.n_operations)
+            sampling = replace(sampling, n_of_emulator=n_particles)
         found = assess(
             problem,
             theta,
@@ -173,88 +154,86 @@ def _judge(
             known=known,
             sampling=sampling,
             seed=study.profile.seed,
-            stand_in=stand_in,
+            emulator=emulator,
             on_phase=bars,
         )
     if not np.isfinite(found.sample.drawn.mse).any():
         raise StageError(f"no simulation of the sample succeeded; type: studies check {study.command}")
-    # The point is asked first, to know the noise, and then among the known rows once more.
+    # The point is asked first, to know the noise, and then among the stored rows once more.
     n_repeated = int(np.all(rows.theta == theta, axis=1).sum())
     say_reused(study, f"uncertainty-{calibration.name}", physical, n_repeated=n_repeated)
-    numbers, arrays = _results(study, problem, found)
-    numbers |= {"calibration": calibration.name, "settings": asdict(settings), **failed_numbers(physical)}
-    numbers["ledger"] |= {"n_known": known.n}
-    return numbers, arrays | rows.arrays, physical.n_simulated
+    return _result(problem, found, physical, rows, calibration.name, study.profile.seed, max_calls)
 
 
-def _results(study: Study, problem: CalibrationProblem, assessed: Assessment) -> tuple[Numbers, Arrays]:
-    """Return the results as numbers and arrays."""
+def _result(
+    problem: CalibrationProblem,
+    assessed: Assessment,
+    physical: StoredModel,
+    rows: StartRows,
+    calibration: str,
+    seed: int,
+    max_calls: int,
+) -> Uncertainty:
+    """Put together what is kept."""
     found, local, noise = assessed.sample, assessed.local, assessed.noise
     space, measurement, u = problem.space, problem.measurement, assessed.sample.particles.u
-    linear = space.from_unit(assessed.linear)
-    ends, known = space.from_unit(assessed.interval), knowledge(space, u, problem.prior)
+    linear, ends = space.from_unit(assessed.linear).T, space.from_unit(assessed.interval).T
+    known, theta = knowledge(space, u, problem.prior), assessed.point.theta[0]
     good = np.isfinite(found.drawn.mse)
     bands = bands_of(found.drawn.y[good], found.weights[good], noise_of_outputs(noise, measurement), LEVEL)
     n, sensor = len(found.weights), float(measurement.uncertainty[0])
-    numbers = {
-        "mse": float(assessed.point.mse[0]),
-        "seed": study.profile.seed,
-        "level": LEVEL,
-        "noise": asdict(noise),
-        "sensor": sensor if np.isfinite(sensor) else None,
-        "has_prior": problem.prior is not None,
-        "parameters": {
-            parameter: {
-                "calibrated": float(assessed.point.theta[0, j]),
-                "linear": linear[:, j].tolist(),
-                "interval": ends[[0, 2], j].tolist(),
-                "median": float(ends[1, j]),
-                "known": known[parameter],
-            }
-            for j, parameter in enumerate(space.names)
+    return Uncertainty(
+        calibration=calibration,
+        seed=seed,
+        max_calls=max_calls,
+        mse=float(assessed.point.mse[0]),
+        level=LEVEL,
+        noise=noise,
+        sensor=sensor if np.isfinite(sensor) else None,
+        has_prior=problem.prior is not None,
+        parameters={
+            name: Known(
+                calibrated=float(theta[j]),
+                linear=(float(linear[j, 0]), float(linear[j, 1])),
+                interval=(float(ends[j, 0]), float(ends[j, 2])),
+                median=float(ends[j, 1]),
+                known=known[name],
+            )
+            for j, name in enumerate(space.names)
         },
-        "pairs": [pair.to_dict() for pair in compensations(space, u)],
-        "identifiability": local.to_dict(),
-        "sample": {
-            "n": n,
-            "n_effective": found.n_effective,
-            "is_trusted": found.n_effective >= TRUSTED * n,
-            "n_particles": len(found.particles.u),
-            "n_powers": found.particles.n_powers,
-            "acceptance": found.particles.acceptance,
-            "best_mse": found.best_mse,
-            "best_theta": dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
-        },
-        "outputs": {
-            output: {
-                "share_within_simulated": share_within(measurement, bands.simulated, k),
-                "share_within_predictive": share_within(measurement, bands.predictive, k),
-                "mean_width": float(np.mean(bands.simulated[1, :, k] - bands.simulated[0, :, k])),
-            }
+        pairs=compensations(space, u),
+        null_directions=local.null_directions,
+        sample=SampleFound(
+            n=n,
+            n_effective=found.n_effective,
+            is_trusted=found.n_effective >= TRUSTED * n,
+            best_mse=found.best_mse,
+            best_theta=dict(zip(space.names, space.from_unit(found.best_u).tolist(), strict=True)),
+        ),
+        outputs={
+            output: Covered(
+                share_within_simulated=share_within(measurement, bands.simulated, k),
+                share_within_predictive=share_within(measurement, bands.predictive, k),
+            )
             for k, output in enumerate(measurement.output_names)
         },
-        "ledger": {
-            "n_differences": assessed.n_differences,
-            "n_taught": found.n_taught,
-            "n_sample": n,
-            "total": assessed.n_calls,
-            "by_equations": assessed.by_equations,
-        },
-    }
-    arrays = {
-        "time": measurement.time,
-        "theta": assessed.point.theta[0],
-        "sample_theta": found.drawn.theta,
-        "sample_mse": found.drawn.mse,
-        "weights": found.weights,
-        "log_ratios": found.log_ratios,
-        "particles_theta": space.from_unit(u),
-        "simulated": bands.simulated,
-        "predictive": bands.predictive,
-        "singular_values": local.singular_values,
-        "directions": local.directions,
-        "spread": local.spread,
-        "correlation": local.correlation,
-        "posterior_correlation": correlation(u),
-    }
-    return numbers, arrays
+        ledger=Cost(
+            n_differences=assessed.n_differences,
+            n_taught=found.n_taught,
+            n_sample=n,
+            total=assessed.n_calls,
+            n_warm_start=len(rows.theta),
+            by_equations=assessed.by_equations,
+        ),
+        n_failed=len(physical.failures),
+        first_failure=next(iter(physical.failures), None),
+        n_simulated=physical.n_simulated,
+        time=measurement.time,
+        sample_theta=found.drawn.theta,
+        weights=found.weights,
+        particles_theta=space.from_unit(u),
+        simulated=bands.simulated,
+        predictive=bands.predictive,
+        start_theta=rows.theta,
+        start_watched=rows.watched,
+    )

@@ -1,4 +1,4 @@
-"""A finished stage other than tuning as MLflow shows it: numbers, curves, pictures, its recipe."""
+"""A finished stage other than tuning as MLflow shows it: numbers, curves, pictures, its provenance."""
 
 import re
 import time

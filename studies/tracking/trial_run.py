@@ -53,7 +53,7 @@ class TrialRun:
         runs.log(self.id, params={"n_train": spec.n_train, **params})
         runs.client.log_dict(self.id, record, "provenance.json")
 
-    def hear(self, report: EpochReport) -> None:
+    def log(self, report: EpochReport) -> None:
         """Write the learning curves, some points at a time."""
         now = round(1000.0 * time.time())
         seen = {"validation_mae": report.validation_mae}

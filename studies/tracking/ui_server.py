@@ -13,7 +13,7 @@ from urllib.parse import quote, urlencode
 from simulation.errors import InputError, MachineError
 from simulation.pool.family import end_with_parent
 from studies.console import Console
-from studies.interrupts import interrupt_heeded
+from studies.interrupts import interrupt_handled
 from studies.paths import ProjectPaths
 
 HOST, FIRST_PORT, N_PORTS = "127.0.0.1", 5000, 100
@@ -74,7 +74,7 @@ def open_ui(paths: ProjectPaths, console: Console, *, label: str | None, port: i
                 server.wait()
             raise MachineError(f"MLflow ended by itself; {paths.show(paths.mlruns / LOG_FILE)} says why")
         except KeyboardInterrupt:
-            interrupt_heeded()
+            interrupt_handled()
             console.say("ui: stopped")
             return 0
         finally:

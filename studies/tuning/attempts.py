@@ -16,12 +16,13 @@ from optuna.storages import RDBStorage, RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial, TrialState
 
 from simulation.errors import InputError
+from studies.stages.saved import rebuilt
 from studies.tuning.declaration import Declaration
 
 MAX_RETRIES = 5
 """Of a trial whose worker dies; a trial that kills its worker again and again fails."""
 RUN_ID, OWNER = "mlflow_run_id", "owner"
-DECLARATION, PLANNED, RECIPE, CLOSED = "declaration", "n_trials", "recipe", "closed"
+DECLARATION, PLANNED, PROVENANCE, CLOSED = "declaration", "n_trials", "provenance", "closed"
 """Attributes of a study; `closed` says how many trials it had when its best surrogate was registered."""
 PROPOSED_BY, SEED = "proposed_by", "seed"
 """Attribute of a trial whose hyperparameters are all chosen."""
@@ -42,7 +43,7 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     return study
 
 
-def claim_next(storage: RDBStorage, study: optuna.Study) -> int:
+def lease_next(storage: RDBStorage, study: optuna.Study) -> int:
     """Note on the next trial who works on it while it still waits; call it while the study is locked.
 
     A worker that is killed while its trial begins so leaves no running trial without an owner. Optuna's own
@@ -93,7 +94,7 @@ def declaration_of(study: optuna.Study) -> Declaration:
     declared = study.user_attrs.get(DECLARATION)
     if not isinstance(declared, dict):
         raise InputError(f"the Optuna study {study.study_name!r} was not made by this program")
-    return Declaration.from_dict(declared)
+    return rebuilt(Declaration, declared, f"the Optuna study {study.study_name!r}")
 
 
 def first_number(trial: FrozenTrial) -> int:

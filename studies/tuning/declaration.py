@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ import numpy as np
 from pelsvae.config import SurrogateConfig
 from simulation.errors import InputError
 from studies.paths import ProjectPaths, size_name
-from studies.search_space import SearchParameter, SearchSpace, default_point
+from studies.search_space import STRICT, SearchParameter, SearchSpace, default_point
+from studies.stages.saved import plain
 
 ALIAS = "champion"
 """Of the best surrogate of a size, in MLflow's registry."""
@@ -54,6 +55,8 @@ class Declaration:
         is_baseline: whether it is the PCA + GP that is fitted for comparison.
         note: shown where the numbers are shown.
     """
+
+    __pydantic_config__ = STRICT
 
     label: str
     n_train: int
@@ -155,19 +158,7 @@ class Declaration:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the declaration as JSON values."""
-        return json.loads(json.dumps(asdict(self)))  # type: ignore[no-any-return]
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> "Declaration":
-        """Rebuild a declaration.
-
-        Raises:
-            InputError: it was written by another version.
-        """
-        if odd := sorted(set(content) ^ {one.name for one in fields(cls)}):
-            raise InputError(f"a study is of another version ({odd[0]}); use that version, or tune anew")
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
-        return cls(**values)
+        return plain(self)
 
 
 def output_metric(output_name: str) -> str:

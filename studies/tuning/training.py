@@ -75,13 +75,13 @@ def train(
     """
     steps = report_epochs(config.max_epochs)
 
-    def hear(report: EpochReport) -> None:
-        on_epoch(report)
-        due = [step for step in steps if step <= report.epoch]
+    def report(now: EpochReport) -> None:
+        on_epoch(now)
+        due = [step for step in steps if step <= now.epoch]
         # Of processes only the last report is of the surrogate; the others are of parts of the rows.
         if due and config.regressor == "network":
             del steps[: len(due)]
-            on_report(due[-1], report.validation_mae)
+            on_report(due[-1], now.validation_mae)
 
     fitted = fit(
         *data["train"],
@@ -90,7 +90,7 @@ def train(
         seed=seed,
         log_columns=np.array(spec.is_log),
         output_scales=np.array(spec.output_scales),
-        on_epoch=hear,
+        on_epoch=report,
     )
     judged = judge(fitted.surrogate, spec, data)
     if not all(map(math.isfinite, judged.values())):

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import IO, Any
@@ -15,14 +15,13 @@ from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial
 
 from simulation.errors import InputError
-from studies.leaderboard import leaderboard_note
 from studies.paths import ProjectPaths
 from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
-from studies.tuning.results import TunedStudy, latest_studies, read_studies, read_study
+from studies.tuning.results import TunedStudy, read_studies, read_study
 from studies.tuning.storage import storage_of, study_locked
 
 POLL_S = 0.5
@@ -144,7 +143,7 @@ def tune(
     n_jobs: int,
     n_parallel: int = 1,
     until_s: float | None = None,
-    recipes: Sequence[dict[str, Any]] = (),
+    provenance: Mapping[str, Any] | None = None,
     on_trials: OnTrials = lambda spec, trials: None,
 ) -> list[TunedStudy]:
     """Bring every study to `n_trials` trials and register its best surrogate.
@@ -160,7 +159,7 @@ def tune(
         n_jobs: worker processes.
         n_parallel: workers of one study.
         until_s: no trial begins after this moment. [s since 1970, UTC]
-        recipes: what makes each study's data sets again, kept with every trial.
+        provenance: what makes the data sets again, kept with every trial.
         on_trials: called with the trials of a study that is worked on, about twice a second.
 
     Returns:
@@ -174,12 +173,12 @@ def tune(
     with storage_of(paths) as storage:
         runs = RunStore(paths)
         sizes: dict[int, _Size] = {}
-        for spec, recipe in zip(specs, recipes or [{}] * len(specs), strict=True):
+        for spec in specs:
             planned = 1 if spec.is_baseline else n_trials
             with study_locked(storage, paths, spec.name):
                 study = attempts.make_study(storage, spec, n_trials=planned)
             run_id = open_study_run(runs, spec, planned, study.user_attrs.get(attempts.RUN_ID))
-            for name, value in {attempts.RECIPE: recipe, attempts.RUN_ID: run_id}.items():
+            for name, value in {attempts.PROVENANCE: provenance, attempts.RUN_ID: run_id}.items():
                 if value and study.user_attrs.get(name) != value:
                     study.set_user_attr(name, value)
             part = _Part(spec, study, run_id, planned, storage, paths, runs)
@@ -209,11 +208,7 @@ def tune(
             for size in largest_first:
                 size.stop()
             raise
-        # The page shows all sizes of the label, those of other commands too.
-        label, case = specs[0].label, specs[0].digests["case"]
-        latest = latest_studies(read_studies(paths, label=label), case)
-        sizes_now = [one.summary(latest.values()) for key, one in sorted(latest.items()) if not key[1]]
-        runs.describe(label, leaderboard_note(sizes_now, specs[0].note))
+        runs.describe(specs[0].label, specs[0].note)
         return [sizes[spec.n_train].results[spec.name] for spec in specs]
 
 

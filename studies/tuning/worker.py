@@ -25,7 +25,7 @@ from pelsvae.surrogate_files import save_surrogate
 from simulation.errors import InputError
 from simulation.pool.family import end_with_parent
 from studies.paths import ProjectPaths, find_project
-from studies.recipe import file_digest
+from studies.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
 from studies.storage_url import hide_passwords
 from studies.tracking.origin import environment
@@ -75,7 +75,7 @@ class Worker:
                 planned = int(self._study.user_attrs.get(attempts.PLANNED, 0))
                 if not attempts.is_unfinished(self._study.get_trials(deepcopy=False), planned):
                     return
-                place = attempts.claim_next(self._storage, self._study)
+                place = attempts.lease_next(self._storage, self._study)
                 self._study.sampler = sampler_of_place(self._spec, place)
                 self._run_trial(release)
 
@@ -109,7 +109,7 @@ class Worker:
     def _train(self, trial: optuna.Trial, on_begun: Callable[[], None]) -> float:
         spec = self._spec
         trials = self._study.get_trials(deepcopy=False)
-        # Another program may have taken the claimed trial at that very moment.
+        # Another program may have taken the leased trial at that very moment.
         if not attempts.is_owned(trials[trial.number]):
             attempts.set_owner(self._storage, self._study, trial.number)
         on_begun()
@@ -119,9 +119,8 @@ class Worker:
         place = attempts.place_of(trials[trial.number], trials)
         seed = spec.trial_seed(place, 1)
         config = spec.config(params)
-        record = {"kind": "training", "recipe": self._study.user_attrs.get(attempts.RECIPE, {})}
-        record |= {"declaration": spec.to_dict(), "params": params, "seed": seed}
-        record |= {"environment": self._environment}
+        record = {**self._study.user_attrs.get(attempts.PROVENANCE, {}), "declaration": spec.to_dict()}
+        record |= {"params": params, "seed": seed, "environment": self._environment}
         # What has an effect on this form of surrogate.
         known = OF_PCA_GP if spec.surrogate == "pca-gp" else OF_NETWORKS
         shown = {"seed": seed, **{name: getattr(config, name) for name in known}, **params}
@@ -132,9 +131,9 @@ class Worker:
         began = time.perf_counter()
         epoch = 0
 
-        def hear(report: EpochReport) -> None:
+        def on_epoch(report: EpochReport) -> None:
             nonlocal epoch
-            run.hear(report)
+            run.log(report)
             epoch = report.epoch
             if spec.max_trial_s is not None and time.perf_counter() - began >= spec.max_trial_s:
                 trial.report(report.validation_mae, epoch)
@@ -156,7 +155,7 @@ class Worker:
             trial.set_user_attr("training", {"n_epochs": epoch, "wall_s": wall_s, **more})
 
         try:
-            fitted, metrics = train(spec, config, seed, self._data, on_epoch=hear, on_report=compare)
+            fitted, metrics = train(spec, config, seed, self._data, on_epoch=on_epoch, on_report=compare)
         except (optuna.TrialPruned, OSError, UpdateFinishedTrialError):
             raise  # a full disk is no fault of a configuration
         except Exception as error:

@@ -57,14 +57,10 @@ class Particles:
     Attributes:
         u: Points of equal weight, in no order. Shape (n, p). [1]
         log_density: Their density's logarithm. Shape (n,). [1]
-        n_powers: Steps from an even density to this one.
-        acceptance: Share of the last power's steps that were taken. [1]
     """
 
     u: FloatArray
     log_density: FloatArray
-    n_powers: int
-    acceptance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +180,7 @@ class _Annealing:
 
     def run(self, on_share: OnShare) -> Particles:
         """Raise the power to 1."""
-        n_powers, taken = 0, 0.0
+        n_powers = 0
         n_parameters = self._cloud.z.shape[1]
         while self._power < 1.0:
             power = self._next_power() if n_powers < MOST_POWERS else 1.0
@@ -192,14 +188,12 @@ class _Annealing:
             self._power = power
             n_powers += 1
             n_sweeps = LAST_SWEEPS + 3 * n_parameters if power == 1.0 else SWEEPS + n_parameters
-            steps = list[float]()
             for sweep in range(n_sweeps):
                 last = sweep / n_sweeps if power == 1.0 else 0.0
                 on_share((1.0 - LAST_SHARE) * power + LAST_SHARE * last)
-                steps.append(self._sweep())
-            taken = float(np.mean(steps))
+                self._sweep()
         found = self._cloud[self._rng.permutation(len(self._cloud.z))]
-        return Particles(ndtr(found.z), found.value, n_powers, taken)
+        return Particles(ndtr(found.z), found.value)
 
     def _at(self, z: FloatArray) -> _Cloud:
         """Ask what is known of points; the reference no longer where it does not count."""
@@ -225,13 +219,14 @@ class _Annealing:
             low, high = (middle, high) if worth(self._power + middle) >= WORTH else (low, middle)
         return min(self._power + high, 1.0)
 
-    def _sweep(self) -> float:
-        """Move either half of the particles by differences of the other; return the share of steps taken."""
+    def _sweep(self) -> None:
+        """Move either half of the particles by differences of the other."""
         order = self._rng.permutation(len(self._cloud.z))
         first, second = order[: len(order) // 2], order[len(order) // 2 :]
-        return 0.5 * (self._move(first, second) + self._move(second, first))
+        self._move(first, second)
+        self._move(second, first)
 
-    def _move(self, rows: IntArray, others: IntArray) -> float:
+    def _move(self, rows: IntArray, others: IntArray) -> None:
         here = self._cloud[rows]
         n, p = len(rows), here.z.shape[1]
         one, two = others[self._rng.integers(len(others), size=(2, n))]
@@ -240,7 +235,6 @@ class _Annealing:
         gain = there.log_density(self._power) - here.log_density(self._power)
         taken = np.flatnonzero(np.log(self._rng.random(n)) < gain)
         self._cloud[rows[taken]] = there[taken]
-        return len(taken) / n
 
 
 def _drawn(weights: FloatArray, rng: np.random.Generator) -> IntArray:

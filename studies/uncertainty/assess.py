@@ -11,12 +11,12 @@ from simulation.forward_model import ForwardModel
 from simulation.trajectories import Trajectories
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.uncertainty.density import Posterior
+from studies.uncertainty.emulator import sample_with
 from studies.uncertainty.findings import LEVEL
 from studies.uncertainty.identifiability import Identifiability, difference_rows, judged
 from studies.uncertainty.noise import Noise
 from studies.uncertainty.rows import joined
 from studies.uncertainty.sample import PosteriorSample, PosteriorSampler, Sampling
-from studies.uncertainty.stand_in import sample_with
 
 STEP = 0.01
 """Step of the differences, as a share of the range: so wide that the surrogate learns from them, too."""
@@ -95,7 +95,7 @@ def assess(
     known: Evaluation | None,
     sampling: Sampling,
     seed: int,
-    stand_in: ForwardModel | None = None,
+    emulator: ForwardModel | None = None,
     on_phase: OnPhase | None = None,
 ) -> Assessment:
     """Say how sure a calibration is.
@@ -108,7 +108,7 @@ def assess(
         known: Rows that are known already, or None.
         sampling: How the posterior is sampled.
         seed: Seed of all draws.
-        stand_in: The model's state equations, where they are known exactly: then the model simulates the
+        emulator: The model's state equations, where they are known exactly: then the model simulates the
             sample alone, as long as it agrees.
         on_phase: Called with how far it is.
     """
@@ -117,19 +117,19 @@ def assess(
     p = space.n_parameters
     rows = difference_rows(np.clip(space.to_unit(theta), 0.0, 1.0), STEP)
     answered = Trajectories(theta[None], y[None], model.time, space.names, model.output_names, ("",))
-    posterior, known_rows = Posterior(noise, problem.prior), [] if known is None or not known.n else [known]
+    posterior, stored_rows = Posterior(noise, problem.prior), [] if known is None or not known.n else [known]
 
     def differences(asked: CalibrationProblem) -> tuple[Evaluation, Identifiability]:
         around = joined([problem.judge(rows[:1], answered), asked.evaluate(rows[1:])])
-        found = judged(space.names, around, noise.raised, noise.n_independent, STEP, prior=problem.prior)
+        found = judged(space.names, around, noise.raised, STEP, prior=problem.prior)
         return around, found
 
-    def tell_calls(n: int) -> None:
+    def report_calls(n: int) -> None:
         report("posterior sample", n, sampling.max_calls)
 
     n_in_vain = 0
-    if stand_in is not None:
-        solved = problem.on(stand_in)
+    if emulator is not None:
+        solved = problem.on(emulator)
         around, local = differences(solved)
         sample, asked = sample_with(
             solved,
@@ -137,20 +137,20 @@ def assess(
             posterior,
             sampling,
             # What was simulated, not solved.
-            joined([*known_rows, around.take(0)]),
+            joined([*stored_rows, around.take(0)]),
             seed=seed,
             on_share=lambda share: report("sampling by state equations", round(100 * share), 100),
-            on_calls=tell_calls,
+            on_calls=report_calls,
         )
         if sample is not None:
             return Assessment(noise, around.take(0), local, sample, 0, by_equations=True)
-        known_rows, n_in_vain = [*known_rows, asked], asked.n
+        stored_rows, n_in_vain = [*stored_rows, asked], asked.n
     report("differences", 0, 2 * p)
     around, local = differences(problem)
     report("differences", 2 * p, 2 * p)
     left = replace(sampling, max_calls=sampling.max_calls - n_in_vain)
     sample = PosteriorSampler(
-        problem, posterior, left, joined([*known_rows, around]), seed=seed, on_calls=tell_calls
+        problem, posterior, left, joined([*stored_rows, around]), seed=seed, on_calls=report_calls
     ).sample()
     sample = replace(sample, n_calls=sample.n_calls + n_in_vain, n_taught=sample.n_taught + n_in_vain)
     return Assessment(noise, around.take(0), local, sample, 2 * p, by_equations=False)

@@ -50,19 +50,19 @@ class Posterior:
         """
         return self._with_prior(u, self.noise.log_likelihood(mse))
 
-    def by(self, predicted: "Predicted", u: FloatArray, *, doubt: float = 1.0) -> FloatArray:
+    def by(self, predicted: "Predicted", u: FloatArray, *, caution: float = 1.0) -> FloatArray:
         """Return the density's logarithm as a process expects it.
 
         Args:
             predicted: What it predicts.
             u: Points. Shape (n, p). [1]
-            doubt: Part of what not being sure takes off: 1 for what is expected, less to look farther. [1]
+            caution: Part of what not being sure takes off: 1 for what is expected, less to look farther. [1]
 
         Returns:
             Shape (n,). [1]
         """
         inside = np.clip(u, 0.0, 1.0)
-        return self._with_prior(u, predicted.log_likelihood(inside, self.noise.raised, doubt))
+        return self._with_prior(u, predicted.log_likelihood(inside, self.noise.raised, caution))
 
     def precision(self, metric: FloatArray, *, wider: float) -> FloatArray:
         """Return the precision of what may lie around points: narrow where the density is.
@@ -153,13 +153,13 @@ class Predicted:
         found: FloatArray = jacobian @ np.swapaxes(jacobian, 1, 2)
         return found
 
-    def log_likelihood(self, u: FloatArray, deviation: float, doubt: float = 1.0) -> FloatArray:
+    def log_likelihood(self, u: FloatArray, deviation: float, caution: float = 1.0) -> FloatArray:
         """Return the logarithm of the expected likelihood, but for the model's constant.
 
         Args:
             u: Points. Shape (n, p). [1]
             deviation: Of white noise, s. [unit]
-            doubt: Exponent of the product. [1]
+            caution: Exponent of the product. [1]
 
         Returns:
             Shape (n,). [1]
@@ -168,6 +168,6 @@ class Predicted:
         for start in range(0, len(u), BLOCK):
             residuals, variance = self.residuals(u[start : start + BLOCK])
             total = deviation**2 + variance[:, None] * self._shared
-            parts.append(-0.5 * np.sum(residuals**2 / total + doubt * np.log(total / deviation**2), axis=1))
+            parts.append(-0.5 * np.sum(residuals**2 / total + caution * np.log(total / deviation**2), axis=1))
         outside = self._process.outside / deviation**2
         return np.concatenate(parts) - 0.5 * outside if parts else np.empty(0)

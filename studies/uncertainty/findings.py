@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from itertools import combinations
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 
@@ -60,10 +59,6 @@ class Compensation:
             f"{both} {how}: only their {self.known} is known, {within(self.known_within)}, "
             f"each alone {within(self.alone_within)} at best"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {**vars(self), "in_words": self.in_words}
 
 
 def within(half: float) -> str:
@@ -130,17 +125,6 @@ def _width(centre: float, deviation: float) -> float:
     ends = (least + (most - least) * share for share in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL))
     low, high = (normal.inv_cdf(end) for end in ends)
     return high - low
-
-
-def correlation(u: FloatArray) -> FloatArray:
-    """Return the correlation of a sample, 0 for what does not vary. Shape (p, p). [1].
-
-    Args:
-        u: The sample. Shape (n, p). [1]
-    """
-    deviation = u.std(axis=0)
-    normed = (u - u.mean(axis=0)) / np.where(deviation > 0.0, deviation, 1.0)
-    return np.asarray(np.clip(normed.T @ normed / len(u), -1.0, 1.0))
 
 
 def _half(x: FloatArray) -> float:

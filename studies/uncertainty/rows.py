@@ -6,7 +6,7 @@ from simulation.arrays import FloatArray, IntArray
 from studies.calibration.problem import Evaluation
 
 MOST_KNOWN, MOST_ROWS = 250, 400
-"""Known rows that the process is fitted to, and rows in all; its cost grows with their third power."""
+"""Stored rows that the process is fitted to, and rows in all; its cost grows with their third power."""
 
 N_BEST = 50
 """So many of the most probable rows are among them, known or asked, however many were asked."""
@@ -15,10 +15,10 @@ SAME_ROW = 1e-3
 """Rows nearer to a better one than this in the unit cube add nothing."""
 
 
-def telling_rows(u: FloatArray, log_density: FloatArray, n_known: int | None = None) -> IntArray:
+def informative_rows(u: FloatArray, log_density: FloatArray, n_known: int | None = None) -> IntArray:
     """Return the rows that say most, the most probable first, none that repeats a better one. Shape (r,).
 
-    Of known rows these are the most probable ones. Rows that a sampler asked come before them: one that
+    Of stored rows these are the most probable ones. Rows that a sampler asked come before them: one that
     turned out improbable is where the surrogate was wrong, and forgotten it would be asked again. Only where
     these leave no room, the best rows come first.
 

@@ -8,7 +8,7 @@ weighs as much as the model's density exceeds the predicted one (importance samp
 model's. Before, batches are asked farther than the density is expected, as long as that finds more of it:
 what no member is near to no weight can show.
 
-Rows follow from problem, known rows, settings and seed alone: repeated over stored simulations, a sampling
+Rows follow from problem, stored rows, settings and seed alone: repeated over stored simulations, a sampling
 goes on where it stopped.
 """
 
@@ -26,7 +26,7 @@ from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.residual_process import Features, ResidualProcess
 from studies.uncertainty.annealing import Particles, Reference, sample_density
 from studies.uncertainty.density import Posterior, Predicted
-from studies.uncertainty.rows import joined, telling_rows
+from studies.uncertainty.rows import informative_rows, joined
 from studies.uncertainty.succeeding import Succeeding
 from studies.uncertainty.weights import effective_size, normalized
 
@@ -39,11 +39,11 @@ AGREEMENT = 0.5, 0.4
 worth falls below the second share of its size is given up while calls are left."""
 
 NEAR_BEST, MOST_CENTRES = 10.0, 50
-"""Particles also begin around known rows whose logarithmic density lacks no more than the first to the best
+"""Particles also begin around stored rows whose logarithmic density lacks no more than the first to the best
 one, around so many at most."""
 
 FARTHER = 0.25, 0.1
-"""Before a sample is drawn, rows are asked where the density would be with these parts of the doubt."""
+"""Before a sample is drawn, rows are asked where the density would be with these parts of the caution."""
 
 MORE, SURPRISE = 5.0, 1.0
 """They find more if one's logarithmic density lacks no more than the first to the best one, and is greater
@@ -63,7 +63,7 @@ class Sampling:
         n_batch: Rows per round.
         n_particles: Points that stand for the last surrogate's density.
         n_drawn_from: And for an earlier one's, of which no more than the sample is drawn.
-        n_of_stand_in: And for a stand-in's, which is asked at each of them again and again.
+        n_of_emulator: And for an emulator's, which is asked at each of them again and again.
     """
 
     max_calls: int
@@ -71,7 +71,7 @@ class Sampling:
     n_batch: int = 8
     n_particles: int = 1200
     n_drawn_from: int = 400
-    n_of_stand_in: int = 600
+    n_of_emulator: int = 600
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class PosteriorSample:
         drawn: The sample as the model answered. n rows.
         weights: What each counts; sum 1. Shape (n,). [1]
         log_ratios: Logarithm of the model's density over the predicted one. Shape (n,). [1]
-        particles: On the last surrogate, which knows every simulated row, or on the stand-in.
+        particles: On the last surrogate, which knows every simulated row, or on the emulator.
         n_calls: Rows asked of the model.
         n_taught: Those of them that are not in the sample: they taught the surrogate.
         best_u: The most probable row of all, asked or known before. Shape (p,). [1]
@@ -111,8 +111,8 @@ LogDensity = Callable[[FloatArray], FloatArray]
 class Expected(Protocol):
     """Logarithms of the density that is expected of points."""
 
-    def __call__(self, u: FloatArray, doubt: float = 1.0) -> FloatArray:
-        """Return them at points (n, p), with a part of the surrogate's doubt. Shape (n,)."""
+    def __call__(self, u: FloatArray, caution: float = 1.0) -> FloatArray:
+        """Return them at points (n, p), with a part of the caution. Shape (n,)."""
 
 
 class PosteriorSampler:
@@ -186,7 +186,7 @@ class PosteriorSampler:
             The density that it expects, and where a sample of it begins.
         """
         density = self._posterior.at(self._u, self._mse)
-        rows = telling_rows(self._u, density, self._n_known)
+        rows = informative_rows(self._u, density, self._n_known)
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
         self._hyper = process.hyper
         predicted = Predicted(process)
@@ -196,8 +196,8 @@ class PosteriorSampler:
         good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
         succeeding = Succeeding(self._u, ~np.isfinite(self._mse), narrowest[0])
 
-        def expected(u: FloatArray, doubt: float = 1.0) -> FloatArray:
-            value: FloatArray = self._posterior.by(predicted, u, doubt=doubt)
+        def expected(u: FloatArray, caution: float = 1.0) -> FloatArray:
+            value: FloatArray = self._posterior.by(predicted, u, caution=caution)
             return value + succeeding.log_probability(u)
 
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
@@ -217,8 +217,8 @@ class PosteriorSampler:
             return False
         n_each = self._settings.n_batch // len(FARTHER)
         n = self._settings.n_drawn_from
-        doubted = [self._particles(partial(expected, doubt=doubt), around, n) for doubt in FARTHER]
-        u = np.round(np.concatenate([particles.u[:n_each] for particles in doubted]), self._decimals)
+        wider = [self._particles(partial(expected, caution=caution), around, n) for caution in FARTHER]
+        u = np.round(np.concatenate([particles.u[:n_each] for particles in wider]), self._decimals)
         before, best = expected(u), float(self._posterior.at(self._u, self._mse).max())
         found = self._posterior.at(u, self._ask(u).mse)
         self._is_bounded = not bool(np.any((found > best - MORE) & (found > before + SURPRISE)))

@@ -9,8 +9,9 @@ from simulation.arrays import FloatArray
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.problem import CalibrationProblem
-from studies.stages.determined import determined_numbers, open_in_words, open_note
-from studies.uncertainty.identifiability import identifiability
+from studies.stages.calibrated_point import determined
+from studies.uncertainty.identifiability import difference_rows, judged
+from studies.uncertainty.noise import noise_of
 
 # Of standard deviations by slopes of a surrogate, whose rows lie up to a tenth of the range away.
 SPREAD_RTOL = 0.1
@@ -35,26 +36,26 @@ def polished_in_linear_coordinates(
 
 @pytest.mark.parametrize("search", [adaptive, polished, polished_in_linear_coordinates])
 @pytest.mark.parametrize("is_product", [False, True])
-def test_a_search_knows_what_differences_would_tell(search, is_product: bool) -> None:
+def test_a_search_knows_what_differences_would_show(search, is_product: bool) -> None:
     problem = problem_on(ProductToy(), TRUE_RC, noise=0.05) if is_product else rc_problem(noise=0.05)
     u, y, slopes = search(problem)
-    found = determined_numbers(problem.space.names, problem.measurement, None, u=u, y=y, slopes=slopes)
-    found_of = found["determined_by_data"]
-    truth = identifiability(problem.model, problem.measurement, problem.space.from_unit(u))
-    np.testing.assert_allclose(list(found_of["spread"].values()), truth.spread, rtol=SPREAD_RTOL)
-    assert found_of["open"] == (["R", "C"] if is_product else [])
-    assert [one["strength"] < -0.9 for one in found_of["pairs"]] == [True] * is_product
-    assert [bool(open_note(name, found)) for name in problem.space.names] == [is_product] * 2
-    assert len(open_in_words(found)) == 2 * is_product
+    found = determined(problem.space.names, problem.measurement, None, y=y, slopes=slopes)
+    assert found is not None
+    noise = noise_of("correlated", problem.measurement, y, len(u))
+    around = problem.evaluate(difference_rows(u, 1e-4))
+    truth = judged(problem.space.names, around, noise.raised, 1e-4)
+    np.testing.assert_allclose(list(found.spread.values()), truth.spread, rtol=SPREAD_RTOL)
+    assert found.open == (("R", "C") if is_product else ())
+    assert [one.strength < -0.9 for one in found.pairs] == [True] * is_product
+    assert [bool(found.note(name)) for name in problem.space.names] == [is_product] * 2
+    assert len(found.sentences) == 2 * is_product
 
 
-def test_of_a_first_design_alone_nothing_is_known() -> None:
+def test_of_a_first_design_alone_nothing_is_said() -> None:
     problem = product_problem()
     found = Adaptive(max_calls=4).minimize(problem, seed=0)
     assert found.slopes is None
     # Nor of what fits to the last digit: it shows no noise.
-    exact = {"u": found.u, "y": problem.model.simulate(TRUE_RC[None]).y[0], "slopes": np.eye(2)}
-    assert not determined_numbers(("R", "C"), problem.measurement, None, **exact)
-    assert not determined_numbers(("R", "C"), problem.measurement, None, u=found.u, y=found.y, slopes=None)
-    assert open_in_words({}) == []
-    assert open_note("R", {}) == ""
+    exact = {"y": problem.model.simulate(TRUE_RC[None]).y[0], "slopes": np.eye(2)}
+    assert determined(("R", "C"), problem.measurement, None, **exact) is None
+    assert determined(("R", "C"), problem.measurement, None, y=found.y, slopes=None) is None

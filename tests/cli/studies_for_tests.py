@@ -1,6 +1,6 @@
 """Studies without a training: trials added to Optuna, and calibrations, where real ones lie."""
 
-import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,10 @@ from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, TrialState
 
 from pelsvae.config import VARIANTS
+from studies.calibration.ledger import Ledger
 from studies.paths import ProjectPaths
+from studies.stages.results import Calibration
+from studies.stages.saved import arrays_of, plain, write_arrays, write_json
 from studies.tuning.attempts import DECLARATION, PLANNED, RUN_ID
 from studies.tuning.declaration import Declaration
 from studies.tuning.storage import open_storage
@@ -98,18 +101,34 @@ def ended_trial(spec: Declaration, index: int, error: float, *, n_latent: int = 
 
 
 def write_calibration(
-    root: Path, label: str, name: str, numbers: dict[str, Any], *, case: Path, finished: str = "2026-01-01"
+    root: Path, label: str, name: str, *, case: Path, mse: float, finished: str = "2026-01-01", **changes: Any
 ) -> None:
-    """Write what a finished calibration leaves."""
+    """Write what a finished calibration leaves; anything of its result may be changed by name."""
     folder = root / "mlruns" / "results" / label
     folder.mkdir(parents=True, exist_ok=True)
-    manifest = {"stage": f"calibrate-{name}", "digest": "d" * 64, "inputs": {}, "summary": {}}
-    (folder / f"calibrate-{name}.json").write_text(
-        json.dumps(manifest | {"finished": finished}), encoding="utf-8"
-    )
-    recorded = {"place": f"fmus/{case.parent.name}/case.toml", "text": case.read_text(encoding="utf-8")}
-    recorded |= dict.fromkeys(("digest", "measurement_digest", "sha256"), "1" * 64)
-    recipe = {"case": recorded, "files": [], "window_d": [0.0, 9.0]}
-    (folder / f"calibration-{name}.json").write_text(
-        json.dumps({**numbers, "recipe": recipe}), encoding="utf-8"
-    )
+    declared = tomllib.loads(case.read_text(encoding="utf-8"))
+    values: dict[str, Any] = {
+        "case": declared["name"],
+        "method": "adaptive" if name == "adaptive" else "paper",
+        "n_train": 0 if name == "adaptive" else int(name[1:]),
+        "seed": 0,
+        "settings": {},
+        "theta": {},
+        "units": {one["name"]: one.get("unit", "1") for one in declared["parameters"]},
+        "output_unit": declared["outputs"][0]["unit"],
+        "mse": mse,
+        "stop_reason": "made up",
+        "converged": True,
+        "outputs": {},
+        "ledger": Ledger(n_adaptive=20).to_dict(),
+        "n_failed": 0,
+        "first_failure": None,
+        "n_simulated": 0,
+        **dict.fromkeys(("time", "y", "history_calls", "history_mse"), np.zeros(1)),
+    }
+    calibration = Calibration(**(values | changes))
+    manifest = {"digest": "d" * 64, "wall_s": 1.0, "finished": finished, "result": plain(calibration)}
+    manifest["inputs"] = {"case": f"{label}", "measurement": "2"}
+    files = {f"fmus/{case.parent.name}/case.toml": "1" * 64}
+    write_json(folder / f"calibrate-{name}.json", manifest | {"provenance": {"files": files}})
+    write_arrays(folder / f"calibrate-{name}.npz", arrays_of(calibration))

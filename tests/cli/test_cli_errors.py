@@ -13,7 +13,7 @@ from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY, Answer, Run
 
 from simulation.errors import InputError
-from studies.stages.results import read_arrays
+from studies.stages.saved import read_arrays
 
 CASE = "fmus/office/case.toml"
 RECORDING = "data/office/recording_1800s.csv"
@@ -277,7 +277,7 @@ def test_a_damaged_database_is_refused(project: Path, studies: Run, command: str
 
 
 def test_a_damaged_calibration_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "calibration-n0064.npz"
+    file = tmp_path / "calibrate-n0064.npz"
     file.write_bytes(b"no archive" * 100)
-    with pytest.raises(InputError, match=r"calibration-n0064\.npz is damaged; .* `studies calibrate`"):
+    with pytest.raises(InputError, match=r"calibrate-n0064\.npz is damaged; .* --again"):
         read_arrays(file)

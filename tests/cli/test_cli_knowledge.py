@@ -31,7 +31,7 @@ def with_prior(project: Path, text: str = PRIOR) -> None:
     case.write_text(content.replace('name = "UWin"\n', text), encoding="utf-8")
 
 
-def test_a_prior_costs_no_simulation_again_and_is_told(project: Path, studies: Run) -> None:
+def test_a_prior_costs_no_simulation_again_and_is_shown(project: Path, studies: Run) -> None:
     before = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     assert "prior" not in before
     with_prior(project)
@@ -41,14 +41,13 @@ def test_a_prior_costs_no_simulation_again_and_is_told(project: Path, studies: R
     after = studies(*ADAPTIVE, "--max-calls", "15", "--json").stage
     assert not after["finished_before"]
     assert after["n_simulated"] <= 15 - 10, "the first design is stored"
-    assert after["case_sha256"] == before["case_sha256"]
     one = after["prior"]["parameters"]["UWin"]
     moved = np.log(after["theta"]["UWin"] / 0.75) / np.log(1.05)
     assert one["moved_deviations"] == pytest.approx(moved, rel=1e-6)
     assert after["prior"]["penalty"] == pytest.approx(after["prior"]["weight"] * moved**2, rel=1e-6)
     said = studies(*ADAPTIVE, "--max-calls", "15").out
-    assert "parameters held by a prior" in said
-    assert "0.75 ×/÷ 1.05" in said
+    assert "One standard deviation of a prior weighs as much as" in said
+    assert "known before: 0.75 ×/÷ 1.05" in said
     (priors,) = [
         one for one in look_at_declaration(load_case(project / "fmus" / "office")) if one.what == "priors"
     ]

@@ -106,9 +106,9 @@ BY_CTRL_C = ("tune, after a trial",)
 def results(project: Path) -> dict[str, Any]:
     """Return all numbers that a run leaves, without times, processes and places."""
     folder = project / "mlruns" / "results" / LABEL
-    found: dict[str, Any] = {file.name: calibration(file) for file in folder.glob("calibration-*.json")}
+    found: dict[str, Any] = {file.name: calibration(file) for file in folder.glob("calibrate-*.json")}
     for name in ("simulate", "sensitivity"):
-        summary = json.loads((folder / f"{name}.json").read_text())["summary"]
+        summary = json.loads((folder / f"{name}.json").read_text())["result"]
         found[name] = {key: value for key, value in summary.items() if key != "n_reused"}
     for study in read_studies(ProjectPaths(project)):
         kept = ("state", "params", "settings", "value", "metrics", "proposed_by", "n_epochs", "best_epoch",
@@ -119,12 +119,10 @@ def results(project: Path) -> dict[str, Any]:
 
 
 def calibration(file: Path) -> dict[str, Any]:
-    """Return the numbers of a calibration, without what names the run of its surrogate."""
-    numbers: dict[str, Any] = json.loads(file.read_text())
-    del numbers["environment"]  # the code may be edited while these tests run
-    for surrogate in (numbers["surrogate"], numbers["recipe"]["surrogate"]):
-        # A trial that was killed and run again has another number and another run.
-        del surrogate["run_id"], surrogate["trial"]
+    """Return the result of a calibration, without what names the run of its surrogate."""
+    numbers: dict[str, Any] = json.loads(file.read_text())["result"]
+    # A trial that was killed and run again has another number and another run.
+    del numbers["screening"]["run_id"], numbers["screening"]["trial"], numbers["n_simulated"]
     return numbers
 
 
@@ -175,7 +173,7 @@ def uninterrupted(template: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """A run that nobody interrupts; a second one finds everything finished."""
     project = shutil.copytree(template, tmp_path_factory.mktemp("uninterrupted") / "project")
     finish(project)
-    assert {"calibration-n0016.json", "calibration-n0032.json"} <= set(results(project))
+    assert {"calibrate-n0016.json", "calibrate-n0032.json"} <= set(results(project))
     work = finished_work(project)
     log = finish(project)
     stages = ("check", "simulate", "sensitivity", "tune", "calibrate-n0016", "calibrate-n0032", "report")

@@ -38,8 +38,8 @@ def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def numbers_of(project: Path, name: str) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / f"{name}-quick" / "calibration-adaptive.json"
-    content = json.loads(file.read_text(encoding="utf-8"))
+    file = project / "mlruns" / "results" / f"{name}-quick" / "calibrate-adaptive.json"
+    content = json.loads(file.read_text(encoding="utf-8"))["result"]
     assert isinstance(content, dict)
     return content
 
@@ -48,15 +48,17 @@ def test_it_goes_on_from_what_is_stored_and_says_what_the_equations_did(project:
     answer = studies(*WALL)
     assert answer.code == 0, answer.err
     found = numbers_of(project, "wall")
-    n_calls, told = found["ledger"]["total_paper"], found["state_equations"]
+    n_calls, learnt = found["ledger"]["total_paper"], found["state_equations"]
     assert n_calls == 5
     assert "3 of 5 simulations reused" in answer.err
-    assert told["are_believed"]
-    assert told["n_states"] == 3
-    assert told["misfit"] < 1e-12
-    assert f"learnt, and {told['n_calls']} call went where they expect the lowest error" in answer.out
+    assert learnt["are_believed"]
+    assert learnt["n_states"] == 3
+    assert learnt["misfit"] < 1e-12
+    assert f"learnt, and {learnt['n_calls']} call went where they expect the lowest error" in answer.out
     assert "it ended because the state equations expect a gain of less than 0.001" in answer.out
-    assert found["recipe"]["command"] == "studies calibrate wall --jobs 1"
+    manifest = project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.json"
+    made = json.loads(manifest.read_text(encoding="utf-8"))["provenance"]
+    assert made["command"] == "studies calibrate wall --jobs 1"
     page = studies("report", "wall", "--json")
     assert page.code == 0, page.err
     shown = (project / "mlruns" / "reports" / "wall-quick" / "index.html").read_text(encoding="utf-8")
@@ -100,7 +102,7 @@ def test_the_papers_method_knows_no_state_equations(project: Path, studies: Run,
     assert f"{option} belongs to --method adaptive" in answer.err
 
 
-def test_who_wants_them_is_told_why_there_are_none(
+def test_who_wants_them_is_learnt_why_there_are_none(
     made: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = copy_of(made, tmp_path / "project", monkeypatch)
@@ -126,10 +128,10 @@ def test_its_simulations_are_everybodys(
     # Six have no states, and teach the equations nothing.
     answer = studies(*WALL, "--from-stored", "--max-calls", "6")
     assert answer.code == 0, answer.err
-    known = np.load(project / "mlruns" / "results" / "wall-quick" / "calibration-adaptive.npz")
-    assert f"begins with {len(known['known_theta'])} stored simulations of this model" in answer.err
-    assert (~known["known_watched"]).sum() == 6
-    assert known["known_watched"].sum() >= 5
+    known = np.load(project / "mlruns" / "results" / "wall-quick" / "calibrate-adaptive.npz")
+    assert f"begins with {len(known['start_theta'])} stored simulations of this model" in answer.err
+    assert (~known["start_watched"]).sum() == 6
+    assert known["start_watched"].sum() >= 5
     assert numbers_of(project, "wall")["state_equations"]["are_believed"]
     assert studies("reproduce", "wall-quick/adaptive").code == 0
 
@@ -153,21 +155,22 @@ def test_how_sure_it_is_takes_no_more_than_the_sample(
     judge = ("uncertainty", "wall", "--jobs", "1", "--max-calls", "30")
     answer = studies(*judge)
     assert answer.code == 0, answer.err
-    file = project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json"
-    found = json.loads(file.read_text(encoding="utf-8"))
+    file = project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json"
+    found = json.loads(file.read_text(encoding="utf-8"))["result"]
     calls = found["ledger"]
     assert (calls["n_differences"], calls["n_taught"], calls["total"]) == (0, 0, 16)
     assert calls["by_equations"]
     assert found["sample"]["n_effective"] > 8
-    told = " ".join(answer.out.split())
-    assert "(16 model calls; the model's state equations gave the rest)" in told
+    learnt = " ".join(answer.out.split())
+    assert "(16 model calls; the model's state equations gave the rest)" in learnt
     again = studies(*judge, "--again")
     assert again.code == 0, again.err
-    assert json.loads(file.read_text(encoding="utf-8")) == found
+    repeated = json.loads(file.read_text(encoding="utf-8"))["result"]
+    assert repeated == found | {"n_simulated": 0}
     # Without them it is another calibration, judged as ever.
     assert studies(*WALL, "--no-state-equations", "--max-calls", "20").code == 0
     assert studies(*judge).code == 0
-    assert json.loads(file.read_text(encoding="utf-8"))["ledger"]["n_differences"] == 14
+    assert json.loads(file.read_text(encoding="utf-8"))["result"]["ledger"]["n_differences"] == 14
 
 
 def test_a_target_that_cannot_be_reached_ends_it_as_well(

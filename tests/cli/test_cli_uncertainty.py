@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,10 @@ from studies.paths import ProjectPaths
 from studies.report.drawing import write_png
 from studies.report.figures_uncertainty import interval_figure
 from studies.report.tables_of_calibrations import intervals_table
-from studies.report.uncertainty import sentences, uncertainty_record
-from studies.stages.results import read_arrays
+from studies.report.uncertainty import sentences
+from studies.stages.pipeline import read_outcome
+from studies.stages.report_records import uncertainty_record
+from studies.stages.results import Uncertainty
 from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
@@ -44,7 +47,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same, judged by somebody whom nobody interrupts."""
+    """The same, judged without an interruption."""
     root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
@@ -58,10 +61,11 @@ def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def results_of(project: Path) -> dict[str, Any]:
-    file = project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json"
-    content = json.loads(file.read_text(encoding="utf-8"))
+    file = project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json"
+    content = json.loads(file.read_text(encoding="utf-8"))["result"]
     assert isinstance(content, dict)
-    return content
+    # How many rows are simulated depends on what is stored.
+    return {name: value for name, value in content.items() if name != "n_simulated"}
 
 
 def n_stored(project: Path) -> int:
@@ -102,13 +106,13 @@ def test_it_says_how_sure_the_calibration_is(
 
     before = results_of(project)
     again = studies(*JUDGE, "--again")
-    n_read = calls["total"] + calls["n_known"]
+    n_read = calls["total"] + calls["n_warm_start"]
     assert f"{n_read} of {n_read} simulations reused" in again.err
-    told = re.sub(r"\s+", " ", again.out)
-    assert "90 % intervals of the adaptive calibration" in told
-    assert "Noise model: " in told
-    assert f"{calls['total']} model calls: {N_DIFFERENCES} differences" in told
-    assert f"{calls['n_known']} simulations stored before taught it, too" in told
+    shown = re.sub(r"\s+", " ", again.out)
+    assert "90 % intervals of the parameters (adaptive)" in shown
+    assert "Noise model: " in shown
+    assert f"{calls['total']} model calls: {N_DIFFERENCES} differences" in shown
+    assert f"{calls['n_warm_start']} simulations stored before taught it, too" in shown
     assert results_of(project) == before
 
 
@@ -122,13 +126,14 @@ def test_what_a_calibration_that_ended_early_left_over_is_no_noise(project: Path
 
 
 @pytest.mark.parametrize("is_trusted", [True, False])
-def test_a_sample_that_is_worth_nothing_tells_no_interval(
+def test_a_sample_that_is_worth_nothing_gives_no_interval(
     undisturbed: Path, is_trusted: bool, tmp_path: Path
 ) -> None:
     folder = undisturbed / "mlruns" / "results" / "wall-quick"
-    numbers = json.loads((folder / "posterior-adaptive.json").read_text(encoding="utf-8"))
-    numbers["sample"]["is_trusted"] = is_trusted
-    record = uncertainty_record(numbers, read_arrays(folder / "posterior-adaptive.npz"))
+    outcome = read_outcome(folder, "uncertainty-adaptive", Uncertainty)
+    assert outcome is not None
+    sample = replace(outcome.result.sample, is_trusted=is_trusted)
+    record = uncertainty_record(replace(outcome.result, sample=sample))
     said = sentences(record, ("degC", "W"))
     assert ("The data determine" in " ".join(said)) == is_trusted
     assert said[0].startswith("Noise model" if is_trusted else "The sample of")
@@ -159,7 +164,7 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
             time.sleep(0.005)
         os.killpg(process.pid, signal.SIGKILL)
         process.wait(LIMIT_S)
-    assert not (project / "mlruns" / "results" / "wall-quick" / "posterior-adaptive.json").exists()
+    assert not (project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json").exists()
     n_kept = n_stored(project) - n_before
     resumed = studies(*JUDGE, "--json").stage
     assert resumed["n_simulated"] <= whole["total"] - n_kept

@@ -60,7 +60,7 @@ def test_the_same_case_file_may_be_edited_and_given_in_other_words(project: Path
     before = results_in(project)
     edit(project / "fmus" / "wall" / "case.toml", "GOut = 200.0", "GOut = 100.0")
     assert studies("calibrate", "wall", *CALIBRATE).code == 0
-    assert results_in(project)["calibration-adaptive.json"] != before["calibration-adaptive.json"]
+    assert results_in(project)["calibrate-adaptive.json"] != before["calibrate-adaptive.json"]
 
 
 def test_a_project_goes_on_elsewhere_though_the_first_still_stands(

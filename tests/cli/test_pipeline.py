@@ -1,20 +1,24 @@
 """Stages remember what they did: same inputs and files there means finished, anything else means again."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simulation.arrays import FloatArray
 from simulation.case import load_case
 from studies.console import Console
 from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile
 from studies.stages.knowledge import declared_inputs
-from studies.stages.pipeline import Outcome, Stage, Study, Summary, digest_of, read_json, write_json
+from studies.stages.pipeline import Outcome, Stage, Study, digest_of, read_json, write_json
+from studies.stages.results import Fit
+from studies.stages.saved import WITH_ARRAYS, Error, plain
 from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
 
 
@@ -32,17 +36,38 @@ def study(project: Path) -> Study:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A result with an array, a part of its own and a number that may be infinite."""
+
+    __pydantic_config__ = WITH_ARRAYS
+
+    n: int
+    fit: Fit
+    error: Error
+    y: FloatArray
+    absent: FloatArray | None = None
+    has_failures: bool = False
+
+    @property
+    def news(self) -> str:
+        return f"{self.n} reused"
+
+
+RESULT = Made(7, Fit(0.5, share_within=0.1 + 0.2), np.inf, np.array([1.0, np.nan]))
+
+
 class Worker:
     """Does a stage and counts how often."""
 
-    def __init__(self, study: Study, summary: Summary | None = None) -> None:
+    def __init__(self, study: Study, result: Made = RESULT) -> None:
         self.study, self.n_done = study, 0
-        self.summary, self.is_interrupted = summary or {"n": 7}, False
+        self.result, self.is_interrupted = result, False
         self.file = study.results / "result.txt"
 
-    def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome:
-        stage = Stage(self.study, "work", "working", inputs)
-        before = stage.finished(lambda summary: f"{summary['n']} reused")
+    def run(self, inputs: dict[str, Any], *, keep: bool = True) -> Outcome[Made]:
+        stage = Stage(self.study, "work", "working", inputs, Made)
+        before = stage.finished()
         if before is not None:
             return before
         with stage.work() as work:
@@ -51,7 +76,7 @@ class Worker:
                 raise KeyboardInterrupt
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self.file.write_text("result")
-            return work.keep(self.summary, [self.file], is_finished=keep)
+            return work.keep(self.result, [self.file], is_finished=keep)
 
 
 def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,7 +84,19 @@ def test_a_finished_stage_is_not_done_again(study: Study, capsys: pytest.Capture
     first, second = worker.run({"a": 1}), worker.run({"a": 1})
     assert worker.n_done == 1
     assert (first.reused, second.reused) == (False, True)
-    assert first.summary == second.summary
+    assert (
+        plain(first.result)
+        == plain(second.result)
+        == {
+            "n": 7,
+            "fit": {"rmse": 0.5, "uncertainty": None, "share_within": 0.1 + 0.2},
+            "error": None,
+            "has_failures": False,
+        }
+    )
+    assert second.result.error == np.inf
+    assert second.result.absent is None
+    np.testing.assert_array_equal(second.result.y, RESULT.y)
     assert second.wall_s == pytest.approx(first.wall_s, abs=1e-3)
     assert "work: finished before, 7 reused" in capsys.readouterr().err
 
@@ -95,25 +132,22 @@ def test_a_result_not_worth_keeping_is_not_kept(study: Study) -> None:
 @pytest.mark.parametrize(
     ("failed", "n_done"),
     [
-        ({"n_failed": 1}, 2),
-        ({"n_failed": {"train": 0, "test": 1}}, 2),
-        ({"n_failed": {"train": 0}}, 1),
-        ({"n_dropped_blocks": 1}, 2),
-        ({"n_dropped_blocks": 0}, 1),
+        (True, 2),
+        (False, 1),
     ],
 )
 def test_failed_simulations_are_asked_again_though_the_stage_is_finished(
-    study: Study, failed: dict[str, Any], n_done: int
+    study: Study, failed: bool, n_done: int
 ) -> None:
-    Worker(study, {"n": 7, **failed}).run({"a": 1})
-    patient = Worker(replace(study, retry_failed=True), {"n": 7})
+    Worker(study, replace(RESULT, has_failures=failed)).run({"a": 1})
+    patient = Worker(replace(study, retry_failed=True))
     first, second = patient.run({"a": 1}), patient.run({"a": 1})
     assert 1 + patient.n_done == n_done
     assert (first.reused, second.reused) == (n_done == 1, True)
 
 
 def test_interrupted_while_failed_simulations_are_asked_again_a_stage_is_unfinished(study: Study) -> None:
-    worker = Worker(study, {"n": 7, "n_failed": 1})
+    worker = Worker(study, replace(RESULT, has_failures=True))
     worker.run({})
     patient = Worker(replace(study, retry_failed=True))
     patient.is_interrupted = True
@@ -145,7 +179,10 @@ def test_a_manifest_says_what_made_it(study: Study) -> None:
     Worker(study).run({"a": 1})
     manifest = json.loads((study.results / "work.json").read_text())
     assert manifest["inputs"] == {"a": 1}
-    assert manifest["files"] == {"mlruns/results/office-smoke/result.txt": 6}
+    assert manifest["files"] == {
+        "mlruns/results/office-smoke/result.txt": 6,
+        "mlruns/results/office-smoke/work.npz": (study.results / "work.npz").stat().st_size,
+    }
     assert manifest["seed"] == 0
     assert {"python", "numpy", "torch", "platform"} <= set(manifest["environment"])
     assert {"wall_s", "finished"} <= set(manifest)

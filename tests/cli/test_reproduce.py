@@ -10,8 +10,8 @@ import pytest
 from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
 
 from studies.cli import main
-from studies.comparison import compare
 from studies.paths import ProjectPaths
+from studies.reproduction import compare
 from studies.tracking.quiet_mlflow import connect
 
 STUDY = ("office", "--profile", "tiny.toml", "--quiet")
@@ -50,6 +50,17 @@ def runs_of(root: Path, role: str) -> list[str]:
     return [run.info.run_id for run in found]
 
 
+def record_file(root: Path, run: str) -> Path:
+    (file,) = root.glob(f"mlruns/artifacts/*/{run}/artifacts/provenance.json")
+    return file
+
+
+def record_of(root: Path, run: str) -> dict[str, Any]:
+    content = json.loads(record_file(root, run).read_text(encoding="utf-8"))
+    assert isinstance(content, dict)
+    return content
+
+
 def files_below(root: Path) -> dict[str, int]:
     """Return every file that holds a result, with the time of its last change."""
     places = [root / "data", *(root / "mlruns" / name for name in ("results", "artifacts", "reports"))]
@@ -80,10 +91,10 @@ def test_what_mlflow_recorded_is_made_again_to_the_last_digit(copied: Path, stud
 
 
 def test_a_number_that_is_not_what_was_recorded_is_shown(copied: Path, studies: Run) -> None:
-    (file,) = copied.glob("mlruns/artifacts/**/calibration-adaptive.json")
-    numbers = json.loads(file.read_text(encoding="utf-8"))
-    numbers["mse"] *= 1.0 + 1e-12
-    file.write_text(json.dumps(numbers), encoding="utf-8")
+    run = next(run for run in runs_of(copied, "calibration") if "adaptive" in record_of(copied, run)["kind"])
+    record = record_of(copied, run)
+    record["result"]["mse"] *= 1.0 + 1e-12
+    record_file(copied, run).write_text(json.dumps(record), encoding="utf-8")
     answer = studies("reproduce", f"{LABEL}/adaptive")
     assert answer.code == 1
     (line,) = [line for line in answer.out.splitlines() if "DIFFERS" in line]
@@ -158,11 +169,10 @@ def test_what_cannot_be_made_again_is_one_line(copied: Path, studies: Run, role:
 
 def test_a_damaged_record_of_a_run_is_one_line_at_the_terminal(copied: Path, studies: Run) -> None:
     (run, *_) = runs_of(copied, "trial")
-    (file,) = copied.glob(f"mlruns/artifacts/*/{run}/artifacts/provenance.json")
-    record = json.loads(file.read_text(encoding="utf-8"))
+    file, record = record_file(copied, run), record_of(copied, run)
     for change, said in (
-        ({"recipe": [None]}, "of schema None"),
-        ({"recipe": record["recipe"] | {"window_d": [[], 2]}}, "recipe.window_d.0 = []"),
+        ({"schema": [None]}, "of schema [None]"),
+        ({"window_d": [[], 2]}, "window_d.0 = []"),
         ({"params": "../../x"}, "params = '../../x'"),
         ({"params": {"n_hidden": -1}}, "n_hidden = -1 must be at least 1"),
         ({"declaration": None}, "declaration is missing"),

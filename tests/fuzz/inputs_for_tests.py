@@ -265,15 +265,7 @@ def put(root: Path, given: Input | None) -> None:
     for file in results.iterdir():
         file.unlink()
     if given and given.kind == "record":
-        content = given.content
-        with contextlib.suppress(ValueError, RecursionError):
-            pair = json.loads(content)
-            if isinstance(pair, dict) and {"numbers", "manifest"} <= pair.keys():
-                (results / "calibrate-adaptive.json").write_text(json.dumps(pair["manifest"]))
-                content = json.dumps(pair["numbers"]).encode()
-        if not (results / "calibrate-adaptive.json").exists():
-            (results / "calibrate-adaptive.json").write_bytes(content)
-        (results / "calibration-adaptive.json").write_bytes(content)
+        (results / "calibrate-adaptive.json").write_bytes(given.content)
 
 
 def tried(root: Path, given: Input, outcomes: Outcomes) -> None:

@@ -12,7 +12,7 @@ REPOSITORY = Path(__file__).parents[2]
 # In processes of their own: the timer that looks again is pytest's as well.
 BEGINNING = """
 import signal, sys, time
-from studies.interrupts import interrupt_heeded, interrupts_kept
+from studies.interrupts import interrupt_handled, interrupts_kept
 
 class Drops:
     def __del__(self):
@@ -82,7 +82,7 @@ with interrupts_kept():
     try:
         signal.raise_signal(signal.SIGINT)
     except KeyboardInterrupt:
-        interrupt_heeded()
+        interrupt_handled()
     work(0.6)
 print("ended")
 assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

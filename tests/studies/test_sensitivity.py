@@ -1,7 +1,6 @@
 """Sobol indices against exact values, against SALib's own analysis, and the traps of both."""
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from toys_for_tests import IshigamiToy
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.sensitivity import SobolIndices, sobol_indices
+from studies.sensitivity import sobol_indices
 
 
 @dataclass(frozen=True)
@@ -133,18 +132,3 @@ def test_the_initial_value_of_a_step_response_is_undefined() -> None:
     assert not indices.undefined[1:].any()
     # The temperature goes to q R: the resistance's share grows, the capacity's fades.
     assert (np.diff(indices.total_order[1:, 0], axis=0) * np.array([1.0, -1.0]) > 0.0).all()
-
-
-def test_saved_and_loaded_is_the_same(tmp_path: Path) -> None:
-    indices = sobol_indices(GFunction(), n_base=16, seed=0)
-    path = tmp_path / "folder" / "sobol.npz"
-    indices.save(path)
-    loaded = SobolIndices.load(path)
-    assert replace(loaded, **_arrays(indices)) == replace(indices, **_arrays(indices))
-    for name, array in _arrays(indices).items():
-        np.testing.assert_array_equal(getattr(loaded, name), array)
-    assert [entry.name for entry in path.parent.iterdir()] == ["sobol.npz"]
-
-
-def _arrays(indices: SobolIndices) -> dict[str, FloatArray]:
-    return {name: value for name, value in vars(indices).items() if isinstance(value, np.ndarray)}

@@ -13,7 +13,7 @@ from mlflow_store_for_tests import give_store
 
 from simulation.case import Case, load_case
 from simulation.counting import CountingModel
-from studies.stages.validation import validate, validation_inputs
+from studies.stages.validate import validate, validation_inputs
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -103,8 +103,8 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
     (calibration,) = [stage for stage in stages if stage["stage"] == "calibrate-n0032"]
     points = calibration["validation"]["points"]
     assert list(points) == ["estimate", "screened", "polished"]
-    assert points["polished"]["mse_window"] == calibration["mse_polished"]
-    assert points["screened"]["mse_window"] == calibration["mse_screened"]
+    assert points["polished"]["mse_window"] == calibration["mse"]
+    assert points["screened"]["mse_window"] == calibration["screening"]["mse"]
     assert points["polished"]["outputs"]["TAir"]["n_samples"] == 96
     ledger = calibration["ledger"]
     assert ledger["total_honest"] == sum(ledger[name] for name in ledger if name.startswith("n_"))

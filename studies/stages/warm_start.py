@@ -1,4 +1,4 @@
-"""Which stored simulations a stage knows from the beginning: the same ones when it goes on."""
+"""The stored simulations that a stage starts from: the same ones when it goes on."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,32 +10,26 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem, Evaluation
-from studies.stages.results import Arrays, read_arrays, write_arrays
-from studies.uncertainty.rows import telling_rows
+from studies.stages.saved import read_arrays, write_arrays
 from studies.watched_model import StoredWatchedModel
 
 Worth = Callable[[Evaluation], FloatArray]
 """How much rows are worth, the best the most. Shape (n,)."""
 
 
-class Known(NamedTuple):
-    """Rows that a stage knows beforehand.
+class StartRows(NamedTuple):
+    """Stored rows that a stage starts from.
 
     Attributes:
         theta: Parameter sets. Shape (n, p). [per parameter]
-        watched: Which of them are stored with what the model's states did. Shape (n,).
+        watched: Which of them are stored with the model's states. Shape (n,).
     """
 
     theta: FloatArray
     watched: BoolArray
 
-    @property
-    def arrays(self) -> Arrays:
-        """What a result keeps of them."""
-        return {"known_theta": self.theta, "known_watched": self.watched}
-
     def judged(self, physical: StoredModel, problem: CalibrationProblem) -> Evaluation:
-        """Return how good they are, of a model that watches states with what these did."""
+        """Return how good they are; a model that watches states also reads what these did."""
         if isinstance(physical, StoredWatchedModel):
             answer = physical.known(self.theta, self.watched)
         else:
@@ -43,27 +37,27 @@ class Known(NamedTuple):
         return problem.judge(problem.space.to_unit(self.theta), answer)
 
 
-ChooseRows = Callable[[StoredModel, CalibrationProblem, Worth], Known]
-"""Which rows a stage knows beforehand, of all that a model has stored."""
+ChooseRows = Callable[[StoredModel, CalibrationProblem, Worth], StartRows]
+"""Which rows a stage starts from, of all that a model has stored."""
 
 
 @dataclass(frozen=True)
-class KnownRows:
-    """The stored rows that say most of the optimum, noted when the stage first begins.
+class WarmStart:
+    """Chooses the stored rows to start from when a stage first begins, and notes them.
 
     Attributes:
         file: Where they are noted.
-        digest: Of what the stage is given.
-        choose: Returns those that say most of rows (n, p) in the unit cube and their worth (n,).
+        digest: Of the stage's inputs.
+        choose: Returns the most informative rows of (n, p) points in the unit cube with their worth (n,).
         anew: Whether they are chosen although they were noted.
     """
 
     file: Path
     digest: str
-    choose: Callable[[FloatArray, FloatArray], IntArray] = telling_rows
+    choose: Callable[[FloatArray, FloatArray], IntArray]
     anew: bool = False
 
-    def __call__(self, physical: StoredModel, problem: CalibrationProblem, worth: Worth) -> Known:
+    def __call__(self, physical: StoredModel, problem: CalibrationProblem, worth: Worth) -> StartRows:
         """Read the rows that were noted, else choose those of the store that lie in the box, and note them.
 
         Args:
@@ -82,22 +76,20 @@ class KnownRows:
         order = np.lexsort((*theta.T[::-1], -values))
         theta = theta[order]
         theta = theta[self.choose(problem.space.to_unit(theta), values[order])]
-        known = Known(theta, physical.watched(theta))
-        write_arrays(self.file, {"digest": self.digest, **known._asdict()})
-        return known
+        rows = StartRows(theta, physical.watched(theta))
+        write_arrays(self.file, {"digest": self.digest, **rows._asdict()})
+        return rows
 
-    def _noted(self, physical: StoredModel) -> Known | None:
+    def _noted(self, physical: StoredModel) -> StartRows | None:
         """Return the rows that were noted, None where there are none, or some are lost."""
         if self.anew or not self.file.is_file():
             return None
         kept = read_arrays(self.file)
         if str(kept["digest"]) != self.digest:
             return None
-        known = Known(kept["theta"], kept["watched"])
-        is_whole = (
-            physical.store.find(known.theta).all() and physical.watched(known.theta[known.watched]).all()
-        )
-        return known if is_whole else None
+        rows = StartRows(kept["theta"], kept["watched"])
+        is_whole = physical.store.find(rows.theta).all() and physical.watched(rows.theta[rows.watched]).all()
+        return rows if is_whole else None
 
 
 def stored_in_box(physical: StoredModel) -> FloatArray:

@@ -1,8 +1,8 @@
 """A posterior sample of a model that costs next to nothing and is as good as the real one.
 
-The stand-in's density itself is sampled: nothing of it is learnt, so a narrow bent valley is followed to its
+The emulator's density itself is sampled: nothing of it is learnt, so a narrow bent valley is followed to its
 ends. The real model simulates the members of the sample, and each counts as much as the real density exceeds
-the stand-in's. Where the two are not the same density, there is no such sample.
+the emulator's. Where the two are not the same density, there is no such sample.
 """
 
 import numpy as np
@@ -33,21 +33,21 @@ LEAST_PARTICLES, CHEAP = 150, 4e5
 """Points that stand for the density at least, where an answer takes more operations than the second."""
 
 N_LOOKS, N_RANDOM, N_ROWS = 400, 20, 5
-"""Random points, and how many of them and of the known rows, the best ones, are walked downhill."""
+"""Random points, and how many of them and of the stored rows, the best ones, are walked downhill."""
 
 
 def particles_for(n_operations: float) -> int:
-    """Return how many particles a stand-in's density is sampled with.
+    """Return how many particles an emulator's density is sampled with.
 
     Args:
         n_operations: What one of its answers takes.
     """
-    n = Sampling.n_of_stand_in
+    n = Sampling.n_of_emulator
     return int(np.clip(n * CHEAP / max(n_operations, 1.0), LEAST_PARTICLES, n))
 
 
 def sample_with(
-    stand_in: CalibrationProblem,
+    emulator: CalibrationProblem,
     problem: CalibrationProblem,
     posterior: Posterior,
     settings: Sampling,
@@ -57,16 +57,16 @@ def sample_with(
     on_share: OnShare | None = None,
     on_calls: OnCalls | None = None,
 ) -> tuple[PosteriorSample | None, Evaluation]:
-    """Sample a posterior by a stand-in, and have the model simulate the sample.
+    """Sample a posterior by an emulator, and have the model simulate the sample.
 
     Args:
-        stand_in: The problem, posed to the stand-in.
+        emulator: The problem, posed to the emulator.
         problem: The same, posed to the physical model.
         posterior: The density.
         settings: How to sample; the budget is of the physical model.
         known: Rows that are known already.
         seed: Seed of all draws.
-        on_share: Called with how far the stand-in's density is sampled.
+        on_share: Called with how far the emulator's density is sampled.
         on_calls: Called with how many rows were asked of the physical model so far.
 
     Returns:
@@ -75,15 +75,15 @@ def sample_with(
     rng = np.random.default_rng(seed)
 
     def density(u: FloatArray) -> FloatArray:
-        return posterior.at(u, stand_in.mse(u))
+        return posterior.at(u, emulator.mse(u))
 
     with threadpool_limits(limits=1, user_api="blas"):
-        around, decimals = _valleys(stand_in, posterior, density, known, rng)
+        around, decimals = _valleys(emulator, posterior, density, known, rng)
         particles = sample_density(
             density,
             around,
             seed=int(rng.integers(2**31)),
-            n_particles=settings.n_of_stand_in,
+            n_particles=settings.n_of_emulator,
             on_share=on_share,
         )
     u = np.round(particles.u[: min(settings.n_sample, settings.max_calls)], decimals)
@@ -115,7 +115,7 @@ def sample_with(
 
 
 def _valleys(
-    stand_in: CalibrationProblem,
+    emulator: CalibrationProblem,
     posterior: Posterior,
     density: Density,
     known: Evaluation,
@@ -126,21 +126,21 @@ def _valleys(
     Returns:
         Where particles begin, and to how many decimals points are rounded.
     """
-    p, residuals = stand_in.space.n_parameters, stand_in.residuals
+    p, residuals = emulator.space.n_parameters, emulator.residuals
     looks = rng.random((N_LOOKS, p))
     best = np.argsort(-density(looks), kind="stable")[:N_RANDOM]
     rows = np.argsort(-posterior.at(known.u, known.mse), kind="stable")[:N_ROWS]
-    ends, _ = descend_together(residuals, stand_in.prior, np.concatenate([known.u[rows], looks[best]]))
+    ends, _ = descend_together(residuals, emulator.prior, np.concatenate([known.u[rows], looks[best]]))
     value = density(ends)
     ends = ends[value >= value.max() - NEAR_BEST]
     slopes = jacobians(residuals, ends, residuals(ends))
-    is_told = np.isfinite(slopes).all(axis=(1, 2))
-    if not is_told.any():
+    is_finite = np.isfinite(slopes).all(axis=(1, 2))
+    if not is_finite.any():
         return Reference.even(p), DECIMALS
-    scaled = slopes[is_told] / posterior.noise.raised
+    scaled = slopes[is_finite] / posterior.noise.raised
     metric = scaled.transpose(0, 2, 1) @ scaled
     steepness = float(np.sqrt(np.diagonal(posterior.precision(metric, wider=1.0), axis1=1, axis2=2).max()))
-    around = Reference(ends[is_told], roots_of(posterior.precision(metric, wider=WIDER)))
+    around = Reference(ends[is_finite], roots_of(posterior.precision(metric, wider=WIDER)))
     return around, decimals_for(steepness)
 
 

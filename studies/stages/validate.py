@@ -4,8 +4,8 @@ Its simulations are a few per calibration and decide nothing: the ledger does no
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from studies.physical_model import open_physical_model
 from studies.report.guideline14 import relative
 from studies.report.validation import OutputFit, ValidatedPoint
 from studies.stages.pipeline import Study
+from studies.stages.results import Validated
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,16 @@ def _fits(case: Case, measurement: Measurement, y: FloatArray) -> dict[str, Outp
     return fits
 
 
-def validate_calibration(
-    study: Study, found: Mapping[str, FloatArray]
-) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+class OfCalibration(TypedDict, total=False):
+    """The fields of a `Calibration` that its validation fills."""
+
+    validation: Validated
+    validation_time: FloatArray
+    validation_y: FloatArray
+    validation_y_screened: FloatArray
+
+
+def validate_calibration(study: Study, found: Mapping[str, FloatArray]) -> OfCalibration:
     """Validate a finished calibration of a study.
 
     Args:
@@ -89,20 +97,21 @@ def validate_calibration(
         found: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
 
     Returns:
-        Numbers and arrays to be kept with the calibration; both empty without a validation period.
+        Fields of the calibration's result; none without a validation period.
     """
-    case, estimates = study.case, _estimates(study.case)
+    case = study.case
     if case.validation is None:
-        return {}, {}
+        return {}
     with open_physical_model(study, case=case.validation) as model:
-        validation = validate(case, model, {**estimates, **found})
-    numbers = {
-        "period_d": list(case.validation.window_d),
-        "n_simulations": len(validation.points),
-        "points": {name: asdict(point) for name, point in validation.points.items()},
+        validation = validate(case, model, {**_estimates(case), **found})
+    fields: OfCalibration = {
+        "validation": Validated(case.validation.window_d, validation.points),
+        "validation_time": validation.time,
+        "validation_y": validation.y[list(found)[-1]],
     }
-    arrays = {f"validation_y_{name}": validation.y[name] for name in found}
-    return {"validation": numbers}, {"validation_time": validation.time, **arrays}
+    if "screened" in found:
+        fields["validation_y_screened"] = validation.y["screened"]
+    return fields
 
 
 def validation_inputs(case: Case) -> dict[str, Any]:

@@ -1,0 +1,70 @@
+"""What is judged of a calibrated point without another simulation: fits of the outputs, open parameters.
+
+`studies uncertainty` says how far open parameters may go.
+"""
+
+from collections import Counter
+
+import numpy as np
+
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.measurement import Measurement
+from studies.calibration.prior import Prior
+from studies.stages.results import Determined, Fit
+from studies.uncertainty.identifiability import judged_slopes
+from studies.uncertainty.noise import noise_of
+
+CLEAR_PAIR = 0.9
+"""A pair is named that makes up so much of an open direction's squared length."""
+
+
+def fits(case: Case, y: FloatArray) -> dict[str, Fit]:
+    """Return how each output differs from its measurement, beside its sensor's uncertainty.
+
+    Args:
+        case: The case.
+        y: A simulation. Shape (t, k). [per output]
+    """
+    found = {}
+    for k, output in enumerate(case.outputs):
+        difference = case.measurement.differences(y[None], k)[0]
+        rmse, sensor = float(np.sqrt(np.mean(difference**2))), float(case.measurement.uncertainty[k])
+        share = float(np.mean(np.abs(difference) <= sensor))
+        found[output.name] = Fit(rmse, sensor, share) if np.isfinite(sensor) else Fit(rmse)
+    return found
+
+
+def determined(
+    names: tuple[str, ...],
+    measurement: Measurement,
+    prior: Prior | None,
+    *,
+    y: FloatArray,
+    slopes: FloatArray | None,
+) -> Determined | None:
+    """Return which parameters the data leave open near a point; None where too little is known of slopes.
+
+    Args:
+        names: Names of the p free parameters.
+        measurement: What they were calibrated with.
+        prior: What is known of them beforehand, or None.
+        y: The simulation at the point. Shape (t, k). [per output]
+        slopes: Of the residuals there, in an orthonormal basis. Shape (m, p). [first output's unit per range]
+    """
+    # What fits to the last digit shows no noise to judge by.
+    if slopes is None or not np.any(measurement.compared(y[None])):
+        return None
+    noise = noise_of("correlated", measurement, y, len(names))
+    found = judged_slopes(names, slopes, noise.raised, prior=prior)
+    # Two in two open directions, once with each sign, are both open, and none makes up for the other.
+    n_times = Counter((pair.first, pair.second) for pair in found.pairs)
+    return Determined(
+        spread=dict(zip(names, found.spread.tolist(), strict=True)),
+        open=tuple(name for name in names if name not in found.determined),
+        pairs=tuple(
+            one
+            for one in found.pairs
+            if n_times[one.first, one.second] == 1 and abs(one.strength) >= CLEAR_PAIR
+        ),
+    )

@@ -1,0 +1,93 @@
+"""Results as files: a frozen dataclass goes to JSON and back, its arrays to an .npz file beside it."""
+
+import json
+import math
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
+
+from simulation.errors import InputError
+from simulation.foreign_file import RECORD, read_limited
+from simulation.whole_file import whole_file
+from studies.profile import in_one_line
+
+Arrays = dict[str, NDArray[Any]]
+WITH_ARRAYS = ConfigDict(arbitrary_types_allowed=True)
+"""`__pydantic_config__` of a result that has arrays among its fields."""
+Error = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value)]
+"""A number that is infinite where a simulation failed; JSON has null there."""
+T = TypeVar("T")
+
+
+def plain(result: Any) -> dict[str, Any]:
+    """Return a dataclass as JSON values without arrays and absent parts; null is not finite."""
+    absent = {one.name for one in fields(result) if one.default is None and getattr(result, one.name) is None}
+    written = TypeAdapter(type(result)).dump_json(result, exclude={*arrays_of(result), *absent})
+    return json.loads(written)  # type: ignore[no-any-return]
+
+
+def arrays_of(result: Any) -> Arrays:
+    """Return the arrays among the fields of a dataclass."""
+    return {name: value for name, value in vars(result).items() if isinstance(value, np.ndarray)}
+
+
+def rebuilt(
+    kind: type[T], content: object, owner: str, arrays: Mapping[str, NDArray[Any]] | None = None
+) -> T:
+    """Return the dataclass that `plain` and `arrays_of` took apart.
+
+    Args:
+        kind: the dataclass.
+        content: its JSON values; may be a stranger's.
+        owner: what they belong to, for the message.
+        arrays: its arrays.
+
+    Raises:
+        InputError: the content is not that of such a dataclass.
+    """
+    whole = {**content, **(arrays or {})} if isinstance(content, dict) else content
+    try:
+        return TypeAdapter(kind).validate_python(whole)
+    except ValidationError as error:
+        raise InputError(f"{owner}: {in_one_line(error)}; use the version that wrote it") from None
+
+
+def read_json(file: Path) -> dict[str, Any] | None:
+    """Return a JSON object, or None where there is no readable one."""
+    try:
+        content = json.loads(read_limited(file, RECORD))
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def write_json(file: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON object in one step, safe against a crash: a reader sees the old file or the new one."""
+    with whole_file(file, synced=True) as stream:
+        stream.write(f"{json.dumps(content, indent=2, default=str)}\n".encode())
+
+
+def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an .npz file in one step."""
+    with whole_file(file) as stream:
+        np.savez_compressed(stream, allow_pickle=False, **{name: np.asarray(a) for name, a in arrays.items()})
+
+
+def read_arrays(file: Path) -> Arrays:
+    """Read an .npz file.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise InputError(f"{file} is damaged; remove it and repeat its command with --again") from None

@@ -1,0 +1,148 @@
+"""What MLflow shows of the stages that are not tuning: numbers, curves and pictures."""
+
+import math
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studies.report.drawing import write_png
+from studies.report.figures_calibration import calibration_figure, calls_figure
+from studies.report.figures_uncertainty import band_figure, interval_figure
+from studies.report.wording import difference_unit, squared
+from studies.sensitivity import SobolIndices
+from studies.stages.pipeline import Outcome, Work
+from studies.stages.report_records import calibration_record, measured_series, uncertainty_record
+from studies.stages.results import Calibration, Reported, Uncertainty
+from studies.stages.saved import plain
+from studies.tracking.origin import environment
+from studies.tracking.stage_run import StageRun, log_stage
+
+
+def log_calibration(work: Work[Calibration], outcome: Outcome[Calibration]) -> None:
+    """Log a finished calibration, with its figures."""
+    found, study = outcome.result, work.stage.study
+    tags: dict[str, Any] = {"method": found.method, "stop_reason": found.stop_reason}
+    metrics: dict[str, float | None] = {
+        "mse/calibrated": found.mse,
+        "calls/paper": found.n_calls_paper,
+        "calls/all": found.n_calls,
+        "calls/rounds": found.n_rounds,
+        "calls/warm_start": found.n_warm_start,
+    }
+    if found.state_equations is not None:
+        metrics["calls/by_state_equations"] = found.state_equations.n_calls
+    if found.validation is not None:
+        metrics["mse/validation"] = found.validation.final.mse
+    if (screened := found.screening) is not None:
+        tags |= {"surrogate_study": screened.study, "surrogate_trial": screened.trial}
+        metrics |= {
+            "mse/surrogate": screened.mse_surrogate,
+            "mse/screened": screened.mse,
+            "mse/screening_gap": screened.gap,
+            "calls/polish": found.ledger["n_polish"],
+            **screened.errors,
+        }
+    record, measured = calibration_record(outcome), measured_series(study.case)
+    unit = squared(difference_unit(measured.units[0]))
+    curve = zip(found.history_calls.tolist(), found.history_mse.tolist(), strict=True)
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        figures = [Path(scratch) / "calibration.png", Path(scratch) / "convergence.png"]
+        write_png(calibration_figure(measured, record), figures[0], footnote=study.label)
+        write_png(calls_figure(record, (), mse_unit=unit), figures[1], footnote=study.label)
+        _log(
+            work,
+            outcome,
+            "calibration",
+            name=f"{outcome.name} calibration",
+            params={"n_train": found.n_train, "seed": found.seed, **found.settings},
+            metrics=metrics,
+            curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
+            tags=tags,
+            figures=figures,
+        )
+
+
+def log_uncertainty(work: Work[Uncertainty], outcome: Outcome[Uncertainty]) -> None:
+    """Log a finished uncertainty, with its figures."""
+    found, study = outcome.result, work.stage.study
+    record = uncertainty_record(found)
+    known = Counter(one.known for one in found.parameters.values())
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
+        write_png(band_figure(measured_series(study.case), record), figures[0], footnote=study.label)
+        write_png(interval_figure(study.case.parameter_space, record), figures[1], footnote=study.label)
+        _log(
+            work,
+            outcome,
+            "uncertainty",
+            name=f"{outcome.name} uncertainty",
+            params={
+                "noise": found.noise.kind,
+                "max_calls": found.max_calls,
+                "seed": found.seed,
+                "level": found.level,
+            },
+            metrics={
+                "sample/n": found.sample.n,
+                "sample/n_effective": found.sample.n_effective,
+                "calls/all": found.ledger.total,
+                "parameters/determined": known["determined"],
+            },
+            tags={"calibration": found.calibration},
+            figures=figures,
+        )
+
+
+def log_sensitivity(work: Work[SobolIndices], outcome: Outcome[SobolIndices]) -> None:
+    """Log Sobol indices, averaged over time."""
+    found, study = outcome.result, work.stage.study
+    orders = ("first_order", "total_order")
+    metrics = {
+        f"{order}/{name}": value
+        for name, means in found.mean.items()
+        for order, value in zip(orders, means, strict=True)
+    }
+    params = {"n_base": found.n_base, "seed": study.profile.seed}
+    _log(work, outcome, "sensitivity", params=params, metrics=metrics)
+
+
+def log_report(work: Work[Reported], outcome: Outcome[Reported]) -> None:
+    """Log a report: its page, which holds its figures."""
+    _log(work, outcome, "report", artifacts=[work.stage.study.paths.root / outcome.result.index])
+
+
+def _log(
+    work: Work[Any],
+    outcome: Outcome[Any],
+    kind: str,
+    *,
+    name: str = "",
+    metrics: Mapping[str, float | None] | None = None,
+    tags: Mapping[str, Any] | None = None,
+    artifacts: Sequence[Path] = (),
+    **more: Any,
+) -> None:
+    """Log what every stage has, and more."""
+    study, arrays = work.stage.study, work.stage.file.with_suffix(".npz")
+    about = {"case": study.case.name, "case_sha256": study.case.digest, **(tags or {})}
+    finite = {k: v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
+    made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
+    run = StageRun(
+        study.label,
+        kind,
+        name or outcome.stage,
+        outcome.digest,
+        metrics=finite,
+        tags=about,
+        artifacts=[*artifacts, *([arrays] if arrays.is_file() else [])],
+        started_s=work.started_s,
+        wall_s=outcome.wall_s,
+        note=study.case.note,
+        record=made if outcome.provenance else {},
+        **more,
+    )
+    log_stage(study.paths, run)
