@@ -69,7 +69,7 @@ def declared_baseline(label: str, n_train: int, **changes: Any) -> Declaration:
 def write_study(
     root: Path, spec: Declaration, *, n_trials: int, n_planned: int | None = None
 ) -> optuna.Study:
-    """Tell Optuna of the trials of a study: the first complete, every sixth pruned, every tenth failed."""
+    """Add the trials of a study to Optuna: the first complete, every sixth pruned, every tenth failed."""
     study = optuna.create_study(storage=open_storage(ProjectPaths(root)), study_name=spec.name)
     study.set_user_attr(DECLARATION, spec.to_dict())
     study.set_user_attr(PLANNED, n_trials if n_planned is None else n_planned)

@@ -77,8 +77,8 @@ def test_every_command_in_an_example_is_understood() -> None:
 def test_every_command_works_on_the_storage_that_is_named(
     new_project: Path, studies: Run, command: str
 ) -> None:
-    """A storage that cannot be one tells which commands look at it before they do anything."""
-    answer = studies(*examples(help_of(command)[1])[0], "--storage", "sqlite:///elsewhere.db")
+    """A storage that cannot be one shows which commands open it before they do anything."""
+    answer = studies(*examples(help_of(command)[1])[0], "--storage", "sqlite:///other.db")
     assert (answer.code, answer.out) == (2, "")
     assert "the storage sqlite://... is no PostgreSQL URL" in answer.err
 
@@ -133,7 +133,7 @@ def test_window_and_seed_are_part_of_the_label(project: Path, studies: Run) -> N
     assert (seeded["validation"], seeded["test"]) == (first["validation"], first["test"])
 
 
-def test_ui_refuses_a_label_that_nobody_worked_on(project: Path, studies: Run) -> None:
+def test_ui_refuses_a_label_without_work(project: Path, studies: Run) -> None:
     answer = studies("ui", "office-quik")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "MLflow has no experiment 'office-quik'; there are: none" in answer.err
@@ -207,7 +207,7 @@ def test_a_reader_that_leaves_is_no_failure(project: Path) -> None:
 def test_where_nothing_can_be_written_there_is_no_traceback(
     project: Path, how: str, code: int, err: str
 ) -> None:
-    # What is told names the folder.
+    # The message names the folder.
     root = project.rename(project.with_name("Büro"))
     unknown_signs = {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(

@@ -42,7 +42,7 @@ def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture(scope="module")
 def undisturbed(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short calibration that nobody interrupts."""
+    """A short calibration without an interruption."""
     root = shutil.copytree(template, tmp_path_factory.mktemp("undisturbed") / "project")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
@@ -169,7 +169,7 @@ def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, s
     assert "lower communication_step_s in the case file" in examined
 
 
-def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
+def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
     case = project / "fmus" / "office" / "case.toml"
     case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [20, 26]"))
     answer = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20")
@@ -181,7 +181,7 @@ def test_failed_simulations_are_told(project: Path, studies: Run) -> None:
     assert "failed, the first one: output" in line
     asked = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20", "--retry-failed", "--json").stage
     assert not asked["finished_before"]
-    # A row beyond its band is one whose states are stored: to ask it again would tell nothing.
+    # A row beyond its band is one whose states are stored: to ask it again would add nothing.
     assert (asked["n_simulated"], asked["n_failed"]) == (0, len(reasons))
     without = (*ADAPTIVE[:-1], "2", "--max-calls", "20", "--no-state-equations")
     n_failed = studies(*without, "--json").stage["n_failed"]
@@ -196,10 +196,10 @@ def test_a_calibration_whose_simulations_mostly_fail_ends_and_says_why(project: 
     case.write_text(text + "\n[simulation]\nmax_failed_share = 0.2\n")
     answer = studies(*ADAPTIVE, "--no-state-equations")
     assert answer.code == 1
-    told = answer.err.splitlines()[-1]
-    assert re.match(r"studies: error: \d+ of \d\d simulations failed, more than simulation", told)
-    assert "max_failed_share = 0.2 allows; the commonest reason: output TAir" in told
-    assert "the finished simulations are kept; narrow the bounds (studies check office" in told
+    reported = answer.err.splitlines()[-1]
+    assert re.match(r"studies: error: \d+ of \d\d simulations failed, more than simulation", reported)
+    assert "max_failed_share = 0.2 allows; the commonest reason: output TAir" in reported
+    assert "the finished simulations are kept; narrow the bounds (studies check office" in reported
     # Who allows more goes on with them.
     case.write_text(text + "\n[simulation]\nmax_failed_share = 1.0\n")
     n_before = n_stored(project)
@@ -213,5 +213,5 @@ def test_a_model_that_cannot_be_simulated_ends_it_early(project: Path, studies: 
     case.write_text(text.replace('TAirInit = { first_measured = "TAir" }', "TAirInit = 400.0"))
     answer = studies(*ADAPTIVE)
     assert answer.code == 1
-    told = "studies: error: none of 20 simulations succeeded, the first one: output "
-    assert answer.err.splitlines()[-1].startswith(told)
+    reported = "studies: error: none of 20 simulations succeeded, the first one: output "
+    assert answer.err.splitlines()[-1].startswith(reported)

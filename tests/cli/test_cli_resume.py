@@ -170,7 +170,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def uninterrupted(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody interrupts; a second one finds everything finished."""
+    """A run without an interruption; a second one finds everything finished."""
     project = shutil.copytree(template, tmp_path_factory.mktemp("uninterrupted") / "project")
     finish(project)
     assert {"calibrate-n0016.json", "calibrate-n0032.json"} <= set(results(project))

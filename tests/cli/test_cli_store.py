@@ -1,4 +1,4 @@
-"""The command line and the store: what is asked again, what stops a campaign, what a full disk does."""
+"""The command line and the store: what is asked again, what stops a command, what a full disk does."""
 
 import json
 import os
@@ -59,9 +59,9 @@ def test_a_batch_in_which_most_fails_stops_with_one_line_and_keeps_its_rows(
     assert line.startswith("studies: error: ")
     assert "simulation.max_failed_share = 0.5" in line
     # Reasons differ by the numbers in them alone.
-    told = re.search(r"the commonest reason \((\d+) of them\): output TAir", line)
-    assert told is not None
-    assert int(told[1]) > 5
+    reported = re.search(r"the commonest reason \((\d+) of them\): output TAir", line)
+    assert reported is not None
+    assert int(reported[1]) > 5
     assert "the finished simulations are kept" in line
     assert "Traceback" not in answer.err
     assert answer.document["error"] in line

@@ -1,4 +1,4 @@
-"""Names of cases, profiles and labels that lead elsewhere or hold control signs, and long quotations."""
+"""Names of cases, profiles and labels that lead outside or hold control signs, and long quotations."""
 
 from pathlib import Path
 

@@ -293,7 +293,7 @@ def test_check_says_which_csv_is_missing_and_what_it_holds(project: Path, studie
         assert word in line
 
 
-def test_a_short_experiment_is_told_in_seconds(project: Path, studies: Run, tmp_path: Path) -> None:
+def test_a_short_experiment_is_reported_in_seconds(project: Path, studies: Run, tmp_path: Path) -> None:
     experiment = '<DefaultExperiment startTime="0" stopTime="10" stepSize="0.1"/>'
     variables = real("k", 1, "parameter", 'start="1"') + real("y", 2, "output")
     # Tools put the experiment behind the interfaces.

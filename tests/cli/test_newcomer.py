@@ -59,6 +59,6 @@ def test_from_a_foreign_fmu_to_calibrated_values(
 
 
 def assert_calibrated(theta: dict[str, float]) -> None:
-    """The equation holds C, UA and eta up to a common factor: test what the data tell."""
+    """The equation holds C, UA and eta up to a common factor: test what the data determine."""
     assert theta["UA"] / theta["C"] == pytest.approx(LOSS_W_K / HEAT_J_K, rel=0.05)
     assert theta["eta"] / theta["C"] == pytest.approx(EFFICIENCY / HEAT_J_K, rel=0.05)

@@ -25,7 +25,7 @@ def project(template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def other(project: Path) -> Path:
-    """The wall's case file, copied elsewhere and changed, under the same name."""
+    """The wall's case file, copied to another folder and changed, under the same name."""
     folder = shutil.copytree(project / "fmus" / "wall", project.parent / "w2")
     edit(folder / "case.toml", '"../../data/wall"', f'"{project / "data" / "wall"}"')
     edit(folder / "case.toml", "GOut = 200.0", "GOut = 100.0")
@@ -63,7 +63,7 @@ def test_the_same_case_file_may_be_edited_and_given_in_other_words(project: Path
     assert results_in(project)["calibrate-adaptive.json"] != before["calibrate-adaptive.json"]
 
 
-def test_a_project_goes_on_elsewhere_though_the_first_still_stands(
+def test_a_project_goes_on_in_another_folder_though_the_first_still_stands(
     project: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copy_of(project, tmp_path / "moved", monkeypatch)

@@ -122,7 +122,7 @@ def test_a_damaged_manifest_means_again(study: Study) -> None:
     assert worker.n_done == 2
 
 
-def test_a_result_not_worth_keeping_is_not_kept(study: Study) -> None:
+def test_an_unsound_result_is_not_kept(study: Study) -> None:
     worker = Worker(study)
     worker.run({"a": 1}, keep=False)
     worker.run({"a": 1})

@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def copied(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """That project at another place, as a test may spoil it."""
-    return copy_of(made, tmp_path / "elsewhere", monkeypatch)
+    return copy_of(made, tmp_path / "moved", monkeypatch)
 
 
 def runs_of(root: Path, role: str) -> list[str]:

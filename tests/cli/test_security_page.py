@@ -11,7 +11,7 @@ from project_for_tests import OFFICE, REPOSITORY, Run
 
 from studies.commands.options import NATIVE_CODE
 
-TOLD = f"{NATIVE_CODE}\n"
+NOTICE = f"{NATIVE_CODE}\n"
 ATTACK = """
 for attempt in "cat '{secret}'" "echo x > /usr/x" "ls /proc/{pid}/cwd"; do
   if (eval "$attempt") 2> /dev/null; then echo "could: $attempt"; fi
@@ -50,9 +50,9 @@ def test_the_example_with_bubblewrap_keeps_an_fmu_apart(tmp_path: Path) -> None:
     assert not outside.exists()
 
 
-def test_whoever_makes_or_checks_a_case_is_told_once_what_an_fmu_is(project: Path, studies: Run) -> None:
+def test_making_or_checking_a_case_says_once_what_an_fmu_is(project: Path, studies: Run) -> None:
     made = studies("new", str(OFFICE / "Office.fmu"), "--to", str(project / "room"))
-    assert made.err.count(TOLD) == 1
+    assert made.err.count(NOTICE) == 1
     checked = studies("check", "office", "--profile", "smoke")
-    assert checked.err.count(TOLD) == 1
+    assert checked.err.count(NOTICE) == 1
     assert (REPOSITORY / "SECURITY.md").is_file()

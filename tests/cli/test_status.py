@@ -30,7 +30,7 @@ OFFICE = REPOSITORY / "fmus" / "office" / "case.toml"
 
 @pytest.fixture
 def project(new_project: Path) -> Path:
-    """Looking needs no store of MLflow."""
+    """Status needs no store of MLflow."""
     return new_project
 
 
@@ -99,14 +99,14 @@ def test_trials_and_studies_of_others_are_counted_or_let_be(project: Path, studi
     assert (size["trial"], size["n_trials"]) == (best.number, 4)
 
 
-def test_twins_have_their_whole_names_and_best_takes_the_latest(project: Path, studies: Run) -> None:
+def test_duplicates_have_their_whole_names_and_best_takes_the_latest(project: Path, studies: Run) -> None:
     specs = [declared("office-quick", 64, seed=seed) for seed in (1, 2)]
-    twins = [write_study(project, spec, n_trials=4) for spec in specs]
+    duplicates = [write_study(project, spec, n_trials=4) for spec in specs]
     shown = studies("status").out
     assert all(spec.name in shown for spec in specs)
     (model,) = studies("best", "--json").document["sizes"]
     assert model["study"] == specs[1].name
-    assert model["mae"] == twins[1].best_trial.user_attrs["test/mae"]
+    assert model["mae"] == duplicates[1].best_trial.user_attrs["test/mae"]
 
 
 def test_labels_are_chosen_by_case_label_or_pattern(project: Path, studies: Run) -> None:
@@ -146,8 +146,8 @@ def test_best_shows_hyperparameters_errors_and_the_baseline_of_the_same_data(
     study = write_study(project, spec, n_trials=8)
     best, default = study.best_trial, study.get_trials()[0]
     beside = write_study(project, declared_baseline("office-quick", 64), n_trials=1).best_trial
-    elsewhere = {**declared_baseline("office-quick", 64).digests, "test": "9" * 64}
-    write_study(project, declared_baseline("office-quick", 64, digests=elsewhere, seed=7), n_trials=1)
+    other_data = {**declared_baseline("office-quick", 64).digests, "test": "9" * 64}
+    write_study(project, declared_baseline("office-quick", 64, digests=other_data, seed=7), n_trials=1)
     document = studies("best", "--json").document
     (size,) = document["sizes"]
     assert size["params"] == best.params
@@ -205,7 +205,7 @@ def test_calibrations_without_a_surrogate_have_a_unit_and_each_case_its_best(
     assert all(units[line.split()[0].split("-")[0]] in line for line in lines)
 
 
-def test_looking_loads_nothing_that_trains_or_simulates(project: Path) -> None:
+def test_status_loads_nothing_that_trains_or_simulates(project: Path) -> None:
     write_study(project, declared("office-quick", 64), n_trials=2)
     program = (
         "import sys\nfrom studies.cli import main\nmain(['status'])\n"

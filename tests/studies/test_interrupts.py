@@ -1,4 +1,4 @@
-"""A Ctrl-C that some code drops is raised again; one that somebody handles is not."""
+"""A Ctrl-C that some code drops is raised again; one that is handled is not."""
 
 import subprocess
 import sys
@@ -71,12 +71,12 @@ try:
             work(0.6)
             print("tidied up")
 except KeyboardInterrupt:
-    print("heard")
+    print("handled")
 """
-    assert said_by(script) == ["tidied up", "closed", "heard"]
+    assert said_by(script) == ["tidied up", "closed", "handled"]
 
 
-def test_one_that_is_heeded_is_over() -> None:
+def test_one_that_is_handled_is_over() -> None:
     script = """
 with interrupts_kept():
     try:
@@ -98,7 +98,7 @@ def fail_while_interrupted() -> None:
         raise ValueError("half written")
 
 
-def test_an_error_that_it_led_to_is_told_from_others() -> None:
+def test_an_error_that_it_led_to_is_distinguished_from_others() -> None:
     with pytest.raises(ValueError, match="half written") as found:
         fail_while_interrupted()
     assert is_interrupt(found.value)

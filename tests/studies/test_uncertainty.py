@@ -238,7 +238,7 @@ def test_a_product_is_known_and_its_factors_are_not():
     assert found.n_calls <= 100
 
 
-def test_the_same_seed_asks_the_same_rows_and_known_rows_are_not_asked():
+def test_the_same_seed_asks_the_same_rows_and_stored_rows_are_not_asked():
     problem = posed(line(), [0.3, -0.4])
     best, _ = least_squares(problem)
     counter = CountingModel(problem.model)
@@ -443,7 +443,7 @@ def test_a_narrow_valley_is_followed_to_its_ends():
         sampling = sampling_within(100, 2)
         found = assess(problem, best.theta, best.y, noise=noise, known=known, sampling=sampling, seed=seed)
         held.append(np.ptp(found.interval[[0, 2], 0]))
-    # 0.9 of it, if every part is found; without looking farther 0.53 (seed by seed 0.38 to 0.88).
+    # 0.9 of it, if every part is found; without asking farther 0.53 (seed by seed 0.38 to 0.88).
     assert np.mean(held) > 0.7
 
 

@@ -125,7 +125,7 @@ def test_states_that_cannot_be_read_cost_two_rows(opens: Opens) -> None:
     theta = np.concatenate([rows(1, fail=True), rows(6)])
     opened = opens(can_be_read=False)
     assert opened.model.simulate(theta).digest == TOY.simulate(theta).digest
-    # The first row fails in any case, so it does not tell whether states can be read.
+    # The first row fails in any case, so it does not show whether states can be read.
     assert (opened.watched.n_calls, opened.plain.n_calls) == (3, 7)
     assert opened.model.n_asked_twice == 3
     assert opened.model.why_unread == "no such variable"

@@ -1,4 +1,4 @@
-"""Kills at any moment: every place ends once, with the numbers of the study that nobody disturbed."""
+"""Kills at any moment: every place ends once, with the numbers of the undisturbed study."""
 
 import json
 import os
@@ -56,7 +56,7 @@ def assert_each_place_ended(paths: ProjectPaths, name: str, n: int) -> None:
 
 def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> None:
     draw = random.Random(28)
-    first = [[n] for n in (1, 3, 7)]  # the trial is claimed, begins, gets its hyperparameters
+    first = [[n] for n in (1, 3, 7)]  # the trial is leased, begins, gets its hyperparameters
     rest = [[draw.randrange(9, 60)]]
     twice = [[30, 1]]  # the retry dies as well, while it begins
     kills = [*first, *rest, *twice]
@@ -70,15 +70,15 @@ def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> N
     Worker(project, specs[-1].name).run()
     undisturbed = essence(plain_study(project, specs[-1].name))
     assert [row[0] for row in undisturbed] == ["COMPLETE"] * 2
-    told = [f"{spec.name}:{','.join(map(str, at))}" for spec, at in zip(specs, kills, strict=False)]
-    script = [sys.executable, str(HERE / "killed_workers.py"), str(project.root), *told]
+    reported = [f"{spec.name}:{','.join(map(str, at))}" for spec, at in zip(specs, kills, strict=False)]
+    script = [sys.executable, str(HERE / "killed_workers.py"), str(project.root), *reported]
     done = subprocess.run(script, capture_output=True, text=True, timeout=300, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("killed") == len(first) + len(rest) + 2 * len(twice), done.stdout
     for spec in specs:
         Worker(project, spec.name).run()
         assert_each_place_ended(project, spec.name, 2)
-        assert essence(plain_study(project, spec.name)) == undisturbed, told
+        assert essence(plain_study(project, spec.name)) == undisturbed, reported
     last = specs[-2:]  # to be brief: it registers a model of each study
     tune(last, paths=project, n_trials=2, n_jobs=1)
     for spec in last:
@@ -179,7 +179,7 @@ def test_a_trial_that_kills_its_worker_again_and_again_fails(project: ProjectPat
     assert {run.data.tags["reason"] for run in runs} == {"its worker died"}
 
 
-def test_a_trial_that_somebody_else_ends_is_let_go(project: ProjectPaths) -> None:
+def test_a_trial_that_another_process_ends_is_given_up(project: ProjectPaths) -> None:
     """As one whose worker stood still beyond the grace period."""
     spec = toy_study(settings=toy_study().settings | {"max_epochs": 5000, "patience": 5000}, max_trial_s=60.0)
     tune([spec], paths=project, n_trials=1, n_jobs=1, until_s=0.0)

@@ -64,8 +64,8 @@ def test_studies_of_other_programs_are_left_alone(copied: ProjectPaths) -> None:
     assert names == [spec.name for spec in SPECS]
     with pytest.raises(InputError, match="'other' was not made by this program"):
         Worker(copied, "other")
-    with pytest.raises(InputError, match="there is no study 'nobody'"):
-        Worker(copied, "nobody")
+    with pytest.raises(InputError, match="there is no study 'missing'"):
+        Worker(copied, "missing")
 
 
 def test_a_foreign_trial_of_a_study_that_never_ends_is_not_waited_for(project: ProjectPaths) -> None:

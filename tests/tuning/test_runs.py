@@ -126,14 +126,14 @@ def test_the_best_model_of_a_size_is_loaded_by_mlflow_alone(tuned: ProjectPaths,
 
 
 def test_a_moved_project_has_its_runs_and_models(copied: ProjectPaths, tmp_path: Path) -> None:
-    moved = ProjectPaths(tmp_path / "moved elsewhere")
+    moved = ProjectPaths(tmp_path / "moved away")
     shutil.move(copied.root, moved.root)
     mlflow.set_tracking_uri(moved.tracking_uri)
     assert mlflow.pyfunc.load_model(tuned_study(16).model_uri).predict(THETA).shape == (3, 25, 1)
     best = read_studies(moved)[0].best
     assert best is not None
-    recipe = RunStore(moved).fetch(best.run_id, "provenance.json", tmp_path)
-    assert recipe.stat().st_size > 1000
+    provenance = RunStore(moved).fetch(best.run_id, "provenance.json", tmp_path)
+    assert provenance.stat().st_size > 1000
     Worker(moved, SPECS[0].name).run()  # what is finished stays finished
 
 

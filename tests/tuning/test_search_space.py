@@ -1,4 +1,4 @@
-"""The search space as a profile declares it: every kind of hyperparameter, and faults told in one line."""
+"""The search space as a profile declares it: every kind of hyperparameter, and faults in one line."""
 
 from pathlib import Path
 from typing import Any
@@ -134,13 +134,15 @@ def test_a_wrong_hyperparameter_is_refused(declared: dict[str, Any], message: st
         ),
     ],
 )
-def test_a_wrong_profile_is_told_in_one_line(tmp_path: Path, search: str, more: str, message: str) -> None:
+def test_a_wrong_profile_is_reported_in_one_line(
+    tmp_path: Path, search: str, more: str, message: str
+) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(PROFILE.format(search=search, more=more))
-    with pytest.raises(InputError, match=message) as told:
+    with pytest.raises(InputError, match=message) as reported:
         load_profile(str(file))
-    assert "\n" not in str(told.value)
-    assert str(told.value).startswith(str(file))
+    assert "\n" not in str(reported.value)
+    assert str(reported.value).startswith(str(file))
 
 
 @pytest.mark.parametrize("name", profile_names())

@@ -47,19 +47,19 @@ def test_two_workers_one_killed_reach_the_trials(
     assert sorted(schemas) == [("mlflow",), ("optuna",)]
 
 
-def test_a_server_that_does_not_answer_is_told_in_one_line(project: ProjectPaths) -> None:
+def test_a_server_that_does_not_answer_is_reported_in_one_line(project: ProjectPaths) -> None:
     pytest.importorskip("psycopg")
     paths = ProjectPaths(project.root, "postgresql://tester:secret@127.0.0.1:1/studies")
     with pytest.raises(MachineError, match=r"tester:\*\*\*@127.*correct it or start it"):
         open_storage(paths)
 
 
-def test_a_database_that_is_not_there_is_told(project: ProjectPaths, storage: str) -> None:
+def test_a_database_that_is_not_there_is_reported(project: ProjectPaths, storage: str) -> None:
     with pytest.raises(InputError, match="nowhere"):
         open_storage(ProjectPaths(project.root, storage.rsplit("/", 1)[0] + "/nowhere"))
 
 
-def test_a_file_that_is_no_database_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_no_database_is_reported(tmp_path: Path) -> None:
     paths = ProjectPaths(tmp_path)
     paths.mlruns.mkdir()
     paths.optuna_database.write_text("no database at all, but long enough to be one")

@@ -1,4 +1,4 @@
-"""Studies reach their trials, from the same configurations each time, and fail for nobody else."""
+"""Studies reach their trials, from the same configurations each time, and fail alone."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -101,7 +101,7 @@ def test_two_workers_of_a_study_run_no_trial_too_many(project: ProjectPaths) -> 
     assert_mlflow_agrees(project, spec.label, spec.name)
 
 
-def test_a_diverging_trial_fails_with_its_reason_and_costs_nobody_else(project: ProjectPaths) -> None:
+def test_a_diverging_trial_fails_with_its_reason_and_costs_no_other(project: ProjectPaths) -> None:
     # Only the enqueued trial takes a learning rate at which the loss is no number any more.
     rate = {"kind": "categorical", "choices": [0.005, 1e30]}
     sane = {"n_latent": 4, "n_hidden": 16, "beta": 10.0}

@@ -1,4 +1,4 @@
-"""A small study of a two-parameter RC network, and what its trials came to, as Optuna and MLflow tell it."""
+"""A small study of a two-parameter RC network, and what its trials came to, as Optuna and MLflow have it."""
 
 import json
 from collections.abc import Mapping
@@ -186,12 +186,12 @@ def assert_mlflow_agrees(paths: ProjectPaths, label: str = LABEL, *names: str) -
     runs = runs_of(paths, label)
     assert not [run.info.run_name for run in runs if run.info.status == "RUNNING"]
     by_id: Mapping[str, entities.Run] = {run.info.run_id: run for run in runs}
-    told = set()
+    reported = set()
     for name in names:
         for trial in places(plain_study(paths, name).get_trials()):
             run = by_id[trial.user_attrs["mlflow_run_id"]]
-            assert run.info.run_id not in told
-            told.add(run.info.run_id)
+            assert run.info.run_id not in reported
+            reported.add(run.info.run_id)
             assert run.info.status == STATUS[trial.state.name]
             assert run.data.tags["trial"] == str(trial.number)
             assert run.data.tags["trial_state"] == trial.state.name.lower()
@@ -199,5 +199,7 @@ def assert_mlflow_agrees(paths: ProjectPaths, label: str = LABEL, *names: str) -
             assert run.data.metrics.get("val/mae") == trial.value or trial.state.name == "PRUNED"
             assert all(run.data.params[key] == str(value) for key, value in trial.params.items())
         trial_runs = [run for run in runs if run.data.tags.get("role") == "trial"]
-        others = [run for run in trial_runs if run.data.tags["study"] == name and run.info.run_id not in told]
+        others = [
+            run for run in trial_runs if run.data.tags["study"] == name and run.info.run_id not in reported
+        ]
         assert {run.info.status for run in others} <= {"KILLED", "FAILED"}, [r.data.tags for r in others]
