@@ -16,7 +16,6 @@ from studies.row_set import RowSet, SetContent, content_of
 from studies.sensitivity import SobolIndices, sobol_indices
 from studies.stages.pipeline import Outcome, Stage, Study, digest_of
 from studies.stages.results import SimulatedSets
-from studies.stages.stage_runs import log_sensitivity
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
 """Validation and test sets are the same for every profile and seed, so that all errors can be compared."""
@@ -158,6 +157,9 @@ def sensitivity_stage(study: Study) -> Outcome[SobolIndices]:
     before = stage.finished()
     if before is not None:
         return before
+    # MLflow takes seconds to import, which a dry run and the sets of simulations do without.
+    from studies.stages.stage_runs import log_sensitivity
+
     with stage.work() as work:
         with open_physical_model(study) as model, study.console.progress("simulations", n_rows) as advance:
             indices = sobol_indices(

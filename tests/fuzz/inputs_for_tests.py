@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
+import numpy as np
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
@@ -266,6 +267,8 @@ def put(root: Path, given: Input | None) -> None:
         file.unlink()
     if given and given.kind == "record":
         (results / "calibrate-adaptive.json").write_bytes(given.content)
+        arrays = dict.fromkeys(("time", "y", "history_calls", "history_mse"), np.zeros(1))
+        np.savez(results / "calibrate-adaptive.npz", **arrays)
 
 
 def tried(root: Path, given: Input, outcomes: Outcomes) -> None:
