@@ -33,6 +33,9 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
+    study = open_study(chosen, console)
+    if chosen.dry_run:
+        return foretell(study, "run", whole=True)
     from studies.doctor import say_warnings, show_diagnosis
     from studies.stages.calibrate import calibrate_stage
     from studies.stages.check import check_stage
@@ -41,9 +44,6 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.shown import show_polished
     from studies.stages.simulate import sensitivity_stage, simulate_stage
 
-    study = open_study(chosen, console)
-    if chosen.dry_run:
-        return foretell(study, "run", whole=True)
     require_tuning(study)
     checked = check_stage(study)
     diagnosis = checked.result

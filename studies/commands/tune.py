@@ -32,12 +32,12 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.learn import require_tuning, show_tuning, tune_stage
-    from studies.stages.simulate import simulate_stage
-
     study = open_study(chosen, console)
     if chosen.dry_run:
         return foretell(study, "tune", whole=False)
+    from studies.stages.learn import require_tuning, show_tuning, tune_stage
+    from studies.stages.simulate import simulate_stage
+
     require_tuning(study)
     simulated = simulate_stage(study)
     tuned = tune_stage(study, simulated)
