@@ -142,7 +142,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def _line_remedy(text: str, fault: str) -> str:
-    """Say what to do about the line that is no TOML: often a key that only quotes make one."""
+    """Return the remedy for a line that is no TOML: often a key needs quotes."""
     place = re.search(r"at line (\d+)", fault)
     line = text.splitlines()[int(place[1]) - 1] if place else ""
     key = re.match(r"\s*([^\s=\"'#\[{][^=\"'#]*?)\s*=", line)

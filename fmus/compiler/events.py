@@ -46,7 +46,7 @@ class EventNames:
 
 
 def has_when(flat_class: Any) -> bool:
-    """Say whether a flat class has a when-equation."""
+    """Return whether a flat class has a when-equation."""
     return any(isinstance(equation, ast.WhenEquation) for equation in flat_class.equations)
 
 

@@ -84,7 +84,7 @@ class ModelExchange:
         return "" if end == loop.GOOD else self._reason(end, time)
 
     def _reason(self, end: int, time: float) -> str:
-        """Say in one line why a simulation ended (see exchange_loop) at a time. [s]."""
+        """Return in one line why a simulation ended (see exchange_loop) at a time. [s]."""
         at, bad = f"at {time:g} s", int(self._table[calls.NOT_FINITE]) - 1
         failed = fault = ""
         if status := int(self._table[calls.STATUS]):

@@ -49,7 +49,7 @@ _Table: Any = _Pointer(types.int64)
 
 @compiled
 def called(table: Any, slot: int, arguments: Any) -> bool:
-    """Call the function of a slot with what follows the instance; note it where it fails, and say if not."""
+    """Call the function of a slot on the instance; record a failure, and return whether there was none."""
     status = call_status(table[slot], (table[COMPONENT], *arguments))
     if status > WARNING:
         table[STATUS], table[STAGE] = status, slot

@@ -109,7 +109,7 @@ def _read(
     y_address: Any,
     behind: int,
 ) -> bool:
-    """Read the outputs at an edge, with the inputs that they see there; say whether all calls were good.
+    """Read the outputs at an edge, with the inputs that they see there; return whether all calls were good.
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SIZE,).

@@ -138,7 +138,7 @@ class FmuInstance:
         return ""
 
     def failure(self, name: str, status: int, time: float) -> str:
-        """Say why a call failed, and mark the instance as damaged.
+        """Return why a call failed, and mark the instance as damaged.
 
         Args:
             name: Function that was called, without the version.

@@ -27,7 +27,7 @@ class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]
     """What futures raise when several workers died one after the other with the same chunk."""
 
     def __init__(self, address: str) -> None:
-        """Connect.
+        """Connect to a scheduler.
 
         Args:
             address: The scheduler's, for instance tcp://scheduler:8786.

@@ -40,7 +40,7 @@ _BOOTSTRAP: Final = (
 
 
 class _ForkServer:
-    """The near end."""
+    """The fork server as this process sees it: its process, and the connection to it."""
 
     def __init__(self, places: list[str], environment: dict[str, str]) -> None:
         near, far = socket.socketpair()

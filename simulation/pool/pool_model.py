@@ -61,7 +61,7 @@ class PoolModel:
         executor: Executor | None = None,
         on_warning: Callable[[str], None] | None = None,
     ) -> None:
-        """Start nothing yet.
+        """Set up; no process starts before the first row.
 
         Args:
             make_model: The model's factory, which other processes must be able to import. Where it is the

@@ -41,7 +41,7 @@ class StoredModel(WrappedModel):
 
     @property
     def store(self) -> SimulationStore:
-        """Where the answers lie."""
+        """The store of the answers."""
         return self._store
 
     @property
@@ -50,7 +50,7 @@ class StoredModel(WrappedModel):
         return self._model
 
     def missing(self, theta: FloatArray) -> BoolArray:
-        """Say which rows the model would have to be asked for.
+        """Return which rows the model would have to simulate.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
