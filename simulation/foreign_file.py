@@ -21,6 +21,7 @@ from simulation.foreign_text import quoted, shortened
 LIMITS_VARIABLE: Final = "STUDIES_LIMITS"
 """Variable of the environment that multiplies all limits, 1 where it is not set."""
 _MB: Final = 1_000_000
+# tomllib needs quadratic time for dotted keys; no real file nests tables so deeply.
 _DEEPEST: Final = 64
 _DOTTED = re.compile(rf"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST},}}+")
 # By the letter that `ls -l` writes for it.

@@ -8,6 +8,7 @@ from pymoca import ast
 from fmus.compiler.compile_error import CompileError
 
 _RELATIONS = ("<", "<=", ">", ">=")
+# Operators of Modelica that no embedded model needs; a model with one is refused.
 _NOT_UNDERSTOOD = ("sample", "initial", "terminal", "edge", "change")
 
 

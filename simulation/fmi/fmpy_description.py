@@ -14,7 +14,7 @@ from simulation.fmi.variable import SETTERS, FmiVersion, FmuInterface, FmuVariab
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
-LAST_REFERENCE: Final = 2**32 - 1
+LAST_REFERENCE: Final = 2**32 - 1  # value references are unsigned 32-bit integers
 # Folder of this platform's binaries, by FMI version.
 PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
 

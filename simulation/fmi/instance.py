@@ -20,6 +20,7 @@ from simulation.fmi.runner import NeedsFreshProcess
 from simulation.fmi.variable import Interface
 from simulation.foreign_code import foreign_code
 
+# Values of fmi2Status and fmi3Status.
 OK: Final = 0
 WARNING: Final = 1
 DISCARD: Final = 2

@@ -17,7 +17,7 @@ except ImportError:
 
 # Dask is typed in parts.
 _connect: Any = Client
-_CONNECT_S: Final = 15.0
+_CONNECT_S: Final = 15.0  # half of Dask's own default: a wrong address is found out soon
 
 
 class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]

@@ -26,8 +26,8 @@ from simulation.trajectories import Trajectories
 BLOCK_BYTES: Final = 64 * 2**20
 """Outputs that a stream holds at once."""
 _FORMAT: Final = 1
-_PATIENCE_S: Final = 60.0
-_NEVER: Final = 2**63 - 1
+_PATIENCE_S: Final = 60.0  # for another process that writes; a chunk is written in milliseconds
+_NEVER: Final = 2**63 - 1  # the largest row number of SQLite
 _OWN_COLUMNS: Final = ("_id", "_theta", "_failure", "_written", "_check")
 _DAMAGED: Final = "it is damaged: remove it, with -wal and -shm beside it, and its simulations run again"
 _NOT_WRITTEN: Final = "allow writing there, then type the command again"

@@ -11,6 +11,7 @@ from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.store.store import SimulationStore
 from simulation.trajectories import Trajectories
 
+# Rows that a killed process may lose where the model is no pool, which hands over its own chunks.
 BLOCK_ROWS: Final = 64
 
 
