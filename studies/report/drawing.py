@@ -48,7 +48,6 @@ BETWEEN_BOUNDS: Mapping[str, Any] = {"domain": [0.0, 1.0], "nice": False}
 
 HOLLOW: Mapping[str, Any] = {"filled": False, "size": 70, "strokeWidth": 2, "opacity": 1}
 DIAMOND: Mapping[str, Any] = {"filled": True, "shape": "diamond", "size": 80, "opacity": 1}
-DOT: Mapping[str, Any] = {"filled": True, "size": 70, "opacity": 1}
 """Points that stand out: the surrogate's own error, the model's."""
 
 WIDTH = 640
@@ -60,18 +59,11 @@ _CONFIG: Mapping[str, Any] = {
     "font": "Helvetica, Arial, sans-serif",
     "background": "white",
     "view": {"stroke": None},
-    "title": {"anchor": "start", "color": INK, "fontSize": 12, "fontWeight": "normal"},
-    "axis": {
-        "domainColor": MUTED, "gridColor": "#e9ecee", "labelColor": INK, "labelFontSize": 11,
-        "labelLimit": 110, "tickColor": MUTED, "titleColor": INK, "titleFontSize": 11,
-        "titleFontWeight": "normal",
-    },
+    "title": {"anchor": "start", "fontSize": 12, "fontWeight": "normal"},
+    "axis": {"gridColor": "#e9ecee", "labelLimit": 110, "titleFontWeight": "normal"},
     "axisY": {"minExtent": 42},
-    "legend": {
-        "labelColor": INK, "labelFontSize": 11, "labelLimit": 230, "orient": "top",
-        "symbolOpacity": 1, "title": None,
-    },
-}  # fmt: skip
+    "legend": {"labelLimit": 230, "orient": "top", "symbolOpacity": 1, "title": None},
+}
 
 
 @dataclass(frozen=True)
