@@ -104,10 +104,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         numbers: The numbers of the stage.
         arrays: Its arrays.
     """
-    parameters, local = numbers["parameters"], numbers["identifiability"]
+    parameters = numbers["parameters"]
     is_trusted, interval = numbers["sample"]["is_trusted"], [one["interval"] for one in parameters.values()]
-    n_null = local["n_null_directions"]
-    directions = local["directions"]
     return UncertaintyRecord(
         calibration=numbers["calibration"],
         level=numbers["level"],
@@ -118,8 +116,7 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         interval=np.array(interval).T if is_trusted else np.full((2, len(parameters)), np.nan),
         known=tuple(one["known"] if is_trusted else "unsure" for one in parameters.values()),
         pairs=tuple(one["in_words"] for one in numbers["pairs"] if is_trusted),
-        # Results of earlier versions say only how many of the last ones they are.
-        null_directions=tuple(local.get("null_directions", directions[len(directions) - n_null :])),
+        null_directions=tuple(numbers["identifiability"]["null_directions"]),
         particles=arrays["particles_theta"],
         weights=arrays["weights"],
         simulated=arrays["simulated"],
@@ -128,9 +125,8 @@ def uncertainty_record(numbers: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         is_trusted=is_trusted,
         mse=numbers["mse"],
         best_mse=numbers["sample"]["best_mse"],
-        has_prior=numbers.get("has_prior", False),
-        # Results of earlier versions do not say.
-        sensor=numbers.get("sensor") or math.inf,
+        has_prior=numbers["has_prior"],
+        sensor=numbers["sensor"] or math.inf,
         ledger=numbers["ledger"],
     )
 
