@@ -179,9 +179,7 @@ def generate(folder: Path) -> None:
 
 def main() -> None:
     """Parse the command line and generate."""
-    parser = argparse.ArgumentParser(
-        description="Rewrite the two CSV files of the virtual measurement."
-    )
+    parser = argparse.ArgumentParser(description="Rewrite the two CSV files of the virtual measurement.")
     here = Path(__file__).parent
     parser.add_argument("--to", type=Path, default=here, metavar="FOLDER", help="where they go")
     generate(parser.parse_args().to)

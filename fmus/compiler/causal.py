@@ -5,7 +5,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 from fmus.compiler.modelica import Check, FlatModel, Variable
 
 

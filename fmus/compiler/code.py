@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 
 from fmus.compiler.causal import Ode, column
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 from fmus.compiler.settings import BuildSettings
 
 

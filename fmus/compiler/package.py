@@ -10,14 +10,15 @@ from pathlib import Path
 
 from fmus.compiler.causal import make_explicit
 from fmus.compiler.code import write_code, write_data
-from fmus.compiler.description import write_build_description, write_description
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
+from fmus.compiler.model_description import write_build_description, write_description
 from fmus.compiler.modelica import read_model
 from fmus.compiler.settings import BuildSettings, read_settings
 
 WRAPPER = Path(__file__).parent / "c"
 # No contraction and no build id: the same sources give the same numbers and the same file.
 COMPILER = ("gcc", "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden")
+# No build id and no symbols: the same sources give the same bytes.
 LINKER = ("-Wl,--build-id=none", "-Wl,-s", "-lm")
 _FMI_HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),

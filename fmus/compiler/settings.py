@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 
 BUILD_FILE = "build.toml"
 # A whole number stays one: descriptions show it as it is written.

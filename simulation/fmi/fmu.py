@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from simulation.arrays import FloatArray
-from simulation.fmi.choice import runner_for
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.plan import RunPlan
+from simulation.fmi.run_plan import RunPlan
+from simulation.fmi.solver_choice import runner_for
 from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace

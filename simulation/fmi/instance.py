@@ -13,13 +13,14 @@ import fmpy
 import numpy as np
 
 from simulation.errors import InputError
-from simulation.fmi.declared import binary_member
 from simulation.fmi.description import FmuDescription
+from simulation.fmi.fmpy_description import binary_member
 from simulation.fmi.log import CALLBACKS_2, LOGGER_3, forget_messages, last_message
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.fmi.variable import Interface
 from simulation.foreign_code import foreign_code
 
+# Values of fmi2Status and fmi3Status.
 OK: Final = 0
 WARNING: Final = 1
 DISCARD: Final = 2
@@ -138,7 +139,7 @@ class FmuInstance:
         return ""
 
     def failure(self, name: str, status: int, time: float) -> str:
-        """Say why a call failed, and mark the instance as damaged.
+        """Return why a call failed, and mark the instance as damaged.
 
         Args:
             name: Function that was called, without the version.

@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.plan import RunPlan
+from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.variable import REAL_KINDS, FmuVariable
 
 

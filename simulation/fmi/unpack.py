@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from simulation.errors import InputError, MachineError
-from simulation.fmi.declared import PLATFORM_FOLDERS
+from simulation.fmi.fmpy_description import PLATFORM_FOLDERS
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX: Final = "simulation-fmus-"

@@ -13,7 +13,7 @@ from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, Facts
 from simulation.pool.fork_server import KNOWN, hang_up, spawn_supervisor
 from simulation.pool.messages import ChunkAnswer
-from simulation.pool.worker import Opened
+from simulation.pool.worker_process import Opened
 
 # For killing what is left and removing its files, however many they are and however slow the disk. [s]
 _ENDING_S: Final = 60.0
@@ -31,7 +31,7 @@ class Processes:
     """
 
     def __init__(self, make_model: Factory, policy: ExecutionPolicy) -> None:
-        """Start nothing yet.
+        """Set up; no process starts before the first question.
 
         Args:
             make_model: The model's factory, which other processes must be able to import.
@@ -49,7 +49,7 @@ class Processes:
 
     @property
     def n(self) -> int:
-        """How many there are."""
+        """Number of processes now."""
         return len(self._all)
 
     def simulate(self, theta: FloatArray, budget_s: float, slowest_s: float | None) -> ChunkAnswer | Facts:

@@ -27,7 +27,7 @@ from simulation.pool.factory import Factory, subject
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
 from simulation.pool.messages import ChunkAnswer, Job
 from simulation.pool.warm_code import remember
-from simulation.pool.worker import LOG, End, Opened, SharedRows, refusal, work
+from simulation.pool.worker_process import LOG, End, Opened, SharedRows, refusal, work
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX: Final = "simulation-workers-"
@@ -40,12 +40,13 @@ _CLOSING_S: Final = 1.0
 _CRASHING_S: Final = 10.0
 # No row kills its process by SIGKILL or between two rows: it was only running when another kill came.
 _SPARE_TRIES: Final = 3
-_MAX_IN_VAIN: Final = 5
+_MAX_IN_VAIN: Final = 5  # processes in a row that answer none, each at the FMU's own wish
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S: Final = 0.05
 _PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
+# An FMU that prints at every step would fill the disk: its process is replaced.
 _MAX_LOG_BYTES: Final = 10_000_000
-_MAX_SAID: Final = 300
+_MAX_SAID: Final = 300  # characters of its last line that a reason quotes
 
 
 def supervise(parent: Connection, job: Job) -> None:

@@ -4,7 +4,7 @@ import math
 import re
 from dataclasses import dataclass, field
 
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,9 @@ def parse_unit(unit: str) -> BaseUnit:
         for text in part.split(".") if part else []:
             match = _FACTOR.fullmatch(text)
             if match is None or match[1] not in _KNOWN:
-                raise CompileError(f"unit {unit!r}: {text!r} is not known; add it to fmus/compiler/units.py")
+                raise CompileError(
+                    f"unit {unit!r}: {text!r} is not known; add it to fmus/compiler/base_units.py"
+                )
             exponent = sign * int(match[2] or 1)
             known = _KNOWN[match[1]]
             factor *= known.factor**exponent

@@ -6,17 +6,17 @@ from xml.etree import ElementTree
 
 import casadi as ca
 
+from fmus.compiler.base_units import derivative_unit, parse_unit
 from fmus.compiler.causal import Ode, column
-from fmus.compiler.errors import CompileError
+from fmus.compiler.compile_error import CompileError
 from fmus.compiler.modelica import Variable
 from fmus.compiler.settings import BuildSettings
-from fmus.compiler.units import derivative_unit, parse_unit
 
 _INITIAL = {"initial": "calculated"}
 
 
 def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
-    """Describe an FMU.
+    """Write the modelDescription.xml of an FMU.
 
     Value references and variables are in this order: states, their derivatives, inputs, parameters, outputs,
     discrete variables; in FMI 3.0 then event indicators and the time.
@@ -36,7 +36,7 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
 
 
 def write_build_description(settings: BuildSettings) -> str:
-    """Say how the sources of an FMI 3.0 FMU are compiled.
+    """Write how the sources of an FMI 3.0 FMU are compiled.
 
     Args:
         settings: Names.
@@ -231,7 +231,7 @@ def _unit_definitions(root: ElementTree.Element, units: Iterable[str]) -> None:
 
 
 def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
-    """Say what each unknown depends on, both by value reference.
+    """Return what each unknown depends on, both by value reference.
 
     Derivatives and outputs depend on states and inputs, initial values on inputs and parameters, all on time.
     """

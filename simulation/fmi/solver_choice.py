@@ -5,8 +5,8 @@ from simulation.errors import InputError
 from simulation.fmi.cosimulation import CoSimulation, SharedWarmup
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.plan import RunPlan
-from simulation.fmi.restart import RestartingRunner, Way
+from simulation.fmi.reset_proof import RestartingRunner, Way
+from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.runner import Solver
 from simulation.fmi.start import Start
 from simulation.fmi.variable import FmuInterface, Interface
@@ -20,7 +20,7 @@ def runner_for(
     interface: Interface,
     warmup: FloatArray | None,
 ) -> RestartingRunner:
-    """Choose what drives an FMU.
+    """Choose the solver of an FMU, and the ways to start it over.
 
     Args:
         instance: The FMU, just instantiated.
