@@ -68,7 +68,7 @@ def test_a_dask_cluster_simulates_the_same(project: Path, studies: Run, tmp_path
     (here,) = studies(*SIMULATE).document["stages"]
     shutil.rmtree(project / "data" / "office" / "generated")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=str(tmp_path / "dask")
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", local_directory=str(tmp_path / "dask")
     ) as cluster:
         answer = studies(*SIMULATE, "--dask", cluster.scheduler_address)
         (there,) = answer.document["stages"]
