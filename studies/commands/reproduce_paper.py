@@ -1,10 +1,10 @@
 """Repeat tables and figures of the paper beside its numbers.
 
 What happens: tables and figures of the paper are made one after the other, from simulations, trainings and
-calibrations that the other commands share. Finished ones are not repeated; an interrupted item goes on where
-it stopped. Each item prints a table with the values of the paper. Its numbers (JSON) and picture (PNG) are in
-mlruns/results/<label>/paper/<item>/ and in MLflow. Figs. 4 and 5 of the paper, trajectories and Sobol
-indices, are in the page of studies report.
+calibrations that the other commands share. Finished ones are not repeated; an interrupted item goes on
+where it stopped. Each item prints a table with the values of the paper. Its numbers (JSON) and, for a
+figure, its picture (PNG) are in mlruns/results/<label>/paper/<item>/ and in MLflow. Figs. 4 and 5 of the
+paper, trajectories and Sobol indices, are in the page of studies report.
 
 --budget small (default) takes about an hour on two cores, --budget full up to twelve. The full budget uses
 the trainings of the small one. --profile takes sizes and trials of another profile, for example smoke as a

@@ -12,6 +12,7 @@ from studies.doctor.declared import unit_problem
 from studies.doctor.finding import Finding, Level, finding, named
 from studies.doctor.region import commonest
 from studies.doctor.storing import MORE_TIME, STOPPED
+from studies.report.captions import enclosed_fraction
 from studies.report.wording import difference_unit, quantity, squared
 
 N_CORNERS, N_COVERAGE = 32, 64
@@ -95,11 +96,7 @@ def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
     why = commonest(answer.failures)
     if len(good) < 2 or n_failed > case.policy.max_failed_share * answer.n:
         return finding("box-fails", "fail", n_failed=n_failed, n=answer.n, why=why)
-    n_inside = 0
-    for k in range(len(case.outputs)):
-        above = case.measurement.differences(good, k)
-        n_inside += int(np.sum((above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0)))
-    inside = n_inside / case.measurement.n_samples
+    inside = enclosed_fraction(case.measurement, good)
     failed = f", {n_failed} of {answer.n} failed; the reason: {why}" if n_failed else ""
     level: Level = "ok" if inside >= COVERED_SHARE else "warn"
     return finding("covered", level, inside=inside, n=answer.n, failed=failed)

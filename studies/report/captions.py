@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from simulation.measurement import Measurement
 from studies.report.data import ReportData
 from studies.report.guideline14 import guideline_sentence, judge
-from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
+from studies.report.records import CalibrationRecord, CoverageSet, Floats, MeasuredSeries
 from studies.report.wording import (
     count,
     difference_unit,
@@ -18,7 +19,7 @@ from studies.report.wording import (
 
 
 def headline_sentence(data: ReportData) -> str:
-    """Say the result of the study in one sentence; tables and cards have its calls by purpose."""
+    """Say the result of the study in one sentence; tables have its calls by purpose."""
     c = data.headline
     if c is None:
         return "Nothing has been calibrated yet."
@@ -49,16 +50,20 @@ def coverage_caption(measurement: MeasuredSeries, coverage: CoverageSet) -> str:
     """Say whether the simulated set could have produced the measurement."""
     n_failed = len(coverage.y) - len(coverage.good)
     failed = f" {count(n_failed, 'simulation')} failed." if n_failed else ""
-    share = percent(enclosed_fraction(measurement, coverage))
+    share = percent(enclosed_fraction(measurement.measurement, coverage.good))
     return f"{share} of the measured values lie between the lowest and the highest simulated one.{failed}"
 
 
-def enclosed_fraction(measurement: MeasuredSeries, coverage: CoverageSet) -> float:
-    """Return the fraction of measured values between the lowest and the highest simulated at their time."""
-    good = coverage.good
-    if not len(good):
+def enclosed_fraction(measurement: Measurement, y: Floats) -> float:
+    """Return the fraction of measured values between the lowest and the highest simulated at their time. [1].
+
+    Args:
+        measurement: What was measured.
+        y: Trajectories without failed ones. Shape (n, t, k). [units]
+    """
+    if not len(y):
         return math.nan
-    differences = [measurement.measurement.differences(good, k) for k in range(len(measurement.output_names))]
+    differences = [measurement.differences(y, k) for k in range(len(measurement.output_names))]
     inside = [(above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0) for above in differences]
     return float(np.mean(np.concatenate(inside)))
 

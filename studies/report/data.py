@@ -25,14 +25,12 @@ class Provenance:
         settings: Profile, budgets and seeds.
         digests: Digests of the case, the FMU, the sets, the surrogates.
         versions: Python, packages, platform.
-        created: When the numbers were made, in words; empty keeps a rebuilt page identical.
     """
 
     commands: tuple[str, ...] = ()
     settings: tuple[tuple[str, str], ...] = ()
     digests: tuple[tuple[str, str], ...] = ()
     versions: tuple[tuple[str, str], ...] = ()
-    created: str = ""
 
 
 @dataclass(frozen=True)

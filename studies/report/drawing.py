@@ -12,7 +12,7 @@ import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import cycle
+from itertools import cycle, repeat
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,6 @@ BETWEEN_BOUNDS: Mapping[str, Any] = {"domain": [0.0, 1.0], "nice": False}
 
 HOLLOW: Mapping[str, Any] = {"filled": False, "size": 70, "strokeWidth": 2, "opacity": 1}
 DIAMOND: Mapping[str, Any] = {"filled": True, "shape": "diamond", "size": 80, "opacity": 1}
-DOT: Mapping[str, Any] = {"filled": True, "size": 70, "opacity": 1}
 """Points that stand out: the surrogate's own error, the model's."""
 
 WIDTH = 640
@@ -60,18 +59,11 @@ _CONFIG: Mapping[str, Any] = {
     "font": "Helvetica, Arial, sans-serif",
     "background": "white",
     "view": {"stroke": None},
-    "title": {"anchor": "start", "color": INK, "fontSize": 12, "fontWeight": "normal"},
-    "axis": {
-        "domainColor": MUTED, "gridColor": "#e9ecee", "labelColor": INK, "labelFontSize": 11,
-        "labelLimit": 110, "tickColor": MUTED, "titleColor": INK, "titleFontSize": 11,
-        "titleFontWeight": "normal",
-    },
+    "title": {"anchor": "start", "fontSize": 12, "fontWeight": "normal"},
+    "axis": {"gridColor": "#e9ecee", "labelLimit": 110, "titleFontWeight": "normal"},
     "axisY": {"minExtent": 42},
-    "legend": {
-        "labelColor": INK, "labelFontSize": 11, "labelLimit": 230, "orient": "top",
-        "symbolOpacity": 1, "title": None,
-    },
-}  # fmt: skip
+    "legend": {"labelLimit": 230, "orient": "top", "symbolOpacity": 1, "title": None},
+}
 
 
 @dataclass(frozen=True)
@@ -161,21 +153,14 @@ class Figure:
 
     def to_csv(self) -> str:
         """Write the values of all series, one row each; what is not finite is left empty."""
-        rows = [
-            (panel.name, series.name, columns, k)
-            for panel in self.panels
-            for series in panel.series
-            for columns in (series.columns(),)
-            for k in range(len(next(iter(columns.values()))))
-        ]
-        used = {name for _, _, columns, _ in rows for name in columns}
-        header = [name for name in _COLUMNS if name in used]
+        every = [(panel.name, one.name, one.columns()) for panel in self.panels for one in panel.series]
+        header = [name for name in _COLUMNS if any(name in columns for *_, columns in every)]
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["panel", "series", *header])
-        for panel, series, columns, k in rows:
-            cells = (_cell(columns[name][k]) if name in columns else "" for name in header)
-            writer.writerow([panel, series, *cells])
+        for panel, series, columns in every:
+            cells = [map(_cell, columns[name]) if name in columns else repeat("") for name in header]
+            writer.writerows([panel, series, *row] for row in zip(*cells, strict=False))
         return text.getvalue()
 
     def specification(self, *, with_values: bool = False) -> dict[str, Any]:
@@ -220,11 +205,8 @@ class Figure:
         legend = {"values": [one.name for one in panel.series if one.is_named]}
         color = {"scale": colors, "legend": legend if panel.has_legend and legend["values"] else None}
         layers = [layer for one in panel.series for layer in _layers(panel, one, color)]
-        # Of the layers of axes alone has Vega-Lite something to zoom.
-        zoomed = next(
-            one for one in layers if {"x", "y"} <= {k for k, v in one["encoding"].items() if "field" in v}
-        )
-        zoomed["name"] = f"panel_{place}"
+        # Vega-Lite zooms a layer that has both axes.
+        next(one for one in layers if {"x", "y"} <= set(one["encoding"]))["name"] = f"panel_{place}"
         if with_values:
             layers.append(_values(panel, f"near_{place}"))
         return {
@@ -248,16 +230,14 @@ def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict
     x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
     colored = {"color": {"datum": series.name, **color}}
     mark = {"type": series.mark, "clip": True, **series.style}
-    both: dict[str, Any] = {
-        **({} if series.x is None else {"x": x}),
-        **({} if series.y is None else {"y": y}),
-    }
-    if series.x_end is not None:
-        both["x2"] = {"field": "x_end"}
-    if series.line is not None:
-        both["detail"] = {"field": "line"}
-    if series.share is not None:
-        both["opacity"] = {"field": "share", "type": "quantitative", "scale": None}
+    parts = (
+        (series.x, "x", x),
+        (series.y, "y", y),
+        (series.x_end, "x2", {"field": "x_end"}),
+        (series.line, "detail", {"field": "line"}),
+        (series.share, "opacity", {"field": "share", "type": "quantitative", "scale": None}),
+    )
+    both = {name: encoding for values, name, encoding in parts if values is not None}
     found: list[dict[str, Any]] = []
     if series.low is not None:
         ends = {"y": {**y, "field": "low"}, "y2": {"field": "high"}}

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from records_for_tests import adaptive, calibration, report_data, uncertainty
 
-from studies.cli import main
+from studies.report import build
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -20,10 +21,10 @@ WIDTHS = """() => [...document.querySelectorAll("figure canvas")].map(
 
 
 @pytest.fixture(scope="module")
-def report(project: Path) -> Path:
-    assert main(["report", "--profile", "small.toml", "--quiet"]) == 0
-    (page,) = (project / "mlruns" / "reports").glob("*/index.html")
-    return page
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    calibrations = (calibration(32), calibration(64), adaptive())
+    data = report_data(calibrations=calibrations, uncertainties=(uncertainty(),))
+    return build(data, tmp_path_factory.mktemp("report"))
 
 
 @pytest.fixture(params=[1300, 420])
@@ -42,7 +43,7 @@ def page(browser: "Browser", report: Path, request: pytest.FixtureRequest) -> "I
 
 
 def test_every_picture_is_drawn_as_wide_as_its_place(page: "Page") -> None:
-    assert page.locator("figure canvas").count() >= 3
+    assert page.locator("figure canvas").count() >= 6
     widths = page.evaluate(WIDTHS)
     assert all(0.9 * place < width <= place for width, place in widths), widths
     assert page.evaluate("document.documentElement.scrollWidth") <= page.viewport_size["width"]  # type: ignore[index]

@@ -181,7 +181,7 @@ def test_no_line_spans_a_gap(tmp_path: Path) -> None:
     _, broken = with_gaps(np.array([0.0, 1.0, 2.0, 6.0, 7.0]), np.arange(5.0))
     assert np.isnan(broken).tolist() == [False, False, False, True, False, False]
     assert "of the values of TWall lie within" in captions.calibration_caption(uneven, c)
-    assert 0.0 <= enclosed_fraction(uneven, coverage(8, n_outputs=2)) <= 1.0
+    assert 0.0 <= enclosed_fraction(uneven.measurement, coverage(8, n_outputs=2).y) <= 1.0
 
 
 def with_gap(series: MeasuredSeries) -> MeasuredSeries:

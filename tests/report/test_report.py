@@ -28,7 +28,7 @@ from records_for_tests import (
 
 from simulation.case import KnownError
 from simulation.parameters import ParameterSpace
-from studies.report import CoverageSet, MeasuredSeries, Provenance, ReportData, build, captions
+from studies.report import MeasuredSeries, Provenance, ReportData, build, captions
 from studies.report.captions import enclosed_fraction, within_sensor
 from studies.report.tables import sensitivity_table, tuning_table
 from studies.report.tables_of_calibrations import (
@@ -168,7 +168,7 @@ def test_whatever_comes_from_files_is_text(tmp_path: Path) -> None:
         references=(KnownError(EVIL, 0.01, is_target=False), KnownError(EVIL, 0.02, is_target=True)),
         sensitivity=replace(sensitivity(2), names=(EVIL, "b"), output_names=(EVIL,)),
         coverage=replace(coverage(8), name=EVIL),
-        provenance=Provenance((EVIL,), ((EVIL, EVIL),), ((EVIL, EVIL),), ((EVIL, EVIL),), EVIL),
+        provenance=Provenance((EVIL,), ((EVIL, EVIL),), ((EVIL, EVIL),), ((EVIL, EVIL),)),
     )  # fmt: skip
     index = build(data, tmp_path)
     page = checked(index)
@@ -315,7 +315,7 @@ def test_enclosed_fraction_counts_measured_values() -> None:
     values = m.measurement.y
     y = np.stack([values - 1, values + 1])
     y[:, 0] = values[0] + 5
-    assert enclosed_fraction(m, CoverageSet("training", y)) == 0.75
+    assert enclosed_fraction(m.measurement, y) == 0.75
 
 
 @pytest.mark.parametrize(

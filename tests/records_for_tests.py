@@ -217,7 +217,6 @@ def report_data(**changes: object) -> ReportData:
             settings=(("profile", "quick"), ("seed", "0")),
             digests=(("case", "5a" * 32), ("FMU", "c3" * 32)),
             versions=(("Python", "3.11.9"), ("torch", "2.9.1")),
-            created="21 November 2026",
         ),
     }
     return ReportData(**{**fields, **changes})  # type: ignore[arg-type]
