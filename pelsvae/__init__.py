@@ -1,7 +1,8 @@
 """How a surrogate learns: the physics-enhanced latent space variational autoencoder (PELS-VAE).
 
 `fit` trains a `Surrogate` from parameters and trajectories; its `FitResult` says how. A `SurrogateConfig`
-holds all settings, `VARIANTS` the named ones. A training that diverges raises `TrainingDiverged`.
+holds all settings, `VARIANTS` the named ones. `save_surrogate` writes a surrogate to a folder and
+`load_surrogate` reads it. A training that diverges raises `TrainingDiverged`.
 """
 
 from importlib import import_module
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from pelsvae.config import SurrogateConfig as SurrogateConfig
     from pelsvae.epochs import TrainingDiverged as TrainingDiverged
     from pelsvae.surrogate import Surrogate as Surrogate
+    from pelsvae.surrogate_files import load_surrogate as load_surrogate
+    from pelsvae.surrogate_files import save_surrogate as save_surrogate
     from pelsvae.training import FitResult as FitResult
     from pelsvae.training import fit as fit
 
@@ -22,6 +25,8 @@ _MODULES = {
     "TrainingDiverged": "epochs",
     "VARIANTS": "config",
     "fit": "training",
+    "load_surrogate": "surrogate_files",
+    "save_surrogate": "surrogate_files",
 }
 __all__ = [*_MODULES]
 

@@ -73,7 +73,7 @@ class LinearVae(nn.Module):
         factors: Sequence[Tensor] | None = None,
         **buffers: Tensor,
     ) -> None:
-        """Take what was learnt.
+        """Set up predictions from what was fitted.
 
         Args:
             kernel: Form of the kernels.

@@ -97,7 +97,7 @@ def fit_processes(
 
 
 class _Members(NamedTuple):
-    """What is averaged.
+    """The Gaussian processes that are averaged, and their shares.
 
     Attributes:
         hypers: Of the processes. Shape (m, h).

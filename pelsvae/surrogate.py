@@ -18,7 +18,7 @@ from pelsvae.network import PelsVae
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
 
 _CHUNK_ROWS = 128  # 8 samples of 128 rows at h = 256 are 1 MiB: they stay in a core's cache
-_CHUNK_ROWS_CUDA = 4096
+_CHUNK_ROWS_CUDA = 4096  # fewer and larger launches of kernels
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Surrogate:
         return isinstance(self.network, LinearVae)
 
     def deviation(self, theta: npt.ArrayLike, *, n_jobs: int = 1) -> Array:
-        """Say how far predictions are likely to be off.
+        """Return the standard deviation of predictions.
 
         Args:
             theta: Parameters; a row with NaN has deviations NaN. Shape (n, p). [per parameter]
@@ -146,7 +146,7 @@ class Surrogate:
         return self.theta_standardizer.features(theta, self.eps.dtype)
 
     def _checked(self, theta: npt.ArrayLike, n_dimensions: int) -> Array:
-        """Return theta as a fresh contiguous float64 array, or say what is wrong with it."""
+        """Return theta as a new contiguous float64 array; ValueError for a wrong shape or value."""
         rows = np.array(theta, dtype=np.float64, order="C")
         if rows.ndim != n_dimensions or rows.shape[-1] != self.shape.n_parameters:
             wanted = ("n, " if n_dimensions == 2 else "") + str(self.shape.n_parameters)

@@ -144,7 +144,7 @@ def fit(
 
 
 def _checked(theta: npt.ArrayLike, y: npt.ArrayLike, what: str) -> tuple[Array, Array]:
-    """Return both as float64 arrays, or say what is wrong with them."""
+    """Return both as float64 arrays; ValueError where shapes do not fit or values are not finite."""
     theta, y = np.array(theta, dtype=np.float64), np.array(y, dtype=np.float64)
     if theta.ndim != 2 or y.ndim != 3 or len(theta) != len(y) or not theta.size or not y.size:
         raise ValueError(

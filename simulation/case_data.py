@@ -25,7 +25,7 @@ _CLOCKS = {
 
 @dataclass(frozen=True, eq=False)
 class CaseData:
-    """All recordings of a case.
+    """All recordings of a case, with times on one axis.
 
     Attributes:
         recordings: By their names in the case file, on one time axis.
@@ -96,7 +96,7 @@ class CaseData:
 
 
 def _clock_hint(recording: Recording, gap_s: float) -> str:
-    """Say what else a gap of one hour of timestamps may be."""
+    """Return the advice for a gap of one hour: clocks may have been set forward."""
     hour_s = HOURS.seconds
     if recording.clock == "seconds" or abs(gap_s - recording.step_s - hour_s) > 1e-6 * hour_s:
         return ""

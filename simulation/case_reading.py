@@ -32,7 +32,7 @@ def read_case_file(path: Path) -> CaseFile:
 
 
 def _in_one_line(error: ValidationError, content: dict[str, Any]) -> str:
-    """Say the first fault as key, value and remedy; an unknown key may be a missing one, misspelt."""
+    """Return the first fault as key, value and remedy; unknown keys first, as they may be misspelt."""
     faults = error.errors(include_url=False)
     # Each branch of a union (number or table) reports a fault of its own, without the key.
     unknown = (one for one in faults if one["type"] == "unknown_key" and one["loc"][:1] != ("fixed",))
@@ -72,7 +72,7 @@ _FIXED_REMEDY = (
 
 
 def _quoted(name: str, value: object) -> str:
-    """Say how to write a name with dots, which TOML takes for tables in tables; "" where there is none."""
+    """Return how to write a name with dots, which TOML takes for nested tables; "" without dots."""
     path, keys = name, {*FirstMeasured.model_fields, *ValueWithUnit.model_fields}
     while isinstance(value, dict) and len(value) == 1 and not keys & value.keys():
         ((part, value),) = value.items()

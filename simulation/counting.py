@@ -53,7 +53,7 @@ class CountingModel(WrappedModel):
         return self._model.simulate(theta)
 
     def _why_no_more(self, n: int) -> str:
-        """Say how so many rows do not fit into the budget, as the reason why a search ends."""
+        """Return why so many rows do not fit into the budget; a search ends with this reason."""
         budget = self.budget or 0
         left = budget - self.n_calls
         if left:

@@ -50,7 +50,7 @@ class FileLock:
 
     @property
     def is_held(self) -> bool:
-        """Whether it is held here."""
+        """Whether this object holds the lock."""
         return self._descriptor is not None
 
     def acquire(self) -> None:

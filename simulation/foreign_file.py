@@ -21,6 +21,7 @@ from simulation.foreign_text import quoted, shortened
 LIMITS_VARIABLE: Final = "STUDIES_LIMITS"
 """Variable of the environment that multiplies all limits, 1 where it is not set."""
 _MB: Final = 1_000_000
+# tomllib needs quadratic time for dotted keys; no real file nests tables so deeply.
 _DEEPEST: Final = 64
 _DOTTED = re.compile(rf"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST},}}+")
 # By the letter that `ls -l` writes for it.
@@ -142,7 +143,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def _line_remedy(text: str, fault: str) -> str:
-    """Say what to do about the line that is no TOML: often a key that only quotes make one."""
+    """Return the remedy for a line that is no TOML: often a key needs quotes."""
     place = re.search(r"at line (\d+)", fault)
     line = text.splitlines()[int(place[1]) - 1] if place else ""
     key = re.match(r"\s*([^\s=\"'#\[{][^=\"'#]*?)\s*=", line)

@@ -236,7 +236,7 @@ def _numbers(name: str, cells: list[str], *, has_commas: bool) -> FloatArray:
 
 
 def _has_decimal_commas(cells: Mapping[str, list[str]]) -> bool:
-    """Say whether a file has decimal commas; where it has points as well, one of them may mean thousands."""
+    """Return whether there are decimal commas; beside points they are an error: one may mean thousands."""
 
     def first(has_one: Callable[[str], object]) -> tuple[str, int, str] | None:
         every = ((name, row, cell) for name in cells for row, cell in enumerate(cells[name]))

@@ -32,12 +32,12 @@ class TimeUnit:
         return time / self.seconds
 
     def moment(self, days: float) -> str:
-        """Say when: day 8, or 10 s."""
+        """Write a moment: day 8, or 10 s."""
         value = f"{self.of_days(days):.6g}"
         return f"day {value}" if self is DAYS else f"{value} {self.symbol}"
 
     def period(self, days: tuple[float, float]) -> str:
-        """Say from when to when: days 0 to 10, or 0 to 10 s."""
+        """Write a period: days 0 to 10, or 0 to 10 s."""
         begin, end = (f"{self.of_days(one):.6g}" for one in days)
         return f"days {begin} to {end}" if self is DAYS else f"{begin} to {end} {self.symbol}"
 
@@ -55,5 +55,5 @@ def unit_for(span_s: float) -> TimeUnit:
 
 
 def period_text(days: tuple[float, float]) -> str:
-    """Say a period in the unit that suits its end: days 8 to 8.5, or 0 to 10 s."""
+    """Write a period in the unit that suits its end: days 8 to 8.5, or 0 to 10 s."""
     return unit_for(days[1] * DAY_S).period(days)

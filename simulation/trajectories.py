@@ -11,7 +11,7 @@ from simulation.arrays import BoolArray, FloatArray, digest_of
 
 
 def wrong_number(names: Sequence[str], row: FloatArray) -> str:
-    """Say which parameter is no number.
+    """Return which parameter is no finite number.
 
     Args:
         names: Names of the parameters.
@@ -30,7 +30,7 @@ def wrong_number(names: Sequence[str], row: FloatArray) -> str:
 def wrong_output(
     names: Sequence[str], times: FloatArray, y: FloatArray, *, accepted: FloatArray | None
 ) -> str:
-    """Say which output is no number or outside its band first.
+    """Return the first output that is no finite number or outside its band.
 
     Args:
         names: Names of the outputs.

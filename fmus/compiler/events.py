@@ -8,6 +8,7 @@ from pymoca import ast
 from fmus.compiler.compile_error import CompileError
 
 _RELATIONS = ("<", "<=", ">", ">=")
+# Operators of Modelica that no embedded model needs; a model with one is refused.
 _NOT_UNDERSTOOD = ("sample", "initial", "terminal", "edge", "change")
 
 
@@ -46,7 +47,7 @@ class EventNames:
 
 
 def has_when(flat_class: Any) -> bool:
-    """Say whether a flat class has a when-equation."""
+    """Return whether a flat class has a when-equation."""
     return any(isinstance(equation, ast.WhenEquation) for equation in flat_class.equations)
 
 

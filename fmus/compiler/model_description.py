@@ -16,7 +16,7 @@ _INITIAL = {"initial": "calculated"}
 
 
 def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
-    """Describe an FMU.
+    """Write the modelDescription.xml of an FMU.
 
     Value references and variables are in this order: states, their derivatives, inputs, parameters, outputs,
     discrete variables; in FMI 3.0 then event indicators and the time.
@@ -36,7 +36,7 @@ def write_description(ode: Ode, settings: BuildSettings, guid: str) -> str:
 
 
 def write_build_description(settings: BuildSettings) -> str:
-    """Say how the sources of an FMI 3.0 FMU are compiled.
+    """Write how the sources of an FMI 3.0 FMU are compiled.
 
     Args:
         settings: Names.
@@ -231,7 +231,7 @@ def _unit_definitions(root: ElementTree.Element, units: Iterable[str]) -> None:
 
 
 def _dependencies(ode: Ode) -> dict[str, list[tuple[int, list[int]]]]:
-    """Say what each unknown depends on, both by value reference.
+    """Return what each unknown depends on, both by value reference.
 
     Derivatives and outputs depend on states and inputs, initial values on inputs and parameters, all on time.
     """

@@ -18,6 +18,7 @@ from fmus.compiler.settings import BuildSettings, read_settings
 WRAPPER = Path(__file__).parent / "c"
 # No contraction and no build id: the same sources give the same numbers and the same file.
 COMPILER = ("gcc", "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-fvisibility=hidden")
+# No build id and no symbols: the same sources give the same bytes.
 LINKER = ("-Wl,--build-id=none", "-Wl,-s", "-lm")
 _FMI_HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),

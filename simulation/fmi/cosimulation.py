@@ -95,7 +95,7 @@ class SharedWarmup:
     """A Solver whose rows all start from the state at the end of one warm-up."""
 
     def __init__(self, simulation: CoSimulation, plan: RunPlan, start: Start, theta: FloatArray) -> None:
-        """Say what is shared.
+        """Prepare rows that share a warm-up.
 
         Args:
             simulation: Takes an initialized instance through steps.
@@ -110,7 +110,7 @@ class SharedWarmup:
         self._first = plan.n_warmup * plan.output_every
 
     def prepare(self) -> str:
-        """Simulate the warm-up on a new instance; say why it failed."""
+        """Simulate the warm-up on a new instance; return why it failed, "" when it did not."""
         y = self._plan.empty_y()
         failure = self._start.begin(self._theta) or self._simulation.step(0, self._first, y)
         return f"in the shared warm-up: {failure}" if failure else ""

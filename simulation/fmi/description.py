@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simulation.errors import InputError
-from simulation.fmi import fmpy_description
+from simulation.fmi import fmpy_description as reading
 from simulation.fmi.variable import (
     REAL_KINDS,
     SETTERS,
@@ -188,7 +188,7 @@ def read_description(path: Path) -> FmuDescription:
     if "modelDescription.xml" not in sizes:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
     DESCRIPTION.check(sizes["modelDescription.xml"] / 1e6, str(path))
-    model, complaint = fmpy_description.read_model(path, content)
+    model, complaint = reading.read_model(path, content)
     try:
         return _described(path, content, model, complaint, names=sizes)
     except InputError:
@@ -208,16 +208,15 @@ def _described(
         InputError: If nothing here can run it, or a number in it is absurd.
         Exception: If something in it is not what its name promises.
     """
-    version = fmpy_description.version_of(path, str(model.fmiVersion))
+    version = reading.version_of(path, str(model.fmiVersion))
     found = {"co-simulation": model.coSimulation, "model-exchange": model.modelExchange}
-    interfaces = {name: fmpy_description.interface_of(one) for name, one in found.items() if one is not None}
+    interfaces = {name: reading.interface_of(one) for name, one in found.items() if one is not None}
     if not interfaces:
         raise InputError(
             f"{path}: has no co-simulation and no model exchange interface; export it for co-simulation"
         )
     binaries = {
-        name: fmpy_description.binary_member(version, one.model_identifier)
-        for name, one in interfaces.items()
+        name: reading.binary_member(version, one.model_identifier) for name, one in interfaces.items()
     }
     runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
     if not runnable:
@@ -229,7 +228,7 @@ def _described(
         )
         raise InputError(
             f"{path}: no binary for this platform ({shortened(next(iter(binaries.values())))} is missing, "
-            f"{held}); export or compile it for {fmpy_description.PLATFORM_FOLDERS[version]}"
+            f"{held}); export or compile it for {reading.PLATFORM_FOLDERS[version]}"
         )
     n_event_indicators = int(model.numberOfEventIndicators)
     if n_event_indicators < 0:
@@ -244,16 +243,12 @@ def _described(
         generation_tool=str(model.generationTool or ""),
         sha256=hashlib.sha256(content).hexdigest(),
         variables={
-            str(variable.name): fmpy_description.variable_of(variable, version)
-            for variable in model.modelVariables
+            str(variable.name): reading.variable_of(variable, version) for variable in model.modelVariables
         },
         fmi_version=version,
         interfaces=runnable,
         default_experiment=DefaultExperiment(
-            *(
-                fmpy_description.number_or_none(getattr(model.defaultExperiment, name, None))
-                for name in experiment
-            )
+            *(reading.number_or_none(getattr(model.defaultExperiment, name, None)) for name in experiment)
         ),
         states=tuple(str(one.derivative.name) for one in derivatives),
         derivatives=tuple(str(one.name) for one in derivatives),
@@ -264,7 +259,7 @@ def _described(
         },
         n_event_indicators=n_event_indicators,
         complaint=complaint,
-        units={str(unit.name): fmpy_description.unit_of(unit) for unit in model.unitDefinitions},
+        units={str(unit.name): reading.unit_of(unit) for unit in model.unitDefinitions},
     )
 
 

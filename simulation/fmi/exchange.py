@@ -14,6 +14,7 @@ from simulation.fmi.instance import FmuInstance
 from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.start import Start
 
+# OpenModelica's default, used where neither case nor FMU names a tolerance.
 DEFAULT_TOLERANCE: Final = 1e-6
 # CVODE bounds the error of one step, and many steps add up. With a tenth of the tolerance the office stays
 # within the tolerance of its exact solution: 3e-4 K of 300 K at 1e-6.
@@ -84,7 +85,7 @@ class ModelExchange:
         return "" if end == loop.GOOD else self._reason(end, time)
 
     def _reason(self, end: int, time: float) -> str:
-        """Say in one line why a simulation ended (see exchange_loop) at a time. [s]."""
+        """Return in one line why a simulation ended (see exchange_loop) at a time. [s]."""
         at, bad = f"at {time:g} s", int(self._table[calls.NOT_FINITE]) - 1
         failed = fault = ""
         if status := int(self._table[calls.STATUS]):

@@ -40,7 +40,7 @@ SIZE: Final = 26
 # As a stage, this and what follows are rows of the inputs' table (see loop).
 FIRST_INPUT: Final = len(FUNCTIONS)
 
-_FATAL: Final = 4
+_FATAL: Final = 4  # fmi2Fatal, fmi3Fatal
 _Pointer: Any = types.CPointer
 # N_Vector, as SUNDIALS' headers have it: its first word points to its content, whose third is the data.
 _Vector: Any = _Pointer(_Pointer(_Pointer(types.float64)))
@@ -49,7 +49,7 @@ _Table: Any = _Pointer(types.int64)
 
 @compiled
 def called(table: Any, slot: int, arguments: Any) -> bool:
-    """Call the function of a slot with what follows the instance; note it where it fails, and say if not."""
+    """Call the function of a slot on the instance; record a failure, and return whether there was none."""
     status = call_status(table[slot], (table[COMPONENT], *arguments))
     if status > WARNING:
         table[STATUS], table[STAGE] = status, slot

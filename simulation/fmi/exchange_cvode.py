@@ -39,7 +39,7 @@ FLAGS: Final = {
 
 
 def flag_in_words(flag: int) -> str:
-    """Say what a negative return flag of CVODE means, in a clause."""
+    """Return the meaning of a negative return flag of CVODE, as a clause."""
     return FLAGS.get(flag, f"the integrator gave up (CVODE flag {flag})")
 
 

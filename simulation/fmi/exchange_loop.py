@@ -36,9 +36,9 @@ MOST_STUCK: Final = 100
 _NO_INPUTS: Final = -1
 _FIRST: Final = -2
 
-_ONE_STEP: Final = 2
-_ROOT_RETURN: Final = 2
-_EPSILON: Final = 2.0**-52
+_ONE_STEP: Final = 2  # CV_ONE_STEP of CVODE
+_ROOT_RETURN: Final = 2  # CV_ROOT_RETURN
+_EPSILON: Final = 2.0**-52  # distance from 1.0 to the next double
 
 
 @compiled
@@ -109,7 +109,7 @@ def _read(
     y_address: Any,
     behind: int,
 ) -> bool:
-    """Read the outputs at an edge, with the inputs that they see there; say whether all calls were good.
+    """Read the outputs at an edge, with the inputs that they see there; return whether all calls were good.
 
     Args:
         table: Addresses and counts (see exchange_calls). Shape (SIZE,).

@@ -14,7 +14,7 @@ from simulation.fmi.variable import SETTERS, FmiVersion, FmuInterface, FmuVariab
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
-LAST_REFERENCE: Final = 2**32 - 1
+LAST_REFERENCE: Final = 2**32 - 1  # value references are unsigned 32-bit integers
 # Folder of this platform's binaries, by FMI version.
 PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
 
@@ -33,7 +33,7 @@ def binary_member(fmi_version: str, model_identifier: str) -> str:
 
 
 def unit_of(unit: Any) -> UnitDefinition:
-    """Say what a unit definition of fmpy says; what has no size is none."""
+    """Convert a unit definition of fmpy; a base unit without a factor counts as none."""
     base = unit.baseUnit
     return UnitDefinition(
         base=None
@@ -48,7 +48,7 @@ def unit_of(unit: Any) -> UnitDefinition:
 
 
 def read_model(path: Path, content: bytes) -> tuple[Any, str]:
-    """Read the description; where it breaks rules of the standard but is complete, say which rules."""
+    """Read the description; return it, and the rules of the standard that it breaks without harm."""
     complaint = ""
     for validate in (True, False):
         try:
@@ -80,7 +80,7 @@ def _leave_out_inverse_units(model: Any, content: bytes) -> None:
 
 
 def version_of(path: Path, said: str) -> FmiVersion:
-    """Say which of the versions that can be run it is; InputError where it is none of them."""
+    """Return the FMI version as one that can be run; InputError where it is none of them."""
     if said == "2.0":
         return "2.0"
     # 3.0.1 and 3.0.2 are corrections of the text.
@@ -90,7 +90,7 @@ def version_of(path: Path, said: str) -> FmiVersion:
 
 
 def interface_of(declared: Any) -> FmuInterface:
-    """Say what an interface of fmpy says."""
+    """Convert an interface of fmpy."""
     return FmuInterface(
         model_identifier=str(declared.modelIdentifier),
         can_get_and_set_state=bool(declared.canGetAndSetFMUstate),
@@ -100,7 +100,7 @@ def interface_of(declared: Any) -> FmuInterface:
 
 
 def variable_of(variable: Any, version: FmiVersion) -> FmuVariable:
-    """Say what a variable of fmpy says, its declared type included."""
+    """Convert a variable of fmpy, with what its declared type adds."""
     declared = variable.declaredType
     reference = int(variable.valueReference)
     if not 0 <= reference <= LAST_REFERENCE:
@@ -140,7 +140,7 @@ def variable_of(variable: Any, version: FmiVersion) -> FmuVariable:
 
 
 def number_or_none(text: object) -> float | None:
-    """Read a number where there is one; NaN and the infinities, which XML can write, say nothing."""
+    """Return a finite number, None for anything else; XML can write NaN and infinities."""
     try:
         value = float(str(text))
     except ValueError:

@@ -20,6 +20,7 @@ from simulation.fmi.runner import NeedsFreshProcess
 from simulation.fmi.variable import Interface
 from simulation.foreign_code import foreign_code
 
+# Values of fmi2Status and fmi3Status.
 OK: Final = 0
 WARNING: Final = 1
 DISCARD: Final = 2
@@ -138,7 +139,7 @@ class FmuInstance:
         return ""
 
     def failure(self, name: str, status: int, time: float) -> str:
-        """Say why a call failed, and mark the instance as damaged.
+        """Return why a call failed, and mark the instance as damaged.
 
         Args:
             name: Function that was called, without the version.

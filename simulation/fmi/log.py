@@ -8,7 +8,7 @@ from typing import Any, Final
 import fmpy
 from fmpy import fmi2, fmi3
 
-_WARNING: Final = 1
+_WARNING: Final = 1  # fmi2Warning, fmi3Warning
 
 # The last messages of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one. Some
 # tools log an assertion that ends a simulation as a warning.

@@ -50,7 +50,7 @@ class RestartingRunner:
         prepare: Callable[[], str] | None = None,
         n_ignored: int = 0,
     ) -> None:
-        """Take over an instance.
+        """Answer rows with an instance, by a solver.
 
         Args:
             instance: The FMU, just instantiated.

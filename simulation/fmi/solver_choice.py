@@ -20,7 +20,7 @@ def runner_for(
     interface: Interface,
     warmup: FloatArray | None,
 ) -> RestartingRunner:
-    """Choose what drives an FMU.
+    """Choose the solver of an FMU, and the ways to start it over.
 
     Args:
         instance: The FMU, just instantiated.

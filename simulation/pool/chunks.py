@@ -21,7 +21,7 @@ class RowQueue:
     """
 
     def __init__(self, n: int, *, chunk_s: float, max_rows: int) -> None:
-        """Let all rows wait.
+        """Put all rows into the queue.
 
         Args:
             n: Rows.
@@ -51,7 +51,7 @@ class RowQueue:
         return rows[:n]
 
     def put(self, rows: range) -> None:
-        """Let rows wait, before all others.
+        """Put rows back, before all others.
 
         Args:
             rows: The rows, which will not be in one chunk with others.
@@ -65,7 +65,7 @@ class FailureCount:
     """Finished and failed rows of a batch."""
 
     def __init__(self, policy: ExecutionPolicy) -> None:
-        """Begin at nothing.
+        """Begin with no rows.
 
         Args:
             policy: How many may fail.

@@ -17,7 +17,7 @@ except ImportError:
 
 # Dask is typed in parts.
 _connect: Any = Client
-_CONNECT_S: Final = 15.0
+_CONNECT_S: Final = 15.0  # half of Dask's own default: a wrong address is found out soon
 
 
 class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]
@@ -27,7 +27,7 @@ class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]
     """What futures raise when several workers died one after the other with the same chunk."""
 
     def __init__(self, address: str) -> None:
-        """Connect.
+        """Connect to a scheduler.
 
         Args:
             address: The scheduler's, for instance tcp://scheduler:8786.

@@ -76,7 +76,7 @@ class ExecutionPolicy:
         return FIRST_LIMIT_S if slowest_s is None else max(self.least_limit_s, SLOWER * slowest_s)
 
     def why_stopped(self, slowest_s: float | None) -> str:
-        """Say why a simulation was killed at its limit.
+        """Return why a simulation was killed at its limit.
 
         Args:
             slowest_s: As for `limit_s`. [s]
@@ -90,7 +90,7 @@ class ExecutionPolicy:
         return f"did not answer within {self.limit_s(slowest_s):.5g} s and was stopped{why}"
 
     def limit_in_words(self, slowest_s: float | None) -> str:
-        """Say when a simulation is stopped that takes long.
+        """Return, in words, when a long simulation is stopped.
 
         Args:
             slowest_s: As for `limit_s`, when it began. [s]

@@ -28,7 +28,7 @@ from simulation.pool.warm_code import ROOM, remember
 
 # Rows are spread over processes: threads below that would only get into each other's way.
 _THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-_TICK_S: Final = 1.0
+_TICK_S: Final = 1.0  # how often ended supervisors are looked for
 # Without supervisors it ends after this time.
 _PATIENCE_S: Final = 60.0
 _ENDING_S: Final = 60.0
@@ -40,7 +40,7 @@ _BOOTSTRAP: Final = (
 
 
 class _ForkServer:
-    """The near end."""
+    """The fork server as this process sees it: its process, and the connection to it."""
 
     def __init__(self, places: list[str], environment: dict[str, str]) -> None:
         near, far = socket.socketpair()

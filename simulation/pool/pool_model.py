@@ -37,7 +37,8 @@ START_PAYS_S: Final = 0.3
 _SURELY_SLOW_S: Final = 2.0
 # Answers after which the time per row is known.
 _N_SURE: Final = 3
-_TICK_S: Final = 0.2
+_TICK_S: Final = 0.2  # how often a slow row is looked for
+# The warning comes where a chunk takes so many times the usual time of a row, and a minute at least.
 _SLOW_FACTOR: Final = 20.0
 _SLOW_S: Final = 60.0
 # A row that is lost so often with its process may be the reason.
@@ -61,7 +62,7 @@ class PoolModel:
         executor: Executor | None = None,
         on_warning: Callable[[str], None] | None = None,
     ) -> None:
-        """Start nothing yet.
+        """Set up; no process starts before the first row.
 
         Args:
             make_model: The model's factory, which other processes must be able to import. Where it is the

@@ -31,7 +31,7 @@ class Processes:
     """
 
     def __init__(self, make_model: Factory, policy: ExecutionPolicy) -> None:
-        """Start nothing yet.
+        """Set up; no process starts before the first question.
 
         Args:
             make_model: The model's factory, which other processes must be able to import.
@@ -49,7 +49,7 @@ class Processes:
 
     @property
     def n(self) -> int:
-        """How many there are."""
+        """Number of processes now."""
         return len(self._all)
 
     def simulate(self, theta: FloatArray, budget_s: float, slowest_s: float | None) -> ChunkAnswer | Facts:

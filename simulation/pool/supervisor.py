@@ -40,12 +40,13 @@ _CLOSING_S: Final = 1.0
 _CRASHING_S: Final = 10.0
 # No row kills its process by SIGKILL or between two rows: it was only running when another kill came.
 _SPARE_TRIES: Final = 3
-_MAX_IN_VAIN: Final = 5
+_MAX_IN_VAIN: Final = 5  # processes in a row that answer none, each at the FMU's own wish
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
 _LOOK_S: Final = 0.05
 _PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
+# An FMU that prints at every step would fill the disk: its process is replaced.
 _MAX_LOG_BYTES: Final = 10_000_000
-_MAX_SAID: Final = 300
+_MAX_SAID: Final = 300  # characters of its last line that a reason quotes
 
 
 def supervise(parent: Connection, job: Job) -> None:

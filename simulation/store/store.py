@@ -26,8 +26,8 @@ from simulation.trajectories import Trajectories
 BLOCK_BYTES: Final = 64 * 2**20
 """Outputs that a stream holds at once."""
 _FORMAT: Final = 1
-_PATIENCE_S: Final = 60.0
-_NEVER: Final = 2**63 - 1
+_PATIENCE_S: Final = 60.0  # for another process that writes; a chunk is written in milliseconds
+_NEVER: Final = 2**63 - 1  # the largest row number of SQLite
 _OWN_COLUMNS: Final = ("_id", "_theta", "_failure", "_written", "_check")
 _DAMAGED: Final = "it is damaged: remove it, with -wal and -shm beside it, and its simulations run again"
 _NOT_WRITTEN: Final = "allow writing there, then type the command again"
@@ -137,7 +137,7 @@ class SimulationStore:
         return int(found[0] or 0)
 
     def find(self, theta: FloatArray, *, failed_after: int = 0) -> BoolArray:
-        """Say which rows are stored.
+        """Return which rows are stored.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]
@@ -152,7 +152,7 @@ class SimulationStore:
         return np.array(found, dtype=np.bool_).reshape(len(theta))
 
     def find_good(self, theta: FloatArray) -> BoolArray:
-        """Say which rows are stored and did not fail. Shapes (n, p) and (n,)."""
+        """Return which rows are stored and did not fail. Shapes (n, p) and (n,)."""
         return self.find(theta, failed_after=_NEVER)
 
     def read(self, theta: FloatArray) -> Trajectories:
@@ -229,7 +229,7 @@ class SimulationStore:
                     database.execute(self._insert, (key, failure, check, *rows.theta[i].tolist(), *outputs))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the database."""
         self._database.close()
 
     def __enter__(self) -> "SimulationStore":
@@ -326,7 +326,7 @@ def _columns(parameter_names: Iterable[str], output_names: Iterable[str]) -> tup
 
 @contextmanager
 def _in_words(file: Path) -> Iterator[None]:
-    """Turn what SQLite says of a file into one line with a remedy."""
+    """Turn SQLite's errors about a file into one line with a remedy."""
     try:
         yield
     except (InputError, sqlite3.ProgrammingError):

@@ -11,6 +11,7 @@ from simulation.forward_model import ForwardModel, WrappedModel
 from simulation.store.store import SimulationStore
 from simulation.trajectories import Trajectories
 
+# Rows that a killed process may lose where the model is no pool, which hands over its own chunks.
 BLOCK_ROWS: Final = 64
 
 
@@ -41,7 +42,7 @@ class StoredModel(WrappedModel):
 
     @property
     def store(self) -> SimulationStore:
-        """Where the answers lie."""
+        """The store of the answers."""
         return self._store
 
     @property
@@ -50,7 +51,7 @@ class StoredModel(WrappedModel):
         return self._model
 
     def missing(self, theta: FloatArray) -> BoolArray:
-        """Say which rows the model would have to be asked for.
+        """Return which rows the model would have to simulate.
 
         Args:
             theta: Parameters. Shape (n, p). [per parameter]

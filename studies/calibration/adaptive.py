@@ -193,7 +193,7 @@ class Adaptive:
             not isinstance(known, Evaluation) or (known.residuals.shape[1], known.u.shape[1]) != shape
         ):
             raise InputError(
-                "known rows are what problem.evaluate(u) or problem.judge(u, trajectories) returns, of the "
+                "a warm start is what problem.evaluate(u) or problem.judge(u, trajectories) returns, of the "
                 f"same problem: {shape[1]} parameters and {shape[0]} residuals"
             )
         recorder = Recorder(problem, phase="adaptive", max_calls=self.max_calls, on_progress=on_progress)

@@ -240,7 +240,7 @@ class AdaptiveSearch:
             self._is_judged = True
             self._was_truncated = self._unexplained > SEARCH.unexplained
             if self._was_truncated:
-                self._window.shorten()
+                self._window.shorten(to_features=self._switches)
                 self._begin_again()
         while not self._window.is_whole and self._unexplained <= SEARCH.explained:
             self._double_window()
@@ -368,7 +368,10 @@ class AdaptiveSearch:
     @property
     def _may_end(self) -> bool:
         """Whether the restarts that are owed were made and the best row is accepted."""
-        has_looked = self._follows_ode or self._confirmation.has_looked
+        known = self._confirmation
+        # Where another number of switchings may be right, more restarts find it now and then.
+        has_restarted = known.n_restarts >= SEARCH.most_restarts or not known.restarts_owed
+        has_looked = self._follows_ode or (has_restarted if self._switches else known.has_looked)
         # With a target the search goes on, however little is expected.
         is_wanted = self._settings.target_mse is not None and not self._follows_ode
         return has_looked and not self._seeks_another_valley and not is_wanted

@@ -59,6 +59,10 @@ class SearchConstants:
         explained, nearly_explained: Shares below which the window is doubled, at once, and once nothing more
             is gained in it. Note, Truncated windows.
         shortest: First truncated window, as a share of the whole. Note, Truncated windows.
+        n_blocks, least_block: Blocks of time of which features are taken, and the fewest samples in each.
+            By hand.
+        feature_weight: A share of a feature's squares counts so many times a share of the measured variance.
+            By hand.
         as_good, uncertain: A point is surely no better if it is expected above this part of the best error,
             with a variance below the second part of it. By definition; by hand.
         surprise: Part of the error by which a surrogate that knows a valley's bottom does not err. Note,
@@ -120,6 +124,9 @@ class SearchConstants:
     explained: float = 0.02
     nearly_explained: float = 0.1
     shortest: float = 1.0 / 32.0
+    n_blocks: int = 4
+    least_block: int = 8
+    feature_weight: float = 2.0
     as_good: float = 0.98
     uncertain: float = 0.1
     surprise: float = 0.1

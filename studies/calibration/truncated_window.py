@@ -12,10 +12,11 @@ from simulation.arrays import BoolArray, FloatArray
 from simulation.measurement import Measurement
 from studies.calibration.search_constants import SEARCH
 from studies.calibration.switching import switches
+from studies.calibration.trajectory_features import TrajectoryFeatures
 
 
 class TruncatedWindow:
-    """The residuals that a search minimizes: all of them, or the first ones."""
+    """What a search minimizes: all residuals, the first ones, or differences of features."""
 
     def __init__(self, measurement: Measurement) -> None:
         """Begin with all of them.
@@ -34,15 +35,18 @@ class TruncatedWindow:
         is_flat = self._variance <= (measurement.scales * measurement.uncertainty) ** 2
         if not is_flat.all():
             self._variance[is_flat] = 0.0
+        self._features: TrajectoryFeatures | None = None
         self._part = 1.0
 
     @property
     def is_whole(self) -> bool:
         """Whether all residuals are minimized."""
-        return self._part == 1.0
+        return self._part == 1.0 and self._features is None
 
     def seen(self, residuals: FloatArray) -> FloatArray:
-        """Return the residuals in the window, of those of rows (..., m). Shape (..., n)."""
+        """Return the residuals in the window, of those of rows (..., m), or features. Shape (..., n)."""
+        if self._features is not None:
+            return self._features.differences(residuals + self._measured)
         return residuals[..., : int(np.ceil(self._part * residuals.shape[-1]))]
 
     def unexplained(self, residuals: FloatArray) -> float:
@@ -51,6 +55,8 @@ class TruncatedWindow:
         Args:
             residuals: Of one row, all of them. Shape (m,). [first output's unit]
         """
+        if self._features is not None:
+            return SEARCH.feature_weight * self._features.unexplained(residuals + self._measured)
         seen = self.seen(residuals)
         shares = [
             float(np.mean(seen[of[: seen.size]] ** 2)) / variance
@@ -68,10 +74,15 @@ class TruncatedWindow:
         simulated = residuals + self._measured
         return any(switches(simulated[:, of]) for of in self._is_of)
 
-    def shorten(self) -> None:
-        """Take the shortest window."""
+    def shorten(self, *, to_features: bool = False) -> None:
+        """Take the shortest window, or features of all trajectories first, where there are samples enough."""
+        is_enough = self._is_of.sum(axis=1).min() >= SEARCH.least_block * SEARCH.n_blocks
+        if to_features and is_enough:
+            self._features = TrajectoryFeatures(self._measured, self._is_of)
         self._part = SEARCH.shortest
 
     def double(self) -> None:
-        """Double the window."""
-        self._part = min(2.0 * self._part, 1.0)
+        """Double the window; after features, take the shortest one."""
+        if self._features is None:
+            self._part = min(2.0 * self._part, 1.0)
+        self._features = None

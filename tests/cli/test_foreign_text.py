@@ -1,13 +1,12 @@
 """Texts of strangers on the terminal: nothing in them is obeyed, and what messages quote of them is short."""
 
-import io
 import unicodedata
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from project_for_tests import REPOSITORY, Run
+from project_for_tests import REPOSITORY
 
 from simulation.foreign_text import MOST_QUOTED, escaped, quoted
 from studies.console import Column, Console, Said, Table
@@ -61,25 +60,6 @@ def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture
     assert "umlaut ä, K², 日本" in said.out
     assert r"\x1b[2J" in said.out
     assert said.err.count("\n") == 2
-
-
-def test_colours_are_the_consoles_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.setattr("sys.stdout", terminal := Terminal())
-    Console().show([Said(f"red {CLEAR}", "bad")])
-    assert "\x1b[31m" in terminal.getvalue()
-    assert CLEAR not in terminal.getvalue()
-
-
-def test_a_path_with_control_signs_does_not_reach_the_terminal(project: Path, studies: Run) -> None:
-    answer = studies("check", f"fmus/{HOSTILE.replace(chr(0), '')}.toml")
-    assert answer.code == 2
-    assert len(answer.err.splitlines()) == 1
-    assert is_harmless(answer.err)
 
 
 PICTURES = (

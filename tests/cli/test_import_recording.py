@@ -68,13 +68,6 @@ def test_the_fmu_that_holds_the_recording_is_read(
     assert imported(project) == expected
 
 
-def test_a_folder_of_csv_files_is_read(
-    project: Path, studies: Run, tmp_path: Path, expected: tuple[str, str]
-) -> None:
-    assert studies("import-recording", str(tmp_path / "expected")).code == 0
-    assert imported(project) == expected
-
-
 def test_kelvin_becomes_degrees_celsius(project: Path, studies: Run, tmp_path: Path) -> None:
     recording = made_up_recording()
     time, room = recording["TRoom"]

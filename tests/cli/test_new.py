@@ -1,7 +1,5 @@
 """`studies new`: a case file from what an FMU says about itself, right at once, nothing overwritten."""
 
-import shlex
-import shutil
 import tomllib
 import zipfile
 from pathlib import Path
@@ -140,18 +138,6 @@ def test_the_file_obeys_the_schema_and_every_comment_can_be_used(
     assert everything.fixed["table"] == "a\\b.txt"
 
 
-def test_what_needs_the_user_is_marked_and_listed(project: Path, studies: Run, room: Path) -> None:
-    answer = studies("new", str(room), "--parameter", "offset", "--json")
-    lines = (project / "fmus" / "my-room-v2" / "case.toml").read_text(encoding="utf-8").splitlines()
-    marked = [i for i, line in enumerate(lines, 1) if "# EDIT:" in line and not line.startswith("#")]
-    assert [one["line"] for one in answer.document["edit"]] == marked
-    words = [lines[i - 1].split(" = ")[0] for i in marked]
-    assert words[:2] == ["window_d", "output_step_s"]
-    assert "uncertainty" in words
-    # Nothing is known about a parameter that starts at 0.
-    assert "lower" in words
-
-
 def test_patterns_choose_and_brackets_are_no_pattern(project: Path, studies: Run, room: Path) -> None:
     answer = studies(
         "new", str(room), "--output", "Q", "T", "--parameter", "wall.d[1]", "--parameter", "U*", "--json"
@@ -181,22 +167,6 @@ def test_an_input_can_be_a_parameter(project: Path, studies: Run, room: Path) ->
     assert "TAmb" not in [one["name"] for one in case.get("inputs", ())]
 
 
-def test_it_can_be_repeated_beside_ones_own_data(project: Path, studies: Run, room: Path) -> None:
-    assert studies("new", str(room)).code == 0
-    data, case = project / "data" / "my-room-v2", project / "fmus" / "my-room-v2" / "case.toml"
-    (data / "README.md").write_text("my own words", encoding="utf-8")
-    (data / "measured.csv").write_text("time_s,T\n0,1\n", encoding="utf-8")
-    case.unlink()
-    answer = studies("new", str(room), "--output", "Q")
-    assert answer.code == 0, answer.err
-    assert "wrote fmus/my-room-v2/case.toml" in answer.out
-    assert "kept data/my-room-v2/README.md, which was there" in answer.out
-    assert (data / "README.md").read_text(encoding="utf-8") == "my own words"
-    case.unlink()
-    (case.parent / room.name).write_bytes(b"another FMU")
-    assert "exists and is never overwritten" in studies("new", str(room)).err
-
-
 def test_local_variables_are_listed_and_patterns_match_them(
     project: Path, studies: Run, tmp_path: Path
 ) -> None:
@@ -209,20 +179,6 @@ def test_local_variables_are_listed_and_patterns_match_them(
     # What matches an output means outputs.
     words = ("--output", "T*", "wall.*", "--json")
     assert studies("new", str(fmu), *words).document["outputs"] == ["T", "wall.T1", "wall.T2"]
-
-
-def test_what_belongs_to_a_solver_is_not_proposed(project: Path, studies: Run, tmp_path: Path) -> None:
-    of_a_solver = ("solver.absTol", "relativeTolerance", "maxStepSize", "integrator_order")
-    variables = real("CPUtime", 1, "output") + real("T", 2, "output")
-    # Not everything that sounds like one is.
-    names = ("UA", "tolerantPlants", "stepHeight", *of_a_solver)
-    variables += "".join(real(name, 3 + i, "parameter", 'start="1"') for i, name in enumerate(names))
-    fmu = make_fmu(tmp_path / "solver.fmu", variables)
-    document = studies("new", str(fmu), "--json").document
-    assert document["outputs"] == ["T"]
-    assert document["parameters"] == ["UA", "tolerantPlants", "stepHeight"]
-    wanted = studies("new", str(fmu), "--to", str(tmp_path / "x"), "--output", "CPUtime", "--json")
-    assert wanted.document["outputs"] == ["CPUtime"]
 
 
 def test_a_command_killed_between_any_two_writes_can_be_typed_again(
@@ -242,19 +198,6 @@ def test_a_command_killed_between_any_two_writes_can_be_typed_again(
         assert found == made
 
 
-def test_the_next_steps_can_be_typed_whatever_the_folder_is_called(
-    project: Path, studies: Run, room: Path
-) -> None:
-    folder = project / "new rooms" / "ä ö"
-    answer = studies("new", str(room), "--to", str(folder), "--json")
-    typed = [shlex.split(step) for step in answer.document["next"]]
-    assert typed == [["studies", word, "new rooms/ä ö"] for word in ("check", "calibrate")]
-    for file in ("case.toml", "README.md"):
-        assert "studies check 'new rooms/ä ö'" in (folder / file).read_text(encoding="utf-8")
-    # The case is found by it; its recordings are what is missing.
-    assert "measured.csv: no such file" in studies(*typed[0][1:]).err
-
-
 @pytest.mark.parametrize("below", ["below"])
 def test_a_folder_that_cannot_be_made_is_one_line(
     project: Path, studies: Run, room: Path, below: str
@@ -269,18 +212,6 @@ def test_a_folder_that_cannot_be_made_is_one_line(
         assert fragment in line.replace("/below", "")
     assert sorted(project.rglob("*")) == before
     assert taken.read_text(encoding="utf-8") == "a file"
-
-
-def test_an_fmu_below_fmus_stays_where_it_is(project: Path, studies: Run, room: Path) -> None:
-    folder = project / "fmus" / "attic"
-    folder.mkdir()
-    moved = room.rename(folder / "Attic.fmu")
-    answer = studies("new", str(moved))
-    assert answer.code == 0
-    assert "wrote fmus/attic/case.toml" in answer.out
-    assert "Attic.fmu" not in answer.out  # it was there
-    assert case_of(project, "attic")["data"] == "../../data/attic"
-    assert sorted(file.name for file in folder.iterdir()) == ["Attic.fmu", "case.toml"]
 
 
 def test_check_says_which_csv_is_missing_and_what_it_holds(project: Path, studies: Run) -> None:
@@ -388,20 +319,6 @@ def test_a_switch_follows_a_recording_and_a_text_is_held(project: Path, studies:
     assert "[fixed]" in answer.err
 
 
-def test_an_fmu_with_thousands_of_parameters_makes_a_short_file(
-    project: Path, studies: Run, tmp_path: Path
-) -> None:
-    variables = "".join(real(f"zone.p{i}", i, "parameter", 'start="1"') for i in range(3000))
-    fmu = make_fmu(tmp_path / "big.fmu", variables + real("y", 3000, "output"))
-    answer = studies("new", str(fmu), "--json")
-    assert len(answer.document["parameters"]) == 20
-    file = project / "fmus" / "big" / "case.toml"
-    assert len(file.read_text(encoding="utf-8").splitlines()) < 700
-    assert "2940 more parameters" in file.read_text(encoding="utf-8")
-    assert studies("new", str(fmu), "--to", str(tmp_path / "all"), "--all").code == 0
-    assert (tmp_path / "all" / "case.toml").read_text(encoding="utf-8").count("[[parameters]]") == 3000
-
-
 def test_the_list_shows_every_variable_and_writes_nothing(project: Path, studies: Run, room: Path) -> None:
     before = sorted(project.rglob("*"))
     document = studies("new", str(room), "--list", "--json").document
@@ -409,20 +326,6 @@ def test_the_list_shows_every_variable_and_writes_nothing(project: Path, studies
     assert {one["name"] for one in document["parameters"]} >= {"UA", "wall.k", "n.windows", "_cs_tol"}
     assert "wall.d[1]" in studies("new", str(room), "--list").out
     assert sorted(project.rglob("*")) == before
-
-
-@pytest.mark.parametrize("words", [("--to", ".")])
-def test_a_case_is_named_after_its_folder_however_the_folder_is_written(
-    words: tuple[str, ...], project: Path, studies: Run, room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = project / "fmus" / "room"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    copied = Path(shutil.copy(room, folder)).name
-    document = studies("new", copied, *words, "--json").document
-    assert document["case"] == "room"
-    assert document["next"][0] == "studies check room"
-    assert (project / "data" / "room" / "README.md").is_file()
 
 
 @pytest.mark.parametrize(

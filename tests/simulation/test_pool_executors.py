@@ -89,7 +89,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         n_workers=3,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        dashboard_address=":0",  # any free port: another test may have a cluster
         local_directory=str(tmp_path_factory.mktemp("dask")),
     ) as cluster:
         yield cluster

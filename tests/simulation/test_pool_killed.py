@@ -22,7 +22,7 @@ from simulation.store.store import SimulationStore
 HERE = Path(__file__).parent
 N_ROWS, N_MOMENTS, N_WORKERS = 1200, 50, 2
 # A row fails whose process is lost again and again: so many deaths in a row at most.
-N_DEATHS = 3
+N_DEATHS = 2
 # A chunk of 0.05 s, and one row more.
 N_CHUNK = 7
 

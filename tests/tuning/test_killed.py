@@ -85,37 +85,6 @@ def test_a_worker_may_be_killed_at_any_of_its_writes(project: ProjectPaths) -> N
         assert_mlflow_agrees(project, spec.label, spec.name)
 
 
-def test_workers_killed_at_random_moments_change_no_number(
-    project: ProjectPaths, tuned: ProjectPaths
-) -> None:
-    draw, is_over = random.Random(3), threading.Event()
-    n_killed = 0
-
-    def kill_now_and_then() -> None:
-        nonlocal n_killed
-        while n_killed < 2 and not is_over.is_set():
-            wait_until(lambda: workers_of(os.getpid()) or is_over.is_set())
-            time.sleep(draw.uniform(1.0, 4.0))
-            for worker in workers_of(os.getpid())[:1]:
-                worker.kill()
-                n_killed += 1
-                wait_until(lambda one=worker: not psutil.pid_exists(one.pid) or is_over.is_set())
-
-    killer = threading.Thread(target=kill_now_and_then)
-    killer.start()
-    spec = tuned_study(16)
-    try:
-        (found,) = tune([spec], paths=project, n_trials=8, n_jobs=1)
-    finally:
-        is_over.set()
-        killer.join()
-    assert n_killed >= 1
-    assert found.n_ended == 8
-    assert_each_place_ended(project, spec.name, 8)
-    assert essence(plain_study(project, spec.name)) == essence(plain_study(tuned, spec.name))[:8]
-    assert_mlflow_agrees(project, LABEL, spec.name)
-
-
 def test_a_killed_and_an_interrupted_command_go_on(
     project: ProjectPaths, tuned: ProjectPaths, tmp_path: Path
 ) -> None:

@@ -57,7 +57,7 @@ class Best:
 
 
 FAMILIES = {
-    "office": "Office, virtual campaign",
+    "office": "Office, virtual measurement",
     "office-recorded": "Office, recorded",
     "office instances": "Office, drawn",
     "white box": "White-box office, 21 parameters",

@@ -1,6 +1,6 @@
 """What stored simulations save a calibration: those of an earlier one, or of a training set.
 
-Run `python tests/benchmarks/known_rows_saving.py [--problems NAME ...] [--seeds 5] [--sizes 64 256]
+Run `python tests/benchmarks/warm_start_saving.py [--problems NAME ...] [--seeds 5] [--sizes 64 256]
 [--change 0.1]`. The earlier calibration was made to other data: the same measurement and a slow wave of
 `--change` times its standard deviation, whose period and phase are drawn. Every calibration is that of
 `studies calibrate`, with state equations where it can learn them (an earlier calibration's rows are stored
@@ -81,8 +81,8 @@ def calibrated(
         is_hidden = not are_seen and known is not None and theta is known.theta
         return StateRows(*(np.full_like(part, np.nan) for part in rows)) if is_hidden else rows
 
-    guide = LearnedODE(watched.signals, seen, problem)
-    return settings_for(problem).minimize(problem, seed=seed, known=known, learned_ode=guide)
+    equations = LearnedODE(watched.signals, seen, problem)
+    return settings_for(problem).minimize(problem, seed=seed, known=known, learned_ode=equations)
 
 
 def nothing(problem: CalibrationProblem, seed: int) -> FloatArray:
@@ -112,7 +112,7 @@ def training_set(n: int) -> Callable[[CalibrationProblem, int], FloatArray]:
     return rows
 
 
-def told(values: list[float]) -> str:
+def shown(values: list[float]) -> str:
     """Say median and worst."""
     median, worst = statistics.median(values), max(values)
     n_never = sum(value == NEVER for value in values)
@@ -157,7 +157,7 @@ def main() -> None:
                     ]
                     for factor in (1.17, 1.02)
                 ]
-                cells = [told(values) for values in (*reached, [found.n_calls for found in results])]
+                cells = [shown(values) for values in (*reached, [found.n_calls for found in results])]
                 print(f"| {entry.name} | {name} | {' | '.join(cells)} |", flush=True)
 
 
