@@ -3,6 +3,8 @@
   const MARGIN = 76;  // of a panel, for the labels of its vertical axis [px]
   const NARROW = 600;  // [px]
 
+  vega.expressionFunction("asText", String);
+
   async function unpacked(text) {
     const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));

@@ -58,6 +58,7 @@ PIXELS_PER_UNIT = 1.5
 _CONFIG: Mapping[str, Any] = {
     "font": "Helvetica, Arial, sans-serif",
     "background": "white",
+    "customFormatTypes": True,
     "view": {"stroke": None},
     "title": {"anchor": "start", "fontSize": 12, "fontWeight": "normal"},
     "axis": {"gridColor": "#e9ecee", "labelLimit": 110, "titleFontWeight": "normal"},
@@ -257,7 +258,13 @@ def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict
 def _values(panel: Panel, selection: str) -> dict[str, Any]:
     """Return a layer of points that are seen, with their values, only next to the pointer."""
     x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
-    shown = [("series", "nominal", " "), ("x", x["type"], panel.x.label), ("y", y["type"], panel.y.label)]
+    # Beside the nearest point Vega-Lite finds a text only through a format: charts.js has this one.
+    number, text = {"type": "quantitative", "format": ",.4~g"}, {"type": "nominal", "formatType": "asText"}
+    shown = [
+        {"field": "series", "title": " ", **text},
+        {"field": "x", "title": panel.x.label or " ", **(text if panel.x.is_of_names else number)},
+        {"field": "y", "title": panel.y.label or "  ", **(text if panel.y.is_of_names else number)},
+    ]
     select = {"type": "point", "nearest": True, "on": "pointerover", "clear": "pointerout"}
     return {
         "transform": [{"filter": "isValid(datum.x) && isValid(datum.y) && datum.x !== '' && datum.y !== ''"}],
@@ -267,11 +274,7 @@ def _values(panel: Panel, selection: str) -> dict[str, Any]:
             "x": x,
             "y": y,
             "opacity": {"condition": {"param": selection, "empty": False, "value": 1}, "value": 0},
-            "tooltip": [
-                {"field": name, "type": kind, "title": title or name}
-                | ({"format": ",.4~g"} if kind == "quantitative" else {})
-                for name, kind, title in shown
-            ],
+            "tooltip": shown,
         },
     }
 
