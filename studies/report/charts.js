@@ -3,8 +3,6 @@
   const MARGIN = 76;  // of a panel, for the labels of its vertical axis [px]
   const NARROW = 600;  // [px]
 
-  vega.expressionFunction("asText", String);
-
   async function unpacked(text) {
     const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -23,7 +21,9 @@
     }
     for (const panel of spec.concat) panel.width = Math.floor(room / spec.columns - margin);
     const actions = { export: true, source: false, compiled: false, editor: false };
-    await vegaEmbed(place, spec, { actions, renderer: "canvas", scaleFactor: { png: 2 } });
+    const expressionFunctions = { asText: (text) => String(text) };
+    const options = { actions, expressionFunctions, renderer: "canvas", scaleFactor: { png: 2 } };
+    await vegaEmbed(place, spec, options);
     const excess = place.querySelector("canvas").offsetWidth - room;
     if (excess > 0 && margin === MARGIN) await draw(figure, margin + excess / spec.columns + 2);
   }

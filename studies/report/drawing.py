@@ -170,7 +170,10 @@ class Figure:
         Args:
             with_values: Whether the value next to the pointer is shown.
         """
-        numbers = dict.fromkeys(("x_end", "low", "high", "share"), "number")
+        types = dict.fromkeys(("x_end", "low", "high", "share"), "number") | {"series": "string"}
+        for axis in ("x", "y"):
+            if all(getattr(panel, axis).is_of_names for panel in self.panels):
+                types[axis] = "string"
         # Panels over the same quantity zoom together.
         groups: dict[str, list[str]] = {}
         for k, panel in enumerate(self.panels):
@@ -181,7 +184,7 @@ class Figure:
         return {
             "$schema": "https://vega.github.io/schema/vega-lite/v6.json",
             "config": {**_CONFIG, "legend": {**_CONFIG["legend"], "columns": 4 // self.columns}},
-            "data": {"values": self.to_csv(), "format": {"type": "csv", "parse": numbers}},
+            "data": {"values": self.to_csv(), "format": {"type": "csv", "parse": types}},
             "concat": [self._panel(k, panel, with_values=with_values) for k, panel in enumerate(self.panels)],
             "columns": self.columns,
             "spacing": 12,
@@ -258,8 +261,11 @@ def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict
 def _values(panel: Panel, selection: str) -> dict[str, Any]:
     """Return a layer of points that are seen, with their values, only next to the pointer."""
     x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
-    # Beside the nearest point Vega-Lite finds a text only through a format: charts.js has this one.
-    number, text = {"type": "quantitative", "format": ",.4~g"}, {"type": "nominal", "formatType": "asText"}
+    # Next to the pointer Vega-Lite finds a text only as a number with a format: that of charts.js keeps it.
+    number, text = (
+        {"type": "quantitative", "format": ",.4~g"},
+        {"type": "quantitative", "formatType": "asText"},
+    )
     shown = [
         {"field": "series", "title": " ", **text},
         {"field": "x", "title": panel.x.label or " ", **(text if panel.x.is_of_names else number)},
