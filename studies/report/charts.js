@@ -21,7 +21,9 @@
     }
     for (const panel of spec.concat) panel.width = Math.floor(room / spec.columns - margin);
     const actions = { export: true, source: false, compiled: false, editor: false };
-    await vegaEmbed(place, spec, { actions, renderer: "canvas", scaleFactor: { png: 2 } });
+    const expressionFunctions = { asText: (text) => String(text) };
+    const options = { actions, expressionFunctions, renderer: "canvas", scaleFactor: { png: 2 } };
+    await vegaEmbed(place, spec, options);
     const excess = place.querySelector("canvas").offsetWidth - room;
     if (excess > 0 && margin === MARGIN) await draw(figure, margin + excess / spec.columns + 2);
   }

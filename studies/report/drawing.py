@@ -58,6 +58,7 @@ PIXELS_PER_UNIT = 1.5
 _CONFIG: Mapping[str, Any] = {
     "font": "Helvetica, Arial, sans-serif",
     "background": "white",
+    "customFormatTypes": True,
     "view": {"stroke": None},
     "title": {"anchor": "start", "fontSize": 12, "fontWeight": "normal"},
     "axis": {"gridColor": "#e9ecee", "labelLimit": 110, "titleFontWeight": "normal"},
@@ -169,7 +170,10 @@ class Figure:
         Args:
             with_values: Whether the value next to the pointer is shown.
         """
-        numbers = dict.fromkeys(("x_end", "low", "high", "share"), "number")
+        types = dict.fromkeys(("x_end", "low", "high", "share"), "number") | {"series": "string"}
+        for axis in ("x", "y"):
+            if all(getattr(panel, axis).is_of_names for panel in self.panels):
+                types[axis] = "string"
         # Panels over the same quantity zoom together.
         groups: dict[str, list[str]] = {}
         for k, panel in enumerate(self.panels):
@@ -180,7 +184,7 @@ class Figure:
         return {
             "$schema": "https://vega.github.io/schema/vega-lite/v6.json",
             "config": {**_CONFIG, "legend": {**_CONFIG["legend"], "columns": 4 // self.columns}},
-            "data": {"values": self.to_csv(), "format": {"type": "csv", "parse": numbers}},
+            "data": {"values": self.to_csv(), "format": {"type": "csv", "parse": types}},
             "concat": [self._panel(k, panel, with_values=with_values) for k, panel in enumerate(self.panels)],
             "columns": self.columns,
             "spacing": 12,
@@ -257,7 +261,16 @@ def _layers(panel: Panel, series: Series, color: Mapping[str, Any]) -> list[dict
 def _values(panel: Panel, selection: str) -> dict[str, Any]:
     """Return a layer of points that are seen, with their values, only next to the pointer."""
     x, y = (_position(name, axis) for name, axis in (("x", panel.x), ("y", panel.y)))
-    shown = [("series", "nominal", " "), ("x", x["type"], panel.x.label), ("y", y["type"], panel.y.label)]
+    # Next to the pointer Vega-Lite finds a text only as a number with a format: that of charts.js keeps it.
+    number, text = (
+        {"type": "quantitative", "format": ",.4~g"},
+        {"type": "quantitative", "formatType": "asText"},
+    )
+    shown = [
+        {"field": "series", "title": " ", **text},
+        {"field": "x", "title": panel.x.label or " ", **(text if panel.x.is_of_names else number)},
+        {"field": "y", "title": panel.y.label or "  ", **(text if panel.y.is_of_names else number)},
+    ]
     select = {"type": "point", "nearest": True, "on": "pointerover", "clear": "pointerout"}
     return {
         "transform": [{"filter": "isValid(datum.x) && isValid(datum.y) && datum.x !== '' && datum.y !== ''"}],
@@ -267,11 +280,7 @@ def _values(panel: Panel, selection: str) -> dict[str, Any]:
             "x": x,
             "y": y,
             "opacity": {"condition": {"param": selection, "empty": False, "value": 1}, "value": 0},
-            "tooltip": [
-                {"field": name, "type": kind, "title": title or name}
-                | ({"format": ",.4~g"} if kind == "quantitative" else {})
-                for name, kind, title in shown
-            ],
+            "tooltip": shown,
         },
     }
 
