@@ -199,8 +199,8 @@ def tuned(every: TrialsRecord) -> tuple[TunedSize, ...]:
 def report_data(**changes: object) -> ReportData:
     fields: dict[str, object] = {
         "label": "office-quick",
-        "title": "Office room, virtual campaign",
-        "note": "A virtual campaign: a white-box office was simulated, no building was measured.",
+        "title": "Office room, virtual measurement",
+        "note": "A virtual measurement: a white-box office was simulated, no building was measured.",
         "measurement": measured(),
         "parameters": parameter_box(),
         "calibrations": tuple(calibration(n) for n in (256, 32, 64)),

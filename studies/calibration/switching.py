@@ -12,7 +12,7 @@ from studies.calibration.search_constants import SEARCH
 
 
 def switches(trajectories: FloatArray) -> bool:
-    """Tell whether the kinks of trajectories lie at different times.
+    """Return whether the kinks of trajectories lie at different times.
 
     Args:
         trajectories: One output of some parameter sets at the times of its samples. Shape (n, t). [unit]

@@ -66,7 +66,7 @@ class TruncatedWindow:
         return max(shares, default=0.0)
 
     def switches(self, residuals: FloatArray) -> bool:
-        """Tell whether some output's kinks lie at different times in different rows.
+        """Return whether some output's kinks lie at different times in different rows.
 
         Args:
             residuals: Of some rows, all of them. Shape (n, m). [first output's unit]

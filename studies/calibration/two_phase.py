@@ -137,7 +137,7 @@ def calibrate_two_phase(
         n_train: Physical simulations that trained the surrogate, for the ledger.
         n_validation: The same for validation.
         n_test: The same for testing.
-        prior: What is known about the parameters beforehand, or None; both phases heed it.
+        prior: What is known about the parameters beforehand, or None; both phases use it.
         on_progress: Called during both phases.
 
     Returns:

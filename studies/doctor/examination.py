@@ -1,4 +1,4 @@
-"""The whole examination, in the order in which things can go wrong; slow models get a short one."""
+"""The whole examination, in the order in which errors can occur; slow models get a short one."""
 
 import time
 from collections.abc import Generator, Iterator

@@ -17,7 +17,7 @@ LONGEST = 4
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was examined.
+    """What was examined, and the result.
 
     Args:
         what: what was examined.

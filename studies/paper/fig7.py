@@ -44,7 +44,7 @@ class SpreadSize:
         important: parameters that are restricted in (a).
         n_spread: rows of each test set.
         n_rows: rows of all narrower test sets.
-        mae: by kind of restriction, per spread. [output's unit]
+        mae: by which parameters are restricted, per spread. [output's unit]
         p90: 90th percentile, the same. [output's unit]
     """
 

@@ -12,7 +12,7 @@ AT_BOUND = 0.01
 
 
 def noun_of(n: int, noun: str, several: str = "") -> str:
-    """Return the noun for so many things: call, calls.
+    """Return the noun in singular or plural: call, calls.
 
     Args:
         n: How many there are.

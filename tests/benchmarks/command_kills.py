@@ -119,7 +119,7 @@ def record_of(content: dict[str, Any]) -> Any:
     if "stage" not in content:
         return numbers_of(content)
     if content["stage"] == "check":
-        # It tells how long a simulation took, "0.461 ms per simulation", and how many fitted into a time.
+        # It says how long a simulation took, "0.461 ms per simulation", and how many fitted into a time.
         for finding in content["summary"]["findings"]:
             finding["found"] = re.sub(r"[\d.]+ (ms|s|min|h|simulations)\b", "some", finding["found"])
     # The report's digest is one of whole files, measured times included: it differs without a kill as well.
@@ -195,7 +195,7 @@ def open_runs(project: Path) -> list[str]:
 def half_files(project: Path, scratch: Path) -> list[str]:
     """Return what should not be there once a command has ended."""
     left = [str(file) for file in scratch.iterdir()] if scratch.is_dir() else []
-    names = ("*.tmp", "*.part", "*.partial", "*.arena", "*-making", "*.db-journal")
+    names = ("*.tmp", "*.part", "*.partial", "*"*-making", "*.db-journal")
     return left + [str(one) for name in names for one in project.rglob(name)]
 
 
@@ -273,16 +273,16 @@ def main() -> int:
             )
             print(f"{states[-1][3]:.1f} s without a kill: {' '.join(words)}", flush=True)
         states = [state for state in states if chosen.only in (None, state[0][0])]
-        told: dict[tuple[str, ...], list[tuple[int, str]]] = {state[0]: [] for state in states}
+        seen: dict[tuple[str, ...], list[tuple[int, str]]] = {state[0]: [] for state in states}
         for words, before, after, took_s in itertools.cycle(states):
             n, wrong = attacked(words, before, after, took_s, draw)
-            told[words].append((n, wrong))
+            seen[words].append((n, wrong))
             n_kills += n
             n_wrong += bool(wrong)
             print(f"{n_kills} kills, {' '.join(words)}: {f'WRONG {wrong}' if wrong else 'good'}", flush=True)
             if n_kills >= chosen.kills:
                 break
-        for words, found in told.items():
+        for words, found in seen.items():
             n, n_bad = sum(n for n, _ in found), sum(bool(wrong) for _, wrong in found)
             print(f"{n:3d} kills, {n_bad} wrong: {' '.join(words)}")
     print(f"{n_kills} kills: {'good' if not n_wrong else f'{n_wrong} BAD'}")

@@ -62,16 +62,16 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     measurement = disturbed(case, y, options.rho, options.scale, rng)
     diary = Diary(model)
     asked = CalibrationProblem(diary, measurement)
-    guide = LearnedODE(model.signals, model.seen, asked)
+    learned_ode = LearnedODE(model.signals, model.seen, asked)
     found = Adaptive(max_calls=options.calibration_calls, ftol=1e-4).minimize(
-        asked, seed=seed, learned_ode=guide
+        asked, seed=seed, learned_ode=learned_ode
     )
     problem = CalibrationProblem(model, measurement)
     known = [problem.judge(space.to_unit(answer.theta), answer) for answer in diary.answers]
     noise = noise_of(options.noise, measurement, found.y, space.n_parameters)
     judged = assess(
         problem, found.theta, found.y, noise=noise, known=joined(known),
-        sampling=sampling_within(options.max_calls, space.n_parameters), seed=seed, emulator=guide.model,
+        sampling=sampling_within(options.max_calls, space.n_parameters), seed=seed, emulator=learned_ode.model,
     )  # fmt: skip
     low, _, high = judged.interval
     linear_low, linear_high = judged.linear

@@ -37,7 +37,7 @@ def in_use() -> tuple[float, int, int]:
 
 
 def ran(n_rows: int, n_workers: int, batch: int) -> bool:
-    """Simulate, and tell whether memory and descriptors stayed as they were."""
+    """Simulate, and say whether memory and descriptors stayed as they were."""
     with tempfile.TemporaryDirectory(prefix="long-run-") as name:
         folder = Path(name)
         (folder / "fmus" / "office").mkdir(parents=True)

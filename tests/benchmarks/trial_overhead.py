@@ -95,17 +95,17 @@ def work(root: str, storage: str, name: str) -> None:
     def timed(*given: Any, on_epoch: Callable[..., None], on_report: Callable[..., None]) -> Any:
         inside = 0.0
 
-        def heard(listener: Callable[..., None]) -> Callable[..., None]:
-            def hear(*said: Any) -> None:
+        def timed_listener(listener: Callable[..., None]) -> Callable[..., None]:
+            def timed(*said: Any) -> None:
                 nonlocal inside
                 began = time.perf_counter()
                 listener(*said)
                 inside += time.perf_counter() - began
 
-            return hear
+            return timed
 
         began = time.perf_counter()
-        result = train(*given, on_epoch=heard(on_epoch), on_report=heard(on_report))
+        result = train(*given, on_epoch=timed_listener(on_epoch), on_report=timed_listener(on_report))
         trained.append(time.perf_counter() - began - inside)
         return result
 

@@ -71,7 +71,7 @@ def calibrated(
     Args:
         problem: The problem, posed to the watched model or one around it.
         seed: Of the calibration.
-        watched: Tells what states did in the last rows it was asked.
+        watched: Knows what states did in the last rows it was asked.
         known: Rows that are known beforehand, asked of it last.
         are_seen: Whether what their states did is known, too.
     """

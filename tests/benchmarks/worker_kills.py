@@ -28,7 +28,7 @@ from studies.tuning.storage import storage_of  # noqa: E402
 
 
 def killed(root: Path, *, n_trials: int, n_kills: int, seed: int, storage: str | None) -> bool:
-    """Tune under fire, then look at what is left."""
+    """Tune while workers are killed, then look at what is left."""
     draw, n_killed, n_commands = random.Random(seed), 0, 0
     paths = ProjectPaths(root, storage)
     words = ["tune", "wall", "--profile", "smoke", "--n-train", "32", "--trials", str(n_trials)]
@@ -88,7 +88,7 @@ def said(process: psutil.Process) -> list[str]:
 
 
 def pids_of_trials(paths: ProjectPaths) -> set[int]:
-    """Return the processes that have claimed or begun a trial which has not ended."""
+    """Return the processes that have reserved or begun a trial which has not ended."""
     if paths.storage is None and not paths.optuna_database.is_file():
         return set()
     with storage_of(paths) as storage:

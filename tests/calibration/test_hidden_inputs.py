@@ -45,7 +45,7 @@ def in_rows(*columns: FloatArray, n: int = 4) -> FloatArray:
     return np.tile(np.stack(columns, axis=-1), (n, 1, 1))
 
 
-def test_what_follows_time_is_an_input_each_thing_once() -> None:
+def test_what_follows_time_is_an_input_once_each() -> None:
     names = ("sun", "sun in kW", "outdoor in degC", "constant", "flow", "sun and outdoor", "gain", "broken")
     units = ("W/m2", "kW/m2", "degC", "1", "W", "1", "W", "1")
     locals_ = LocalVariables(signals_of(names, units))

@@ -48,7 +48,7 @@ LONG: dict[str, Callable[[FloatArray], FloatArray]] = {
 
 
 @pytest.mark.parametrize(("name", "n"), [*((name, 4) for name in FORMULAS), *((name, 6) for name in LONG)])
-def test_a_law_is_found_from_two_or_three_rows_more_than_amounts_and_holds_everywhere(
+def test_a_product_form_is_found_from_two_or_three_rows_more_than_amounts_and_holds_everywhere(
     name: str, n: int
 ) -> None:
     formula = (FORMULAS if n == 4 else LONG)[name]
@@ -61,7 +61,7 @@ def test_a_law_is_found_from_two_or_three_rows_more_than_amounts_and_holds_every
 
 
 @pytest.mark.parametrize("n", [4, 5, 7, 8])
-def test_what_is_no_law_is_taken_for_none(n: int) -> None:
+def test_what_is_no_product_is_taken_for_none(n: int) -> None:
     for seed in range(10):
         theta, rng = rows(seed, n), np.random.default_rng(seed)
         assert product_sum(PRODUCTS, theta, rng.lognormal(size=n)) is None
@@ -72,7 +72,7 @@ def test_what_is_no_law_is_taken_for_none(n: int) -> None:
         assert n == 4 or product_sum(PRODUCTS, theta, nearly) is None
 
 
-def test_what_rows_tell_badly_is_one_product_all_the_same() -> None:
+def test_what_rows_show_badly_is_one_product_all_the_same() -> None:
     for seed in range(10):
         theta = rows(seed, 5)
         rough = FORMULAS["quotient"](theta) * (1.0 + 1e-5 * np.random.default_rng(seed).standard_normal(5))
@@ -81,7 +81,7 @@ def test_what_rows_tell_badly_is_one_product_all_the_same() -> None:
         assert len(found.amounts) == 1
 
 
-def test_fewer_rows_tell_nothing() -> None:
+def test_fewer_rows_show_nothing() -> None:
     assert product_sum(PRODUCTS, rows(0, 2), FORMULAS["quotient"](rows(0, 2))) is None
     assert product_sum(PRODUCTS, rows(0, 3), FORMULAS["difference"](rows(0, 3))) is None
     assert product_sum(PRODUCTS, rows(0, 3), FORMULAS["quotient"](rows(0, 3))) is not None

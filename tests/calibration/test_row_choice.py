@@ -50,7 +50,7 @@ def test_a_calibration_to_changed_data_costs_a_few_calls(seed: int) -> None:
     assert from_nothing > 3 * max(calls, 1)
 
 
-def test_known_rows_are_no_calls_and_the_first_entry_of_the_history() -> None:
+def test_a_warm_start_costs_no_calls_and_the_first_entry_of_the_history() -> None:
     problem = rc_problem(noise=0.05)
     known = evaluated(problem, 20)
     diary = Diary(problem.model)
@@ -71,7 +71,7 @@ def test_rows_of_one_spot_are_no_design() -> None:
     assert len(diary.batches[0]) == SHORT.design_size(2) - 1
 
 
-def test_no_known_rows_are_the_same_as_none() -> None:
+def test_an_empty_warm_start_is_the_same_as_none() -> None:
     problem = rc_problem(noise=0.05)
     nothing = problem.evaluate(np.empty((0, 2)))
     found, expected = SHORT.minimize(problem, seed=3, known=nothing), SHORT.minimize(problem, seed=3)

@@ -258,7 +258,7 @@ HEATER = Moving(
 )
 
 
-def test_laws_that_held_and_hold_no_more_are_given_up() -> None:
+def test_forms_that_held_and_hold_no_more_are_given_up() -> None:
     """A heater that is never off at full power, as in no row before, moves by terms that are known."""
     truth = HEATER.parameter_space.to_unit(np.array([100.0, 5e6, 1000.0, 1400.0]))
     problem = measured(HEATER, truth, 0.15)
@@ -270,7 +270,7 @@ def test_laws_that_held_and_hold_no_more_are_given_up() -> None:
         assert ode.without_effect == ()
 
 
-def test_a_law_that_no_row_has_shown_is_looked_for_before_equations_end_a_search() -> None:
+def test_a_form_that_no_row_has_shown_is_looked_for_before_equations_end_a_search() -> None:
     """Over a weir that lies high flows nothing; where nothing did, the equations know of none."""
     truth = WEIR.parameter_space.to_unit(np.array([1.5, 0.006, 1.0, 0.01]))
     problem = measured(WEIR, truth, 0.02)

@@ -202,7 +202,7 @@ def test_what_moves_too_fast_is_left_alone() -> None:
         assert flow.fine_enough(start, [slow[0], np.array([[10.0]])]) is None
 
 
-def test_a_guide_needs_a_model_that_watches_its_states() -> None:
+def test_a_learned_ode_needs_a_model_that_watches_its_states() -> None:
     case = load_case(REPOSITORY / "fmus" / "wall")
     with case.open_model() as model:
         problem = CalibrationProblem(model, case.measurement)

@@ -107,7 +107,7 @@ def test_a_surrogate_that_errs_is_no_reason_to_end(seed: int) -> None:
 
 
 @pytest.mark.parametrize("n_parallel", [1, 3])
-def test_a_short_horizon_repeats_too(n_parallel: int) -> None:
+def test_a_truncated_window_repeats_too(n_parallel: int) -> None:
     long, short = (
         Adaptive(max_calls=n, n_parallel=n_parallel, ftol=0.0).minimize(wave_problem(), seed=1)
         for n in (30, 18)

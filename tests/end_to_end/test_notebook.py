@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "docs" / "tutorials" / "office-in-python.ipynb"
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 PROCESSORS_DIFFER = 0.2
-"""Networks and the polish from them end elsewhere on another kind of processor."""
+"""Networks and the polish from them end at other values on another kind of processor."""
 
 
 def shown(cells: list[dict[str, Any]]) -> str:

@@ -34,7 +34,7 @@ def test_a_dry_run_says_what_is_made_and_writes_nothing(project: Path, reproduce
     assert (code, document["items"]) == (0, list(ITEMS))
     # Table 4 trains the best of Fig. 6 again, unless their hyperparameters are given.
     assert reproduce("--dry-run", "--only", "fig9")[1]["items"] == ["fig6", "table4"]
-    given = reproduce("--dry-run", "--only", "table4", "--hyperparameters", "elsewhere")
+    given = reproduce("--dry-run", "--only", "table4", "--hyperparameters", "nowhere")
     assert given[1]["items"] == ["table4"]
     assert sorted(project.rglob("*")) == before
 
@@ -121,8 +121,8 @@ def test_the_ledger_of_table_4_adds_up_and_the_best_of_fig_6_is_trained_again(pr
 
 
 def test_hyperparameters_that_do_not_fit_are_refused(reproduce: Reproduce) -> None:
-    code, document = reproduce("--only", "table4", "--hyperparameters", "elsewhere")
-    assert (code, "elsewhere holds no trials of Fig. 6" in document["error"]) == (2, True)
+    code, document = reproduce("--only", "table4", "--hyperparameters", "nowhere")
+    assert (code, "nowhere holds no trials of Fig. 6" in document["error"]) == (2, True)
     code, document = reproduce("--only", "table4", "--hyperparameters", str(COMMITTED / "fig6"))
     assert (code, "holds no trials of n_train = 16" in document["error"]) == (2, True)
 

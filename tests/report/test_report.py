@@ -126,7 +126,7 @@ def test_the_page_runs_its_own_script_and_no_other(full: Path) -> None:
 
 def test_page_puts_the_note_and_the_numbers_first(full: Path) -> None:
     text = " ".join(checked(full).text)
-    note, result = text.index("A virtual campaign"), text.index("189 model calls")
+    note, result = text.index("A virtual measurement"), text.index("189 model calls")
     first_picture = text.index("Measured and polished")
     assert note < result < first_picture
     for words in ("studies calibrate office --n-train 64", "5a" * 32, "torch", "2.9.1", "quick"):

@@ -149,7 +149,7 @@ class Run:
         return float("inf") if index is None else float(self.rounds[index])
 
     def is_complete(self, target: float | None, max_calls: int) -> bool:
-        """Tell whether a run with this target and budget would not have gone on beyond it.
+        """Say whether a run with this target and budget would not have gone on beyond it.
 
         Args:
             target: Error at which the benchmark ends a run, None where the method ends by itself.
@@ -165,7 +165,7 @@ class Run:
 
 
 def kept_history(entries: list[tuple[int, float, int]], best: float) -> list[tuple[int, float, int]]:
-    """Return the entries that a table or a picture can tell from each other."""
+    """Return the entries that a table or a picture can distinguish."""
     kept: list[tuple[int, float, int]] = []
     for i, entry in enumerate(entries):
         is_last = i == len(entries) - 1

@@ -2,7 +2,7 @@
 
 A fresh seed gives a fresh instance, so that no method can be tuned to the ones in a table. What the truth
 has and the model lacks: nodes where the model lumps (wall, slab, thermostat), other terms (oscillator),
-other weather and use than the model is told (white box, thermostat, wall), sensors that lag and drift (alone
+other weather and use than the model is given (white box, thermostat, wall), sensors that lag and drift (alone
 where the weather is inside the FMU).
 """
 
@@ -61,7 +61,7 @@ def make_instance(case: Case, truth: Truth, white: tuple[float, ...], seed: int)
 
 
 def white_box(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
-    """The white box itself in another weather and use than it is told, its sensor with a time constant."""
+    """The white box itself in another weather and use than it is given, its sensor with a time constant."""
     scenario = case.scenario
     column = {name: i for i, name in enumerate(scenario.input_names)}
     inputs, n = scenario.inputs.copy(), len(scenario.inputs)
@@ -82,12 +82,12 @@ def white_box(case: Case, p: dict[str, float], rng: np.random.Generator) -> Floa
 
 
 def wall(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
-    """Each layer of three temperatures, another conductance of the outer surface, weather from elsewhere."""
+    """Each layer of three temperatures, another conductance of the outer surface, weather of another place."""
     scenario = case.scenario
     inputs = scenario.inputs.copy()
     # By the hour or so.
-    elsewhere = rng.uniform(0.2, 0.5) * red_noise(rng, len(inputs) // 60 + 2, 6.0)
-    inputs[:, 1] += np.interp(np.arange(len(inputs)) / 60.0, np.arange(elsewhere.size), elsewhere)
+    other_place = rng.uniform(0.2, 0.5) * red_noise(rng, len(inputs) // 60 + 2, 6.0)
+    inputs[:, 1] += np.interp(np.arange(len(inputs)) / 60.0, np.arange(other_place.size), other_place)
     links = np.repeat([3.0 * p["G12"], 3.0 * p["G23"]], [4, 4])
     capacity = np.repeat([p["C1"] / 3.0, p["C2"] / 3.0, p["C3"] / 3.0], 3)
     drive = np.zeros((9, 2))

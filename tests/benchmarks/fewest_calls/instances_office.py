@@ -23,7 +23,7 @@ def office_instance(seed: int) -> Instance:
     """Draw parameters, structure, disturbances and sensor from a seed.
 
     The truth has ten states where the grey box has four, other gains, occupants and weather than the grey
-    box is told, a sensor with a time constant, and noise (AR(1) and white).
+    box is given, a sensor with a time constant, and noise (AR(1) and white).
     """
     rng = np.random.default_rng([2023, seed])
     window_d = WINDOWS_D[int(rng.integers(len(WINDOWS_D)))]

@@ -54,7 +54,7 @@ SHIFT = 1.0
 TIMES = pd.Index([0, 1], name="time")
 N_PARAMETERS, SEED, OPTIONS = int(sys.argv[1]), int(sys.argv[2]), json.loads(sys.argv[3])
 NAMES = [f"u{i:02d}" for i in range(N_PARAMETERS)]
-# What they print goes elsewhere.
+# What they print goes to another stream.
 ASKED = os.fdopen(os.dup(1), "w")
 os.dup2(2, 1)
 

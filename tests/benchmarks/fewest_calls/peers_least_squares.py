@@ -62,12 +62,12 @@ def dfols(problem: CalibrationProblem, seed: int, max_calls: int) -> None:
 def _screened_again_and_again(
     problem: CalibrationProblem, seed: int, max_calls: int, search: Callable[[Residuals, FloatArray], None]
 ) -> None:
-    asked, rng, n_legs = Asked(problem), np.random.default_rng(seed), 0
-    while n_legs < max_calls:
+    asked, rng, n_starts = Asked(problem), np.random.default_rng(seed), 0
+    while n_starts < max_calls:
         design = latin_hypercube(N_SCREENED, asked.n_parameters, rng)
         errors = [float(np.mean(asked.residuals(u) ** 2)) for u in design]
         search(asked.residuals, design[int(np.argmin(errors))])
-        n_legs += 1
+        n_starts += 1
 
 
 def _levenberg_marquardt(residuals: Residuals, u: FloatArray) -> None:

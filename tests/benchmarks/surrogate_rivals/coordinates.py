@@ -10,7 +10,7 @@ from simulation import ParameterSpace
 from simulation.arrays import BoolArray, FloatArray
 from surrogate_rivals.problems import Data
 
-# Part of the training set's variance that the coordinates leave out if not told otherwise.
+# Part of the training set's variance that the coordinates leave out unless set.
 LEFT_OUT = 1e-6
 Z_90 = 1.6448536269514722  # standard deviations from the middle to the end of a normal 90 % band
 

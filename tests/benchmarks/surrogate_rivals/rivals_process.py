@@ -178,7 +178,7 @@ def _learnt(
     rows = min(FEW_ROWS, len(x))
     found: list[tuple[float, int, _Process]] = []
     for kernel in ("rbf", "matern"):
-        # Few rows cannot tell all lengths: then they may be kept even.
+        # Few rows do not determine all lengths: then they may be kept even.
         for length in PRIORS if len(x) <= FEW_ROWS else PRIORS[:1]:
             process = _Process(x[:rows], y[:rows], kernel, length, is_warped=is_warped)
             _maximize_likelihood(process, FEW_STEPS)

@@ -22,7 +22,7 @@ def kernel_ridge(data: Data, seed: int) -> Fitted:
     """Choose features, their weights, kernel, width and penalty by the validation set; 4,416 combinations.
 
     The weights are powers of each feature's part in a linear regression, so that a kernel with a single width
-    can tell what matters. One eigendecomposition serves all penalties.
+    shows what matters. One eigendecomposition serves all penalties.
     """
     del seed  # nothing is drawn
     features, principal = Features.of(data.space), Principal.of(data)

@@ -71,7 +71,7 @@ def _text(value: float | None, *, is_least: bool) -> str:
 
 def _verdict(kept: Kept, problem: str) -> Iterator[str]:
     """Yield at which sizes the best of ours is ahead of the best rival, and by how much."""
-    told = []
+    comparisons = []
     for size in kept.sizes(problem):
         errors: dict[bool, dict[str, float]] = {True: {}, False: {}}
         for method in order(kept, problem):
@@ -81,9 +81,9 @@ def _verdict(kept: Kept, problem: str) -> Iterator[str]:
         if errors[True] and errors[False]:
             ours, rival = (min(errors[own], key=errors[own].__getitem__) for own in (True, False))
             ratio = errors[True][ours] / errors[False][rival]
-            told.append(f"n = {size}: `{ours}` {ratio:.2f} times the MAE of {rival}")
-    if told:
-        yield "Best of ours against the best rival: " + "; ".join(told) + "."
+            comparisons.append(f"n = {size}: `{ours}` {ratio:.2f} times the MAE of {rival}")
+    if comparisons:
+        yield "Best of ours against the best rival: " + "; ".join(comparisons) + "."
         yield ""
 
 
