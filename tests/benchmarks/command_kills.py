@@ -52,7 +52,9 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
 GRACE_S, LIMIT_S = 60.0, 1800.0
 # Beside times and places: of the rows that a stage asked for, how many were stored before, and how many not.
 COUNTS_OF_THIS_TIME = ("n_reused", "n_simulated")
-VOLATILE = ("wall", "environment", "run_id", "finished", "recipe", "per_second", "_s", *COUNTS_OF_THIS_TIME)
+VOLATILE = (
+    "wall", "environment", "run_id", "finished", "provenance", "per_second", "_s", *COUNTS_OF_THIS_TIME,
+)  # fmt: skip
 
 
 class Watched:
@@ -195,7 +197,7 @@ def open_runs(project: Path) -> list[str]:
 def half_files(project: Path, scratch: Path) -> list[str]:
     """Return what should not be there once a command has ended."""
     left = [str(file) for file in scratch.iterdir()] if scratch.is_dir() else []
-    names = ("*.tmp", "*.part", "*.partial", "*"*-making", "*.db-journal")
+    names = ("*.tmp", "*.part", "*.partial", "*-making", "*.db-journal")
     return left + [str(one) for name in names for one in project.rglob(name)]
 
 

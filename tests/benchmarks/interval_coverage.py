@@ -71,7 +71,8 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
     noise = noise_of(options.noise, measurement, found.y, space.n_parameters)
     judged = assess(
         problem, found.theta, found.y, noise=noise, known=joined(known),
-        sampling=sampling_within(options.max_calls, space.n_parameters), seed=seed, emulator=learned_ode.model,
+        sampling=sampling_within(options.max_calls, space.n_parameters), seed=seed,
+        emulator=learned_ode.model,
     )  # fmt: skip
     low, _, high = judged.interval
     linear_low, linear_high = judged.linear

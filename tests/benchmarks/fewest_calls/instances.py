@@ -82,7 +82,7 @@ def white_box(case: Case, p: dict[str, float], rng: np.random.Generator) -> Floa
 
 
 def wall(case: Case, p: dict[str, float], rng: np.random.Generator) -> FloatArray:
-    """Each layer of three temperatures, another conductance of the outer surface, weather of another place."""
+    """Each layer of three temperatures, another outer conductance, weather of another place."""
     scenario = case.scenario
     inputs = scenario.inputs.copy()
     # By the hour or so.
