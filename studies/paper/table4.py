@@ -293,7 +293,7 @@ def _fig9(origin: Origin, sizes: Sequence[SizeCalibrations]) -> Figure:
     y = Axis(axis_label("MSE", squared(origin.unit)), LOG)
     x_sizes = Axis("training simulations", is_of_names=True)
     panels = (
-        Panel("○ surrogate   ◆ model", x_sizes, y, gaps, 300),
+        Panel("surrogate (circle) and model (diamond)", x_sizes, y, gaps, 300),
         Panel("MSE during the polish", Axis("model calls of the polish"), y, polishes, 300),
     )
     title = "Fig. 9: gap at the screened point, and polish"

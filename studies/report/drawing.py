@@ -63,7 +63,7 @@ _CONFIG: Mapping[str, Any] = {
     "title": {"anchor": "start", "fontSize": 12, "fontWeight": "normal"},
     "axis": {"gridColor": "#e9ecee", "labelLimit": 110, "titleFontWeight": "normal"},
     "axisY": {"minExtent": 42},
-    "legend": {"labelLimit": 230, "orient": "top", "symbolOpacity": 1, "title": None},
+    "legend": {"labelLimit": 230, "orient": "bottom", "symbolOpacity": 1, "title": None},
 }
 
 
