@@ -26,7 +26,7 @@ from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.report.records_tuning import TunedSize  # noqa: E402
 from studies.report.validation import OutputFit, ValidatedPoint  # noqa: E402
-from studies.stages import results  # noqa: E402
+from studies.stages import stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
@@ -54,22 +54,22 @@ PROFILE_TABLES = {
 }
 DOCUMENTS = {
     "An entry of studies (status) and of sizes (best)": TunedSize,
-    "An entry of stages (simulate)": results.SimulatedSets,
-    "An entry of stages (calibrate) and of calibrations (status, best)": results.Calibration,
+    "An entry of stages (simulate)": stage_results.SimulatedSets,
+    "An entry of stages (calibrate) and of calibrations (status, best)": stage_results.Calibration,
     "ledger of a calibration": Ledger,
-    "An entry of outputs of a calibration": results.Fit,
-    "screening of a calibration": results.Screened,
-    "state_equations of a calibration": results.EquationsFound,
-    "determined_by_data of a calibration": results.Determined,
-    "prior of a calibration": results.PriorFound,
-    "An entry of parameters of a prior": results.Held,
-    "validation of a calibration": results.Validated,
+    "An entry of outputs of a calibration": stage_results.Fit,
+    "screening of a calibration": stage_results.Screened,
+    "state_equations of a calibration": stage_results.EquationsFound,
+    "determined_by_data of a calibration": stage_results.Determined,
+    "prior of a calibration": stage_results.PriorFound,
+    "An entry of parameters of a prior": stage_results.Held,
+    "validation of a calibration": stage_results.Validated,
     "An entry of points of a validation": ValidatedPoint,
     "An entry of outputs of a point": OutputFit,
-    "An entry of stages (uncertainty)": results.Uncertainty,
-    "An entry of parameters of an uncertainty": results.Known,
-    "sample of an uncertainty": results.SampleFound,
-    "ledger of an uncertainty": results.Cost,
+    "An entry of stages (uncertainty)": stage_results.Uncertainty,
+    "An entry of parameters of an uncertainty": stage_results.Known,
+    "sample of an uncertainty": stage_results.SampleFound,
+    "ledger of an uncertainty": stage_results.Cost,
 }
 
 

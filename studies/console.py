@@ -96,7 +96,7 @@ class Console:
             TimeRemainingColumn,
         )
 
-        from studies.screen import rich_console
+        from studies.rich_screen import rich_console
 
         progress = Progress(
             TextColumn("  {task.description}"),
@@ -129,7 +129,7 @@ class Console:
     def show(self, blocks: Sequence[Block]) -> None:
         """Write tables and texts to stdout, or nothing where the result is a JSON document."""
         if not self.as_json:
-            from studies.screen import print_blocks
+            from studies.rich_screen import print_blocks
 
             print_blocks([_without_control(block) for block in blocks])
 

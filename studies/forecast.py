@@ -16,8 +16,8 @@ def forecast(study: Study, *, whole: bool) -> tuple[Table, dict[str, Any]]:
         study: the study.
         whole: whether all stages are done, or simulations and tuning alone.
     """
-    from studies.stages.simulate import missing_rows
-    from studies.tuning.results import latest_studies, read_studies
+    from studies.stages.simulate_stage import missing_rows
+    from studies.tuning.study_results import latest_studies, read_studies
 
     data, tuning = study.profile.data, study.profile.tuning
     n_missing, n_all = missing_rows(study)

@@ -13,9 +13,9 @@ from studies.provenance import file_digest
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import difference_unit, quantity, squared
 from studies.stages.pipeline import Outcome, read_outcome
-from studies.stages.results import Calibration
 from studies.stages.saved import plain
-from studies.tuning.results import TunedStudy, read_studies
+from studies.stages.stage_results import Calibration
+from studies.tuning.study_results import TunedStudy, read_studies
 
 FIRST_WORDS = "type: studies run (the office, some minutes), or studies new for a case of your own"
 

@@ -22,18 +22,18 @@ from studies.calibration.adaptive import Adaptive
 from studies.console import Column, Console
 from studies.paths import ProjectPaths
 from studies.provenance import FILE, Provenance, file_digest, read_provenance
-from studies.stages.adaptive import calibrate_adaptively
-from studies.stages.calibrate import calibrate
+from studies.stages.adaptive_stage import calibrate_adaptively
+from studies.stages.calibrate_stage import calibrate
 from studies.stages.pipeline import Study, read_json
-from studies.stages.results import SURROGATE_FIELDS, Calibration
 from studies.stages.saved import arrays_of, plain, read_arrays, rebuilt
-from studies.stages.simulate import simulate_stage
+from studies.stages.simulate_stage import simulate_stage
+from studies.stages.stage_results import SURROGATE_FIELDS, Calibration
 from studies.stages.warm_start import StartRows
 from studies.tracking.origin import environment
 from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import CURVE, RunStore
 from studies.tracking.stage_run import run_store
-from studies.tuning.training import load_data, train
+from studies.tuning.trial_training import load_data, train
 
 if TYPE_CHECKING:
     from mlflow.entities import Run

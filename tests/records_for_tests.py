@@ -16,8 +16,8 @@ from studies.report import (
     TrialsRecord,
 )
 from studies.report.records_tuning import TunedSize
-from studies.report.uncertainty import UncertaintyRecord
-from studies.sensitivity import SobolIndices
+from studies.report.uncertainty_record import UncertaintyRecord
+from studies.sobol import SobolIndices
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,14 @@ def test_every_package_is_installed_with_the_project() -> None:
         for init in (ROOT / room).rglob("__init__.py")
     }
     assert found | {"studies.cases.data", "studies.cases.fmus"} == declared
+
+
+def test_no_two_modules_have_one_name() -> None:
+    rooms = ("simulation", "pelsvae", "studies", "fmus")
+    names = [
+        file.stem for room in rooms for file in (ROOT / room).rglob("*.py") if not file.stem.startswith("__")
+    ]
+    assert not [name for name, times in Counter(names).items() if times > 1]
 
 
 def test_nothing_of_the_recording_is_tracked() -> None:

@@ -29,7 +29,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.best import best_blocks, best_document
+    from studies.best_models import best_blocks, best_document
     from studies.paths import find_project
     from studies.project import read_project
 

@@ -100,7 +100,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 
 def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
-    from studies.stages.calibrate import calibrate_stage, tuned_sizes
+    from studies.stages.calibrate_stage import calibrate_stage, tuned_sizes
     from studies.stages.shown import guideline_numbers, show_polished
 
     study = open_study(chosen, console)
@@ -112,7 +112,7 @@ def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
 
 
 def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
-    from studies.stages.adaptive import adaptive_settings, adaptive_stage
+    from studies.stages.adaptive_stage import adaptive_settings, adaptive_stage
     from studies.stages.equations_found import are_state_equations_learnt
     from studies.stages.shown import guideline_numbers, show_adaptive
 

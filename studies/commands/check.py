@@ -33,7 +33,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.doctor import show_diagnosis
-    from studies.stages.check import check_stage
+    from studies.stages.check_stage import check_stage
     from studies.stages.saved import plain
 
     study = open_study(chosen, console)

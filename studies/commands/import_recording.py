@@ -32,7 +32,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
     from studies.embedded import adopt_cases
     from studies.marker import mark_project
-    from studies.recording import import_recording
+    from studies.recording_import import import_recording
 
     paths = find_project(chosen.storage)
     report = import_recording(Path(chosen.file).expanduser(), paths.data / "office-recorded")

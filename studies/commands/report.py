@@ -22,7 +22,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.report import report_stage, show_report
+    from studies.stages.report_stage import report_stage, show_report
 
     study = open_study(chosen, console)
     outcome = report_stage(study)

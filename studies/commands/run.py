@@ -37,12 +37,12 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     if chosen.dry_run:
         return foretell(study, "run", whole=True)
     from studies.doctor import say_warnings, show_diagnosis
-    from studies.stages.calibrate import calibrate_stage
-    from studies.stages.check import check_stage
+    from studies.stages.calibrate_stage import calibrate_stage
+    from studies.stages.check_stage import check_stage
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
-    from studies.stages.report import report_stage, show_report
+    from studies.stages.report_stage import report_stage, show_report
     from studies.stages.shown import show_polished
-    from studies.stages.simulate import sensitivity_stage, simulate_stage
+    from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
 
     require_tuning(study)
     checked = check_stage(study)

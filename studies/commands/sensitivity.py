@@ -27,7 +27,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.page_tables import terminal_table
     from studies.report.tables import sensitivity_table
     from studies.stages.shown import report_of
-    from studies.stages.simulate import sensitivity_stage
+    from studies.stages.simulate_stage import sensitivity_stage
 
     study = open_study(chosen, console)
     outcome = sensitivity_stage(study)

@@ -33,7 +33,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.stages.simulate import show_sets, simulate_stage
+    from studies.stages.simulate_stage import show_sets, simulate_stage
 
     study = open_study(chosen, console)
     outcome = simulate_stage(study)

@@ -28,7 +28,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.paths import find_project
     from studies.project import read_project
-    from studies.status import status_blocks, status_document
+    from studies.study_status import status_blocks, status_document
 
     paths = find_project(chosen.storage)
     project = read_project(paths, chosen.which)

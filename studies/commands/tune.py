@@ -36,7 +36,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     if chosen.dry_run:
         return foretell(study, "tune", whole=False)
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
-    from studies.stages.simulate import simulate_stage
+    from studies.stages.simulate_stage import simulate_stage
 
     require_tuning(study)
     simulated = simulate_stage(study)

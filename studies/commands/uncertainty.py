@@ -50,7 +50,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.stages.shown import show_uncertainty
-    from studies.stages.uncertainty import calibration_to_judge, uncertainty_stage, usual_calls
+    from studies.stages.uncertainty_stage import calibration_to_judge, uncertainty_stage, usual_calls
 
     study = open_study(chosen, console)
     calibration = calibration_to_judge(study, chosen.method, chosen.n_train)

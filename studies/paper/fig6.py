@@ -19,10 +19,10 @@ from studies.row_set import RowSet
 from studies.search_space import SearchParameter
 from studies.stages.learn import tune_stage
 from studies.stages.pipeline import Outcome, Study
-from studies.stages.results import SimulatedSets
-from studies.stages.simulate import set_files, simulate_stage
+from studies.stages.simulate_stage import set_files, simulate_stage
+from studies.stages.stage_results import SimulatedSets
 from studies.stages.tuned_trials import tuned_by_size
-from studies.tuning.results import TrialView, TunedStudy, importances
+from studies.tuning.study_results import TrialView, TunedStudy, importances
 
 COLUMNS = (
     "n_train", "trials", "pruned", "MAE", "P90", "n_latent", "n_hidden", "beta", "learning_rate",

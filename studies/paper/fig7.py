@@ -17,10 +17,10 @@ from studies.paper.unit_files import Origin, origin_of, read_sizes, write_size
 from studies.physical_model import open_physical_model
 from studies.report.drawing import LOG, Axis, Figure, Panel, Series, size_colors
 from studies.report.wording import axis_label, count
-from studies.stages.calibrate import best_surrogate
+from studies.stages.calibrate_stage import best_surrogate
 from studies.stages.finished import stored_indices
 from studies.stages.pipeline import Study
-from studies.stages.simulate import TEST_SEED, sensitivity_stage
+from studies.stages.simulate_stage import TEST_SEED, sensitivity_stage
 from studies.surrogate_model import SurrogateModel
 
 SPREADS = np.linspace(0.0, 1.0, 11)

@@ -9,7 +9,7 @@ from studies.paper.plan import Plan
 from studies.search_space import SearchParameter, Value
 from studies.stages.learn import tune_stage
 from studies.stages.pipeline import Study
-from studies.stages.simulate import simulate_stage
+from studies.stages.simulate_stage import simulate_stage
 
 Settings = dict[str, Value]
 

@@ -30,7 +30,7 @@ from studies.report.drawing import (
     size_colors,
 )
 from studies.report.wording import axis_label, count, squared
-from studies.stages.calibrate import calibrate_stage
+from studies.stages.calibrate_stage import calibrate_stage
 from studies.stages.pipeline import Study
 
 COLUMNS = (

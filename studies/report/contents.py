@@ -15,7 +15,7 @@ from studies.report.page import Picture, Section
 from studies.report.records import CalibrationRecord
 from studies.report.tables import sensitivity_table, tuning_table, validation_table
 from studies.report.tables_of_calibrations import calibrations_table, intervals_table, parameters_table
-from studies.report.uncertainty import UncertaintyRecord, sentences
+from studies.report.uncertainty_record import UncertaintyRecord, sentences
 from studies.report.validation import validation_caption
 from studies.report.wording import count, difference_unit, quantity
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 from simulation.parameters import ParameterSpace
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
 from studies.report.records_tuning import TrialsRecord, TunedSize
-from studies.report.uncertainty import UncertaintyRecord
+from studies.report.uncertainty_record import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 
 if TYPE_CHECKING:  # heavy, and only named here
     from simulation.case import KnownError
-    from studies.sensitivity import SobolIndices
+    from studies.sobol import SobolIndices
 
 
 @dataclass(frozen=True)

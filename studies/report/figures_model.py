@@ -20,7 +20,7 @@ from studies.report.drawing import (
 from studies.report.figures_calibration import output_axis
 from studies.report.records import CoverageSet, MeasuredSeries
 from studies.report.wording import count
-from studies.sensitivity import SobolIndices
+from studies.sobol import SobolIndices
 
 N_SHOWN = 6
 """Parameters whose indices over time are shown, the largest; the table has all."""

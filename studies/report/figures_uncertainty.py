@@ -22,7 +22,7 @@ from studies.report.drawing import (
 )
 from studies.report.figures_calibration import output_axis
 from studies.report.records import MeasuredSeries
-from studies.report.uncertainty import UncertaintyRecord
+from studies.report.uncertainty_record import UncertaintyRecord
 from studies.report.wording import axis_label, difference_unit, percent
 
 N_BINS = 40

@@ -20,7 +20,7 @@ from studies.report.wording import (
     percent,
     significant,
 )
-from studies.sensitivity import mean_over_time
+from studies.sobol import mean_over_time
 
 Cell = float | int | str | None
 

@@ -9,7 +9,7 @@ from simulation.parameters import ParameterSpace
 from studies.report.data import ReportData
 from studies.report.records import CalibrationRecord
 from studies.report.tables import Cell, Column, Table
-from studies.report.uncertainty import HOW_KNOWN, UncertaintyRecord
+from studies.report.uncertainty_record import HOW_KNOWN, UncertaintyRecord
 from studies.report.wording import (
     bound_at,
     count,

@@ -11,7 +11,7 @@ from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.measurement import Measurement
 from studies.calibration.prior import Prior
-from studies.stages.results import Determined, Fit
+from studies.stages.stage_results import Determined, Fit
 from studies.uncertainty.identifiability import judged_slopes
 from studies.uncertainty.noise import noise_of
 

@@ -7,7 +7,7 @@ from simulation.store.stored_model import StoredModel
 from studies.calibration.learned_ode import LearnedODE
 from studies.calibration.problem import CalibrationProblem
 from studies.calibration.states import StateSignals, why_unwatched
-from studies.stages.results import EquationsFound
+from studies.stages.stage_results import EquationsFound
 from studies.watched_model import StoredWatchedModel
 
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from studies.sensitivity import SobolIndices
+from studies.sobol import SobolIndices
 from studies.stages.knowledge import is_current
 from studies.stages.pipeline import Outcome, Study, read_outcome
-from studies.stages.results import Calibration, Uncertainty
+from studies.stages.stage_results import Calibration, Uncertainty
 
 
 def stored_calibrations(study: Study) -> Iterator[Outcome[Calibration]]:

@@ -17,13 +17,13 @@ from studies.report.tables import tuning_table
 from studies.report.wording import count, difference_unit, quantity
 from studies.row_set import RowSet
 from studies.stages.pipeline import Outcome, StageError, Study, digest_of
-from studies.stages.results import SimulatedSets, Tuned
-from studies.stages.simulate import set_files
+from studies.stages.simulate_stage import set_files
+from studies.stages.stage_results import SimulatedSets, Tuned
 from studies.tuning.attempts import places
 from studies.tuning.declaration import SETS, Declaration
-from studies.tuning.results import TunedStudy
 from studies.tuning.sampler import make_pruner, make_sampler
-from studies.tuning.tune import TuningError, closed_studies, tune
+from studies.tuning.study_results import TunedStudy
+from studies.tuning.tune_studies import TuningError, closed_studies, tune
 
 
 def require_tuning(study: Study) -> None:

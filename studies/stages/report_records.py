@@ -6,12 +6,12 @@ import numpy as np
 
 from simulation.case import Case
 from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
-from studies.report.uncertainty import UncertaintyRecord
+from studies.report.uncertainty_record import UncertaintyRecord
 from studies.report.validation import ValidationRecord
 from studies.row_set import RowSet
 from studies.stages.pipeline import Outcome, Study, read_outcome
-from studies.stages.results import Calibration, SimulatedSets, Uncertainty
 from studies.stages.saved import plain
+from studies.stages.stage_results import Calibration, SimulatedSets, Uncertainty
 
 N_COVERAGE = 256
 """Trajectories drawn of the training set, as in the paper's Fig. 4."""

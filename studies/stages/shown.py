@@ -14,9 +14,9 @@ from studies.report import ReportData
 from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
 from studies.report.tables import validation_table
 from studies.report.tables_of_calibrations import calibrations_table, intervals_table
-from studies.report.uncertainty import sentences
+from studies.report.uncertainty_record import sentences
 from studies.report.wording import bound_at, count, difference_unit, percent, quantity, squared
-from studies.stages.check import found_of_the_step
+from studies.stages.check_stage import found_of_the_step
 from studies.stages.pipeline import Outcome, Study
 from studies.stages.report_records import (
     calibration_record,
@@ -24,7 +24,7 @@ from studies.stages.report_records import (
     uncertainty_record,
     validation_record,
 )
-from studies.stages.results import ADAPTIVE, Calibration, Uncertainty
+from studies.stages.stage_results import ADAPTIVE, Calibration, Uncertainty
 
 FAR = 2.0
 """So many standard deviations from what was known, the data contradict it."""

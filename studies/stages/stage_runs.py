@@ -13,11 +13,11 @@ from studies.report.drawing import write_png
 from studies.report.figures_calibration import calibration_figure, calls_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.report.wording import difference_unit, squared
-from studies.sensitivity import SobolIndices
+from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome, Work
 from studies.stages.report_records import calibration_record, measured_series, uncertainty_record
-from studies.stages.results import Calibration, Reported, Uncertainty
 from studies.stages.saved import plain
+from studies.stages.stage_results import Calibration, Reported, Uncertainty
 from studies.tracking.origin import environment
 from studies.tracking.stage_run import StageRun, log_stage
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from studies.report.records_tuning import TrialsRecord, TunedSize
 from studies.stages.pipeline import Study
-from studies.tuning.results import TunedStudy, latest_studies, read_studies
+from studies.tuning.study_results import TunedStudy, latest_studies, read_studies
 
 
 def tuned_by_size(study: Study, *, baseline: bool = False) -> dict[int, TunedStudy]:

@@ -17,7 +17,7 @@ from studies.physical_model import open_physical_model
 from studies.report.guideline14 import relative
 from studies.report.validation import OutputFit, ValidatedPoint
 from studies.stages.pipeline import Study
-from studies.stages.results import Validated
+from studies.stages.stage_results import Validated
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from studies.tuning.declaration import ALIAS, Declaration
 
 if TYPE_CHECKING:
     from pelsvae.surrogate import Surrogate
-    from studies.tuning.results import TrialView
+    from studies.tuning.study_results import TrialView
 
 SURROGATE = "surrogate"
 """Artifact of a trial's run: the weights, of trials that were the best of their study when they ended."""

@@ -15,7 +15,7 @@ from studies.tracking.trial_run import end_run
 from studies.tuning.declaration import Declaration
 
 if TYPE_CHECKING:
-    from studies.tuning.results import TrialView, TunedStudy
+    from studies.tuning.study_results import TrialView, TunedStudy
 
 _CONTEXTS = {"train": "training", "validation": "validation", "test": "testing"}
 BEST = "best"

@@ -35,7 +35,7 @@ from studies.tracking.trial_run import TrialRun, end_run
 from studies.tuning import attempts
 from studies.tuning.sampler import make_pruner, sampler_of_place
 from studies.tuning.storage import open_storage, study_locked
-from studies.tuning.training import load_data, train
+from studies.tuning.trial_training import load_data, train
 
 
 class TrialFailedError(Exception):

@@ -58,7 +58,7 @@ def main() -> None:
 def _measure(name: str, specs: list, paths) -> None:  # type: ignore[no-untyped-def, type-arg]
     from toy_study_for_tests import plain_study
 
-    from studies.tuning.tune import THREADS, tune
+    from studies.tuning.tune_studies import THREADS, tune
 
     tune(specs, paths=paths, n_trials=N_TRIALS, n_jobs=1, until_s=0.0)
     workers = [

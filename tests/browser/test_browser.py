@@ -8,7 +8,7 @@ import pytest
 
 from studies.paths import ProjectPaths
 from studies.report.wording import setting, significant
-from studies.tuning.results import TunedStudy, read_studies
+from studies.tuning.study_results import TunedStudy, read_studies
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -18,7 +18,7 @@ from project_for_tests import REPOSITORY, Run, make_project, stored_simulations
 
 from studies.paths import ProjectPaths
 from studies.tracking.quiet_mlflow import connect
-from studies.tuning.results import read_studies
+from studies.tuning.study_results import read_studies
 
 LABEL = "office-smoke"
 LIMIT_S = 300.0

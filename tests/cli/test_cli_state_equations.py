@@ -26,7 +26,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STUDIES_ROOT", str(root))
         # Killed after three simulations, as it were: the next command goes on from there.
-        patch.setattr("studies.stages.adaptive.LEAST_CALLS", 1)
+        patch.setattr("studies.stages.adaptive_stage.LEAST_CALLS", 1)
         assert main([*WALL, "--max-calls", "3", "--quiet"]) == 0
     return root
 

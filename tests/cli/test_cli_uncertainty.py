@@ -22,10 +22,10 @@ from studies.paths import ProjectPaths
 from studies.report.drawing import write_png
 from studies.report.figures_uncertainty import interval_figure
 from studies.report.tables_of_calibrations import intervals_table
-from studies.report.uncertainty import sentences
+from studies.report.uncertainty_record import sentences
 from studies.stages.pipeline import read_outcome
 from studies.stages.report_records import uncertainty_record
-from studies.stages.results import Uncertainty
+from studies.stages.stage_results import Uncertainty
 from studies.tracking.quiet_mlflow import connect
 
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")

@@ -17,9 +17,9 @@ from studies.paths import ProjectPaths, find_case
 from studies.profile import load_profile
 from studies.stages.knowledge import declared_inputs
 from studies.stages.pipeline import Outcome, Stage, Study, digest_of, read_json, write_json
-from studies.stages.results import Fit
 from studies.stages.saved import WITH_ARRAYS, Error, plain
-from studies.stages.simulate import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
+from studies.stages.simulate_stage import TEST_SEED, TRAIN_SEED_BASE, VALIDATION_SEED, train_seed
+from studies.stages.stage_results import Fit
 
 
 @pytest.fixture

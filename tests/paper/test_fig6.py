@@ -19,7 +19,7 @@ from studies.paper.fig6 import SizeTrials, Trial, Tuning, read_trials, shown
 from studies.paper.unit_files import write_size
 from studies.report.wording import count, percent, setting, significant
 from studies.search_space import SearchParameter
-from studies.tuning.results import importances
+from studies.tuning.study_results import importances
 
 SEARCH: dict[str, dict[str, Any]] = {
     "n_latent": {"kind": "int", "low": 8, "high": 256, "log": True},

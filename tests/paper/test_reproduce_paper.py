@@ -15,7 +15,7 @@ from studies.paper.items import ITEMS
 from studies.paper.table4 import SizeCalibrations
 from studies.paper.unit_files import read_sizes, size_files
 from studies.paths import ProjectPaths
-from studies.tuning.results import read_studies
+from studies.tuning.study_results import read_studies
 
 Reproduce = Callable[..., tuple[int, dict[str, Any]]]
 RESULTS = Path("mlruns") / "results" / "office-toy" / "paper"

@@ -12,7 +12,7 @@ from toys_for_tests import IshigamiToy
 from simulation.arrays import FloatArray
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
-from studies.sensitivity import sobol_indices
+from studies.sobol import sobol_indices
 
 
 @dataclass(frozen=True)

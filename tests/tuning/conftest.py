@@ -12,7 +12,7 @@ from toy_study_for_tests import N_TUNED, SPECS, add_sets
 from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.tuning.storage import open_storage
-from studies.tuning.tune import tune
+from studies.tuning.tune_studies import tune
 
 
 @pytest.fixture(scope="session")

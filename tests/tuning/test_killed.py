@@ -30,7 +30,7 @@ from toy_study_for_tests import (
 
 from studies.paths import ProjectPaths
 from studies.tuning.attempts import places
-from studies.tuning.tune import tune
+from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 HERE = Path(__file__).parent

@@ -17,8 +17,8 @@ from toy_study_for_tests import (
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
-from studies.tuning.results import read_studies
-from studies.tuning.tune import tune
+from studies.tuning.study_results import read_studies
+from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 

@@ -25,9 +25,9 @@ from studies.tracking.artifacts import ProjectArtifacts
 from studies.tracking.quiet_mlflow import connect
 from studies.tracking.registry import load_surrogate
 from studies.tracking.runs import RunStore
-from studies.tuning.results import read_studies
 from studies.tuning.storage import open_storage
-from studies.tuning.tune import tune
+from studies.tuning.study_results import read_studies
+from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # MLflow's of its own dependencies, used plainly here

@@ -11,7 +11,7 @@ from toy_study_for_tests import plain_study, toy_study
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.tuning.sampler import CatchUpPruner, least_until, make_pruner, make_sampler
-from studies.tuning.tune import tune
+from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 

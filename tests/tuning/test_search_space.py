@@ -20,7 +20,7 @@ from studies.search_space import (
     space_of,
     suggested,
 )
-from studies.tuning.tune import tune
+from studies.tuning.tune_studies import tune
 from studies.tuning.worker import Worker
 
 ALL_KINDS: dict[str, dict[str, Any]] = {

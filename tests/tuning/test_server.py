@@ -12,7 +12,7 @@ from simulation.errors import InputError, MachineError
 from studies.paths import ProjectPaths
 from studies.tuning.attempts import places
 from studies.tuning.storage import open_storage
-from studies.tuning.tune import tune
+from studies.tuning.tune_studies import tune
 
 if TYPE_CHECKING:
     from postgres_for_tests import PostgresServer

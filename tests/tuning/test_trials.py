@@ -22,8 +22,8 @@ from toy_study_for_tests import (
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.tuning.declaration import Declaration
-from studies.tuning.results import TunedStudy, read_studies, read_study
-from studies.tuning.tune import closed_studies, tune
+from studies.tuning.study_results import TunedStudy, read_studies, read_study
+from studies.tuning.tune_studies import closed_studies, tune
 from studies.tuning.worker import Worker
 
 FINISHED = {"COMPLETE", "PRUNED", "FAIL"}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from studies.paths import ProjectPaths
 from studies.tuning.declaration import Declaration
-from studies.tuning.tune import tune
+from studies.tuning.tune_studies import tune
 
 
 def main() -> None:

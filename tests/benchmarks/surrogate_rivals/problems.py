@@ -11,7 +11,7 @@ from simulation import Case, ParameterSpace, load_case, uniform_design
 from simulation.arrays import FloatArray
 from simulation.store.store import SimulationStore
 from simulation.store.stored_model import StoredModel
-from studies.stages.simulate import TEST_SEED, VALIDATION_SEED, train_seed
+from studies.stages.simulate_stage import TEST_SEED, VALIDATION_SEED, train_seed
 
 ROOT = Path(__file__).parents[3]
 N_VALIDATION = N_TEST = 320

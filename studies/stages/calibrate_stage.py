@@ -14,14 +14,14 @@ from studies.provenance import provenance_of
 from studies.stages.calibrated_point import determined, fits
 from studies.stages.knowledge import case_inputs, prior_found, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
-from studies.stages.results import Calibration, Screened
+from studies.stages.stage_results import Calibration, Screened
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
 from studies.stages.validate import validate_calibration, validation_inputs
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.registry import load_surrogate
 from studies.tracking.stage_run import run_store
-from studies.tuning.results import TrialView, TunedStudy
+from studies.tuning.study_results import TrialView, TunedStudy
 
 PHASES = {"screen": "screen, surrogate evaluations", "polish": "polish, FMU calls"}
 

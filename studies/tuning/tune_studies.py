@@ -21,8 +21,8 @@ from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
-from studies.tuning.results import TunedStudy, read_studies, read_study
 from studies.tuning.storage import storage_of, study_locked
+from studies.tuning.study_results import TunedStudy, read_studies, read_study
 
 POLL_S = 0.5
 MAX_DEATHS = 3

@@ -11,7 +11,7 @@ from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.tables import tuning_table
 from studies.report.wording import count, listed, shown_unit
 from studies.storage_url import hide_passwords
-from studies.tuning.results import TunedStudy, latest_studies
+from studies.tuning.study_results import TunedStudy, latest_studies
 
 
 def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:

@@ -11,8 +11,8 @@ from studies.report import Provenance, ReportData, build
 from studies.stages.finished import stored_calibrations, stored_indices, stored_uncertainties
 from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.report_records import coverage_set, uncertainty_record
-from studies.stages.results import Reported
 from studies.stages.shown import report_of
+from studies.stages.stage_results import Reported
 from studies.stages.stage_runs import log_report
 from studies.stages.tuned_trials import trials_record, tuned_by_size, tuned_sizes
 from studies.tracking.origin import versions

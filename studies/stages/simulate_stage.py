@@ -13,9 +13,9 @@ from studies.profile import Profile
 from studies.provenance import provenance_of
 from studies.report.wording import count
 from studies.row_set import RowSet, SetContent, content_of
-from studies.sensitivity import SobolIndices, sobol_indices
+from studies.sobol import SobolIndices, sobol_indices
 from studies.stages.pipeline import Outcome, Stage, Study, digest_of
-from studies.stages.results import SimulatedSets
+from studies.stages.stage_results import SimulatedSets
 
 VALIDATION_SEED, TEST_SEED = 320_001, 320_002
 """Validation and test sets are the same for every profile and seed, so that all errors can be compared."""

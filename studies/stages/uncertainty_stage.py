@@ -15,13 +15,13 @@ from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.provenance import provenance_of
-from studies.report.uncertainty import FITS_BETTER
+from studies.report.uncertainty_record import FITS_BETTER
 from studies.report.wording import count, listed
 from studies.stages.equations_found import learned_ode_of
 from studies.stages.finished import stored_calibrations
 from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Outcome, Stage, StageError, Study
-from studies.stages.results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
+from studies.stages.stage_results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
 from studies.stages.stage_runs import log_uncertainty
 from studies.stages.warm_start import StartRows, WarmStart
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within

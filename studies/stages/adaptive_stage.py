@@ -25,7 +25,7 @@ from studies.stages.calibrated_point import determined, fits
 from studies.stages.equations_found import asked_twice, equations_found, learned_ode_of
 from studies.stages.knowledge import case_inputs, prior_found, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
-from studies.stages.results import ADAPTIVE, Calibration
+from studies.stages.stage_results import ADAPTIVE, Calibration
 from studies.stages.stage_runs import log_calibration
 from studies.stages.validate import validate_calibration, validation_inputs
 from studies.stages.warm_start import ChooseRows, WarmStart, stored_in_box

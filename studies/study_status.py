@@ -9,7 +9,7 @@ from studies.console import Block, Column, Said, Table, format_seconds
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import MISSING, count, setting, significant
-from studies.tuning.results import STATES, TrialView, TunedStudy
+from studies.tuning.study_results import STATES, TrialView, TunedStudy
 
 
 def status_blocks(project: Project) -> list[Block]:
