@@ -29,10 +29,10 @@ class Ledger:
         return self.n_train + self.n_screen_checks + self.n_polish + self.n_adaptive
 
     @property
-    def total_honest(self) -> int:
+    def total_calls(self) -> int:
         """All that surrogate and calibration asked of the physical model; the doctor and Sobol ask apart."""
         return self.total_paper + self.n_validation + self.n_test
 
     def to_dict(self) -> dict[str, int]:
         """Return the counts and both totals."""
-        return asdict(self) | {"total_paper": self.total_paper, "total_honest": self.total_honest}
+        return asdict(self) | {"total_paper": self.total_paper, "total_calls": self.total_calls}

@@ -171,7 +171,7 @@ class CalibrationRecord:
     @property
     def total_calls(self) -> int:
         """Every simulation that was asked of the physical model, validation and test sets included."""
-        return self._ledger.total_honest
+        return self._ledger.total_calls
 
     @property
     def _ledger(self) -> Ledger:

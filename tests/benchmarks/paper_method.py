@@ -59,7 +59,7 @@ def row(seed: int, calibration: dict[str, Any], target: float, calls: int) -> di
         "to_target": min((n_calls for n_calls, mse in paid if mse <= target), default=NEVER),
         "final": calibration["mse_polished"],
         "total": calibration["ledger"]["total_paper"],
-        "honest": calibration["ledger"]["total_honest"],
+        "honest": calibration["ledger"]["total_calls"],
     }
 
 

@@ -42,7 +42,7 @@ def test_every_row_asked_of_the_physical_model_is_in_the_ledger() -> None:
     assert result.ledger.n_screen_checks == 1
     assert result.ledger.n_screen_checks + result.ledger.n_polish == len(diary.rows)
     assert result.ledger.total_paper == 32 + len(diary.rows)
-    assert result.ledger.total_honest == 672 + len(diary.rows)
+    assert result.ledger.total_calls == 672 + len(diary.rows)
 
 
 def test_the_screened_point_is_simulated_once() -> None:
@@ -120,7 +120,7 @@ def test_the_result_as_a_document() -> None:
 
 def test_the_ledger_adds_up_both_ways() -> None:
     ledger = Ledger(n_train=64, n_validation=320, n_test=320, n_screen_checks=1, n_polish=123)
-    assert (ledger.total_paper, ledger.total_honest) == (188, 828)
+    assert (ledger.total_paper, ledger.total_calls) == (188, 828)
     assert replace(ledger, n_polish=0).to_dict()["total_paper"] == 65
 
 

@@ -69,7 +69,7 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
     stage = answer.stage
     assert stage["mse"] <= 1.3 * BEST_KNOWN
     calls = stage["ledger"]
-    assert calls["n_adaptive"] == calls["total_honest"] == stage["n_simulated"] == n_stored(project) <= 100
+    assert calls["n_adaptive"] == calls["total_calls"] == stage["n_simulated"] == n_stored(project) <= 100
     assert answer.document["method"] == "adaptive"
     assert answer.document["calls_to_target"]["0.0123"] <= calls["n_adaptive"] <= 8
     again = studies(*ADAPTIVE, "--window", "0-10", "--json").stage

@@ -44,7 +44,7 @@ def test_from_a_foreign_fmu_to_calibrated_values(
     fewest = studies("calibrate", "heatedtank", "--json")
     assert fewest.code == 0, fewest.err
     assert_calibrated(fewest.stage["theta"])
-    assert fewest.stage["ledger"]["total_honest"] <= 60
+    assert fewest.stage["ledger"]["total_calls"] <= 60
 
     run = studies("run", "heatedtank", "--profile", "smoke", "--n-train", "32")
     assert run.code == 0, run.err

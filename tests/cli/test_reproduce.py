@@ -85,7 +85,7 @@ def test_what_mlflow_recorded_is_made_again_to_the_last_digit(copied: Path, stud
             assert rows["test/mae"]["recorded"] == rows["test/mae"]["now"] == repr(size["mae"])
             assert "curve/validation_mae" in rows
         else:
-            assert {"theta.UWin", "ledger.total_honest"} <= rows.keys()
+            assert {"theta.UWin", "ledger.total_calls"} <= rows.keys()
             assert files_below(copied) == before
             assert answer.document["run"] in runs_of(copied, "calibration")
 

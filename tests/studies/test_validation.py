@@ -107,7 +107,7 @@ def test_a_whole_run_validates_and_counts_it_nowhere(tmp_path: Path) -> None:
     assert points["screened"]["mse_window"] == calibration["screening"]["mse"]
     assert points["polished"]["outputs"]["TAir"]["n_samples"] == 96
     ledger = calibration["ledger"]
-    assert ledger["total_honest"] == sum(ledger[name] for name in ledger if name.startswith("n_"))
+    assert ledger["total_calls"] == sum(ledger[name] for name in ledger if name.startswith("n_"))
     report = tmp_path / "mlruns" / "reports" / "office-smoke"
     assert (report / "figure-validation-n0032.csv").is_file()
     page = (report / "index.html").read_text()
