@@ -8,7 +8,7 @@ from pathlib import Path
 
 from simulation.time_unit import period_text
 from simulation.whole_file import whole_file
-from studies.report import captions
+from studies.report.captions import headline_sentence
 from studies.report.contents import sections_of
 from studies.report.data import ReportData
 from studies.report.page import KeyNumber, page
@@ -24,7 +24,7 @@ def build_report(data: ReportData, folder: Path) -> Path:
     parts = [part for section in sections for part in (section, *section.folded)]
     pictures = [picture for part in parts for picture in part.pictures]
     tables = [table for part in parts for table in part.tables]
-    lead, numbers = captions.headline_sentence(data), _key_numbers(data)
+    lead, numbers = headline_sentence(data), _key_numbers(data)
     files = {picture.file: picture.figure.to_csv() for picture in pictures}
     files |= {f"{table.name}.csv": table.to_csv() for table in tables}
     files[PAGE] = page(data, lead, numbers, sections)

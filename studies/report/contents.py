@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from studies.report import captions
+from studies.report.captions import calibration_caption, coverage_caption
 from studies.report.data import ReportData
 from studies.report.figures_calibration import calibration_figure, calls_figure
 from studies.report.figures_model import coverage_figure, sensitivity_figure
@@ -50,7 +50,7 @@ def _calibration(data: ReportData, c: CalibrationRecord) -> Section:
     pictures = [
         Picture(
             f"calibration-{c.name}",
-            captions.calibration_caption(data.measurement, c),
+            calibration_caption(data.measurement, c),
             calibration_figure(data.measurement, c),
         ),
         Picture(
@@ -100,7 +100,7 @@ def _trials(data: ReportData) -> Iterator[Picture]:
 
 def _model(data: ReportData) -> Iterator[Picture]:
     if (coverage := data.coverage) is not None:
-        caption = captions.coverage_caption(data.measurement, coverage)
+        caption = coverage_caption(data.measurement, coverage)
         yield Picture("coverage", caption, coverage_figure(data.measurement, coverage))
     if (sensitivity := data.sensitivity) is not None:
         caption = (
