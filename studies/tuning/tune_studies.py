@@ -16,13 +16,14 @@ from optuna.trial import FrozenTrial
 
 from simulation.errors import InputError
 from studies.paths import ProjectPaths
+from studies.report.wording import setting, significant
 from studies.storage_url import STORAGE_VARIABLE
 from studies.tracking.runs import RunStore
 from studies.tracking.study_run import close_study, end_left_runs, open_study_run
 from studies.tuning import attempts
 from studies.tuning.declaration import Declaration
 from studies.tuning.storage import storage_of, study_locked
-from studies.tuning.study_results import TunedStudy, read_studies, read_study
+from studies.tuning.study_results import TunedStudy, latest_studies, read_studies, read_study
 
 POLL_S = 0.5
 MAX_DEATHS = 3
@@ -208,8 +209,29 @@ def tune(
             for size in largest_first:
                 size.stop()
             raise
-        runs.describe(specs[0].label, specs[0].note)
+        runs.describe(
+            specs[0].label, "\n\n".join(filter(None, (_best_of_sizes(paths, specs[0]), specs[0].note)))
+        )
         return [sizes[spec.n_train].results[spec.name] for spec in specs]
+
+
+def _best_of_sizes(paths: ProjectPaths, spec: Declaration) -> str:
+    """Name the best model of each size in one line: MLflow's page shows one until its note is unfolded.
+
+    All sizes of the label are named, those of other commands too.
+    """
+    latest = latest_studies(read_studies(paths, label=spec.label), spec.digests["case"])
+    sizes = [one.summary() for (_, is_baseline), one in sorted(latest.items()) if not is_baseline]
+    found = [one for one in sizes if one.trial is not None]
+    if not found:
+        return ""
+    names = list(dict.fromkeys(name for one in found for name in one.params))
+    each = [
+        f"{one.n_train}: {' / '.join(setting(one.params.get(name)) for name in names)} → "
+        f"{', '.join(significant(one.metrics[name]) for name in ('test/mae', 'test/p90'))}"
+        for one in found
+    ]
+    return f"Best per n_train ({' / '.join(names)} → test MAE, P90 {found[0].unit}): {' · '.join(each)}"
 
 
 def closed_studies(

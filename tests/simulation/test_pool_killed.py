@@ -113,8 +113,8 @@ def test_no_reported_row_is_lost_and_none_is_simulated_twice(tmp_path: Path, mon
     finally:
         master.kill()
         master.wait()
-    assert n_kills["master"] >= 15
-    assert n_kills["worker"] >= 15
+    assert n_kills["master"] >= 10
+    assert n_kills["worker"] >= 10
     _check_counts(tmp_path, rows, sum(n_kills.values()))
     assert not psutil.wait_procs(family, timeout=5)[1]
     # The next process removes what the last one that was killed left behind.

@@ -11,7 +11,7 @@ from studies.tuning.tune_studies import tune
 
 
 def main() -> None:
-    specs = [Declaration.from_dict(json.loads(Path(file).read_text())) for file in sys.argv[3:]]
+    specs = [Declaration(**json.loads(Path(file).read_text())) for file in sys.argv[3:]]
     storage = os.environ.get("STUDIES_STORAGE")
     paths = ProjectPaths(Path(sys.argv[1]), storage)
     tune(specs, paths=paths, n_trials=int(sys.argv[2]), n_jobs=2, n_parallel=2 if storage else 1)
