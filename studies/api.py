@@ -248,9 +248,8 @@ def _best_of(case: Case, document: Mapping[str, Any]) -> CalibrationResult:
 
 def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResult:
     """Read a calibration from its part of the document and from the file of arrays beside its own."""
-    mse = stage["mse_polished" if "mse_polished" in stage else "mse"]
     with np.load(Path(stage["file"]).with_suffix(".npz"), allow_pickle=False) as arrays:
-        y = arrays["y_polished" if "y_polished" in arrays else "y"]
+        y = arrays["y"]
     at, series = case.measurement.time, dict[tuple[str, str], "pd.Series[float]"]()
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
@@ -259,18 +258,18 @@ def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResu
     return CalibrationResult(
         name=f"{label}/{stage['stage'].removeprefix('calibrate-')}",
         theta=_theta(case, stage),
-        mse=np.inf if mse is None else float(mse),
+        mse=np.inf if stage["mse"] is None else float(stage["mse"]),
         calls=sum(n for what, n in stage["ledger"].items() if what.startswith("n_")),
         trajectories=pd.DataFrame(series).rename_axis("time_s"),
         units={output.name: output.unit for output in case.outputs},
-        reason=stage["polish_stop_reason" if "polish_stop_reason" in stage else "stop_reason"],
+        reason=stage["stop_reason"],
         note=case.note,
         numbers=stage,
     )
 
 
 def _theta(case: Case, found: Mapping[str, Any]) -> pd.DataFrame:
-    left_open = found.get("determined_by_data", {}).get("open")
+    left_open = (found.get("determined_by_data") or {}).get("open")
     rows = {
         one.name: (
             found["theta"][one.name],

@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 ROOT = Path(__file__).parents[2]
 NEVER = float("inf")
 
@@ -37,27 +39,23 @@ def study(case: str, seed: int, options: argparse.Namespace) -> list[dict[str, A
     if done.returncode:
         sys.exit(f"{' '.join(command)} failed: {done.stdout.strip()}")
     stages = json.loads(done.stdout)["stages"]
-    return [json.loads((ROOT / stage["file"]).read_text()) for stage in stages if "mse_polished" in stage]
+    return [stage for stage in stages if stage["stage"].startswith("calibrate-")]
 
 
 def row(seed: int, calibration: dict[str, Any], target: float, calls: int) -> dict[str, Any]:
     """Read one calibration: where it stood after so many calls, and when it arrived."""
-    history = calibration["polish_history"]
-    paid = [
-        (n_calls, mse)
-        for n_calls, mse in zip(history["n_calls"], history["best_mse"], strict=True)
-        if mse is not None
-    ]
+    with np.load((ROOT / calibration["file"]).with_suffix(".npz"), allow_pickle=False) as arrays:
+        paid = [*zip(arrays["history_calls"].tolist(), arrays["history_mse"].tolist(), strict=True)]
     return {
         "n_train": calibration["n_train"],
         "seed": seed,
-        "mae": calibration["surrogate_errors"]["test/mae"],
-        "p90": calibration["surrogate_errors"]["test/p90"],
-        "surrogate": calibration["mse_surrogate"],
-        "screened": calibration["mse_screened"],
+        "mae": calibration["screening"]["errors"]["test/mae"],
+        "p90": calibration["screening"]["errors"]["test/p90"],
+        "surrogate": calibration["screening"]["mse_surrogate"],
+        "screened": calibration["screening"]["mse"],
         "at_calls": min((mse for n_calls, mse in paid if n_calls <= calls), default=NEVER),
         "to_target": min((n_calls for n_calls, mse in paid if mse <= target), default=NEVER),
-        "final": calibration["mse_polished"],
+        "final": calibration["mse"],
         "total": calibration["ledger"]["total_paper"],
         "honest": calibration["ledger"]["total_calls"],
     }
