@@ -30,7 +30,7 @@ from studies.uncertainty.weights import normalized
 SAME_DENSITY = 0.25
 """Mean difference of the two logarithmic densities, but for a constant, up to which they are the same."""
 
-# 600 particles take 60,000 to 100,000 solutions: with 64 states, 9 ms each, that is 10 to 15 minutes.
+# 600 particles take 60,000 to 100,000 solutions: with 64 states, 9 ms each, that is 9 to 15 minutes.
 LEAST_PARTICLES, CHEAP = 150, 4e5
 """Points that stand for the density at least, where an answer takes more operations than the second."""
 
