@@ -180,8 +180,8 @@ class RestartingRunner:
                 break
         if not self._ways:
             failed = self._renew() or self._solve(first_values, again)
+            # Not the same bits, and no absolute part: outputs may be of any size.
             if failed or not np.allclose(
-                # Not the same bits, and no absolute part: outputs may be of any size.
                 again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
             ):
                 self._remembers = True
