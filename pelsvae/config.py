@@ -57,7 +57,7 @@ class SurrogateConfig:
     n_scales: int = 3
     # A quadratic part beside the linear one: 0.458 instead of 0.480 K on the office at n = 64.
     degree: int = 2
-    # Half as many members cost 1 to 2 % more error, in one case 7 %.
+    # Half as many members cost 1 to 2 % more error, at most 7 %.
     n_members: int = 16
     n_latent: int = 64
     n_hidden: int = 128

@@ -80,7 +80,7 @@ def _call_status(typing_context: Any, address: Any, arguments: Any) -> Any:
         target, packed = values
         argument_types = [context.get_value_type(kind) for kind in arguments]
         function_type = ir.FunctionType(ir.IntType(32), argument_types)
-        # An integer, not a symbol: numba would compile an address into the code and could not cache it.
+        # From an argument: an address compiled into the code would hold for one process alone.
         function = builder.inttoptr(target, function_type.as_pointer())
         unpack: Any = cgutils.unpack_tuple
         return builder.call(function, unpack(builder, packed, len(argument_types)))

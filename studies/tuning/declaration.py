@@ -119,7 +119,7 @@ class Declaration:
     @cached_property
     def base_config(self) -> SurrogateConfig:
         """The settings that all trials share."""
-        # One thread: workers share the cores, and products of these networks are too small for more.
+        # One thread each, as the workers share the cores.
         return SurrogateConfig.from_dict(self.settings | {"device": self.device, "n_threads": 1})
 
     @cached_property

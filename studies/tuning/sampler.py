@@ -12,7 +12,7 @@ from optuna.trial import FrozenTrial, TrialState
 from simulation.errors import InputError
 from studies.tuning.declaration import Declaration
 
-# Each trial has a sampler of its own: with seeds of their own they would mix points of several sequences.
+# Each trial has a sampler of its own: with a seed per trial they would mix several sequences.
 _ONE_SEQUENCE = ("QMCSampler", "GridSampler", "BruteForceSampler")
 """Samplers that go through one sequence: each trial takes the same seed, not one of its own."""
 

@@ -144,7 +144,7 @@ class Worker:
 
         def compare(step: int, value: float) -> None:
             trial.report(value, step)
-            # At the last epoch nothing is saved any more, and a complete trial is evidence for the pruner.
+            # At the last epoch pruning saves no time, and a complete trial is evidence for the pruner.
             if step < config.max_epochs and trial.should_prune():
                 stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
 

@@ -131,7 +131,7 @@ def assess(
         report("posterior sample", n, sampling.max_calls)
 
     n_in_vain = 0
-    # With equations 48 calls, without them 70 and 168, at equal coverage (docs/notes/uncertainty.md).
+    # With equations 48 calls, without them 70 and 168, at about equal coverage (docs/notes/uncertainty.md).
     if emulator is not None:
         solved = problem.on(emulator)
         around, local = differences(solved)

@@ -193,9 +193,9 @@ class PosteriorSampler:
         Returns:
             The density that it expects, and where a sample of it begins.
         """
-        # All rows fitted to, the last hyperparameters are the start of the next fit: it takes few iterations.
         density = self._posterior.at(self._u, self._mse)
         rows = informative_rows(self._u, density, self._n_known)
+        # From the last hyperparameters: few rows are new since, so few iterations are needed.
         process = ResidualProcess.fit(self._features, self._u[rows], self._residuals[rows], self._hyper)
         self._hyper = process.hyper
         predicted = Predicted(process)
