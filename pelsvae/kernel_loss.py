@@ -43,14 +43,18 @@ def kernel_loss(
     n, half = len(x), 0.5 * n_independent
     with torch.no_grad():
         covariances = _Covariances.of(kernel, torch.from_numpy(hyper).to(x.device), x)
+        # A code, not an exception: without a factor the value is infinite, and the search goes on.
         factor, failed = torch.linalg.cholesky_ex(covariances.matrix)
         if failed:
             return math.inf, np.zeros(len(hyper))
         slopes = torch.cholesky_inverse(factor)
+        # All codes share the kernel, so one factorization serves them all.
         solved = slopes @ codes
         misfit = (codes * solved).sum()
         log_factor = factor.diagonal().log().sum()
+        # The amplitude's most probable value, misfit / n, is put in: hence the logarithm of the misfit.
         value = n_independent * (log_factor + 0.5 * n * torch.log(misfit / n))
+        # K^-1 - alpha alpha' over the amplitude, in place: the inverse is needed no more.
         slopes.addmm_(solved * (-half * n / misfit), solved.T, beta=half)
         gradient = covariances.pulled_back(slopes)
     mean, deviation = prior
@@ -86,6 +90,7 @@ class _Covariances:
         bumps = (kernel.near(hyper, warped) @ kernel.far(hyper, warped)).exp2_()
         product = kernel.products(hyper, warped, warped)
         matrix = kernel.on_trunk(hyper, bumps.sum(dim=0), product)
+        # Last, as the noise has a share of the trace without it.
         matrix.diagonal().add_(kernel.noise(hyper, matrix))
         return cls(kernel, hyper, x, warped, bumps, product, matrix)
 
@@ -97,12 +102,15 @@ class _Covariances:
         kernel, warped = self.kernel, self.warped
         inverse = kernel.lengths(self.hyper).square().reciprocal()  # (s, f)
         diagonal = slopes.diagonal()
+        # Before the diagonal changes, which is a view of the slopes.
         trace = diagonal.sum()
         noise = 2.0 * (2.0 * self.hyper[-1]).exp() * trace
         diagonal.add_(JITTER * trace)  # the noise has a share of the covariances' trace
 
+        # In place: s more matrices of n x n would be the largest allocation of a step.
         each = self.bumps.mul_(slopes)  # (s, n, n)
         sums = each.sum(dim=2)  # (s, n)
+        # sum_j E_ij (w_i - w_j), without the n x n x f differences.
         apart = sums[..., None] * warped - each @ warped  # (s, n, f)
         by_length = 2.0 * inverse * (warped * apart).sum(dim=1)  # (s, f)
         by_warped = -2.0 * (inverse[:, None] * apart).sum(dim=0)  # (n, f)
@@ -110,6 +118,7 @@ class _Covariances:
 
         by_square, total = [], torch.zeros_like(slopes)
         for power, square in enumerate(kernel.polynomial(self.hyper), start=1):
+            # Before the next product: the derivative of <w, w'>^power has the power before.
             total.addcmul_(slopes, power * square)
             slopes.mul_(self.product)
             by_square.append(2.0 * square * slopes.sum())
@@ -119,4 +128,5 @@ class _Covariances:
 
         by_warp = (by_warped * kernel.warped_slope(self.hyper, self.x, warped)).sum(dim=0)
         by_others = torch.stack([*by_square, noise])
+        # In the order of `Kernel.prior`.
         return torch.cat([by_length.flatten(), by_weight, by_warp, by_others])

@@ -20,6 +20,7 @@ from pelsvae.kernel import CONSTANT, Kernel
 
 # Covariances of so many rows and training rows are computed at once: 1 MiB, which stay near a core, and which
 # the allocator keeps instead of taking fresh pages from the system.
+# Before, fresh pages took more than half the time of predictions with 4,096 rows.
 _AT_ONCE = 2**17
 _TRAINING_ROWS_AT_ONCE = 128
 _MOST_ROWS = 2048  # where training rows are few
@@ -117,8 +118,10 @@ class LinearVae(nn.Module):
             columns = member.columns
             covariance = self.kernel.matrix(member.hyper, self.x, theta)  # (n, b)
             explained = torch.linalg.solve_triangular(factor, covariance, upper=False).square().sum(dim=0)
+            # At a training row equal numbers are subtracted: rounding must not leave a negative variance.
             unexplained = (self.kernel.variances(member.hyper, theta) - explained).clamp_min(0.0)
             away = self._member_mean(member, theta) - center[:, columns]
+            # Variance of a mixture: mean of the members' variances plus that of their distance from the mean.
             of_member = unexplained[:, None] * self.amplitude[place, columns] + away.square()
             total = total.index_add(1, columns, self.share[place, columns] * of_member)
         return total
@@ -130,6 +133,7 @@ class LinearVae(nn.Module):
 
     def deviation(self, theta: Tensor) -> Tensor:
         """Standard deviation of what `predict` says: theta (b, f) -> (b, d)."""
+        # Codes count as independent, so their variances add up; the rest is what no code describes.
         variance = self.regressor_variance(theta) @ self.basis.square() + self.rest
         return variance.sqrt() * self.inflation
 
@@ -138,6 +142,7 @@ class LinearVae(nn.Module):
         near = self.kernel.warped(member.hyper, theta)
         mean = member.constant + near @ member.slope
         if self.kernel.degree == 2:
+            # A quadratic form per code, summed over training rows beforehand: they cost nothing here.
             bent = (near @ member.bend).reshape(len(near), -1, near.shape[1])  # (b, c, f)
             mean = mean + (bent @ near[:, :, None])[:, :, 0]
         points = self.kernel.near(member.hyper, near)
@@ -158,10 +163,12 @@ class LinearVae(nn.Module):
         columns = self.share[place].nonzero()[:, 0]
         coefficients = self.coefficients[place][:, columns].contiguous()
         warped = kernel.warped(hyper, self.x)
+        # A GPU gains by few large products, a core by blocks that stay in its cache.
         at_once = len(warped) if warped.is_cuda else _TRAINING_ROWS_AT_ONCE
         bumps = []
         for start in range(0, len(warped), at_once):
             rows = slice(start, start + at_once)
+            # All scales side by side: one product and one power serve them all.
             far = torch.cat(list(kernel.far(hyper, warped[rows])), dim=1)
             bumps.append((far, coefficients[rows].repeat(kernel.n_scales, 1)))
         squares = kernel.polynomial(hyper)  # (degree,)

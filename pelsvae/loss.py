@@ -78,6 +78,7 @@ def objective(
     mean, log_variance = network.encoder(x, theta)
     mean_regressed, log_variance_regressed = network.regressor(theta)
     decoded = network.decoder(latent_samples(mean, log_variance, eps), theta)
+    # Before a possible detach(): the encoder always learns from the terms of Eq. 4.
     kl = kl_divergence(mean, log_variance)
     if detach_encoder:
         mean, log_variance = mean.detach(), log_variance.detach()

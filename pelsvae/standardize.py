@@ -78,6 +78,7 @@ class ThetaStandardizer:
         values = torch.cat([theta, logarithms], dim=-1)
         mean = torch.as_tensor(self.mean, device=theta.device)
         deviation = torch.as_tensor(self.deviation, device=theta.device)
+        # Cast last: a difference of single-precision numbers would lose the digits that vary.
         return ((values - mean) / deviation).to(dtype)
 
 

@@ -137,6 +137,7 @@ class Surrogate:
                 y[start : start + size] = scaled(answer(features[start : start + size]).cpu().numpy())
 
         starts = range(0, len(rows), size)
+        # Threads suffice: torch computes without the interpreter's lock.
         with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
             list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(answer_from, starts))
         return y
@@ -147,6 +148,7 @@ class Surrogate:
 
     def _checked(self, theta: npt.ArrayLike, n_dimensions: int) -> Array:
         """Return theta as a new contiguous float64 array; ValueError for a wrong shape or value."""
+        # A copy: torch shares the memory, and the caller may change its own.
         rows = np.array(theta, dtype=np.float64, order="C")
         if rows.ndim != n_dimensions or rows.shape[-1] != self.shape.n_parameters:
             wanted = ("n, " if n_dimensions == 2 else "") + str(self.shape.n_parameters)

@@ -45,6 +45,7 @@ def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
     }
     for name, value in surrogate.network.state_dict().items():
         arrays[_NETWORK + name] = value.cpu().numpy()
+    # Pickle would run code from a file that may come from a stranger.
     np.savez(folder / WEIGHTS, allow_pickle=False, **arrays)
     description = {
         "format": _FORMAT,
@@ -78,6 +79,7 @@ def load_surrogate(folder: Path, device: Device = "auto") -> Surrogate:
         config, shape, digest = _read_description(folder / DESCRIPTION)
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{folder / DESCRIPTION} is damaged ({error}); train or copy it again") from error
+    # Read once: the bytes that are loaded are those that were checked.
     content = (folder / WEIGHTS).read_bytes()
     if hashlib.sha256(content).hexdigest() != digest:
         raise ValueError(
@@ -123,6 +125,7 @@ def _assembled(
     }
     network: PelsVae | LinearVae
     if config.regressor == "network":
+        # Any generator will do, as the next line replaces what it drew.
         network = PelsVae(theta.n_features, output.mean.size, config, torch.Generator()).to(eps.dtype)
         network.load_state_dict(learnt)
     else:

@@ -14,6 +14,7 @@ from studies.stages.saved import WITH_ARRAYS
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
 CONSTANT = 1e-6
+# Rows per question: memory does not grow with the size of the design.
 CHUNK = 2048
 CONFIDENCE_LEVEL = 0.95
 
@@ -115,6 +116,7 @@ def sobol_indices(
     Raises:
         InputError: If n_base is not a power of two.
     """
+    # Sobol' sequences are balanced at powers of two alone.
     if n_base < 2 or n_base & (n_base - 1):
         raise InputError(f"n_base is {n_base}; give a power of two, for example 512")
     if n_resamples < 2:
@@ -158,6 +160,7 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
         "names": list(space.names),
         "bounds": np.column_stack([space.lower, space.upper]).tolist(),
     }
+    # Second order would take 2 p + 2 rows per block instead of p + 2.
     return np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
 
 
@@ -184,6 +187,7 @@ def _saltelli_blocks(
         else:
             advance(start + answer.n)
         rows = np.concatenate([rest, answer.y.reshape(answer.n, -1)])
+        # A chunk may end within a block, whose rows belong together.
         whole = len(rows) // size * size
         rest = rows[whole:].copy()
         yield rows[:whole].reshape(-1, size, rows.shape[1])
@@ -214,6 +218,7 @@ class _Sums:
             blocks: Rows A, AB_1 ... AB_p, B of every block. Shape (m, p + 2, d). [output's unit]
         """
         good = np.isfinite(blocks).all(axis=(1, 2))
+        # By the place of a block, so a failed one takes its own draws with it and shifts no others.
         weights = self._weights[:, self._n_seen : self._n_seen + len(blocks)][:, good]
         self._n_seen += len(blocks)
         if not good.any():
@@ -240,6 +245,7 @@ class _Sums:
         """Return the variance per row of weights. Shape (r + 1, d). [output's unit squared]."""
         if not self.n_good:
             return np.full_like(self._ends, np.nan)
+        # Over A and B, 2 n rows: those of AB share values with both.
         n = 2.0 * np.maximum(self._n, 1.0)
         # Rounding alone must not make it negative.
         variance: FloatArray = np.maximum(self._squares / n - (self._ends / n) ** 2, 0.0)
@@ -261,8 +267,10 @@ class _Sums:
             # The first-order estimator is biased for outputs that are not centered, so SALib standardizes:
             # only the mean makes a difference.
             mean = self._all / (self.n_good * (self._p + 2))
+            # Normal intervals of the bootstrap's deviation, as SALib reports them.
             half_width = norm.ppf(0.5 + CONFIDENCE_LEVEL / 2.0)
             for j in range(self._p):
+                # First order: Saltelli et al. 2010, Table 2 (b). Total order: Jansen, Table 2 (f).
                 first = _share((self._steps_by_b[j] - mean * self._steps[j]) / n, variance)
                 total = _share(self._squared_steps[j] / (2.0 * n), variance)
                 for i, share in enumerate((first, total)):

@@ -34,6 +34,7 @@ def compiled(function: _Function) -> _Function:
     Returns:
         The compiled function.
     """
+    # error_model "numpy": a division by zero gives infinity as in C, instead of an exception.
     return cast(_Function, cached(function, partial(njit, nogil=True, error_model="numpy")))
 
 
@@ -47,6 +48,7 @@ def cached(function: Callable[..., Any], compiler: Callable[..., Any]) -> Any:
     Returns:
         What the compiler made of it.
     """
+    # The name is part of what numba's cache is searched by.
     function.__qualname__ = f"{function.__qualname__}_{_DIGEST}"
     try:
         return compiler(cache=True)(function)
@@ -78,6 +80,7 @@ def _call_status(typing_context: Any, address: Any, arguments: Any) -> Any:
         target, packed = values
         argument_types = [context.get_value_type(kind) for kind in arguments]
         function_type = ir.FunctionType(ir.IntType(32), argument_types)
+        # From an argument: an address compiled into the code would hold for one process alone.
         function = builder.inttoptr(target, function_type.as_pointer())
         unpack: Any = cgutils.unpack_tuple
         return builder.call(function, unpack(builder, packed, len(argument_types)))

@@ -60,6 +60,7 @@ class CoSimulation:
         if status <= WARNING:
             return ""
         time = float(self._plan.edges[step])
+        # FMI 3.0 says so by a flag of the step, FMI 2.0 by a discarded step and an answer when asked.
         if status == ENDED or (status == DISCARD and self._wants_to_end()):
             return f"the FMU ended the simulation by itself in the step at {time:g} s{last_message(': {}')}"
         if status == EARLY:
@@ -77,6 +78,7 @@ class CoSimulation:
             plan.edges[: last + 1],
             first,
             plan.output_every,
+            # noSetFMUStatePriorToCurrentPoint: without a saved state the FMU may drop what lies behind.
             int(not instance.keeps_state),
             self._reached,
             y,
@@ -118,5 +120,6 @@ class SharedWarmup:
     def solve(self, values: FloatArray, y: FloatArray) -> str:
         """Simulate one row from the end of the warm-up; see Solver."""
         time = float(self._plan.edges[self._first])
+        # Parameters alone: the runner has set the state saved at the end of the warm-up.
         failure = self._start.set_parameters(values, time)
         return failure or self._simulation.step(self._first, self._plan.n_steps, y)

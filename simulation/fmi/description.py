@@ -112,6 +112,7 @@ class FmuDescription:
         """
         variable = self.find(name, causality, where, may_be_input=may_be_input)
         # The loops read outputs into an array of doubles.
+        # No Float32, whose values are half as wide.
         usable = ("Real", "Float64") if causality == "output" else REAL_KINDS
         if variable.kind not in usable and not (causality == "input" and variable.dtype is not None):
             remedy = "choose another" if causality == "output" else "hold it under [fixed]"
@@ -177,6 +178,7 @@ def read_description(path: Path) -> FmuDescription:
         InputError: If the file is missing, no FMU, of another FMI version, without co-simulation and model
             exchange, or has no binary for this platform.
     """
+    # Read once: digest, table of contents and description are of the same bytes.
     content = read_limited(path, FMU, if_missing="correct `fmu` in the case file or put the FMU there")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -187,12 +189,14 @@ def read_description(path: Path) -> FmuDescription:
     sizes = {member.filename: member.file_size for member in members}
     if "modelDescription.xml" not in sizes:
         raise InputError(f"{path}: not an FMU (no modelDescription.xml inside); export it again")
+    # Before it is unpacked: a small archive may hold a vast description.
     DESCRIPTION.check(sizes["modelDescription.xml"] / 1e6, str(path))
     model, complaint = reading.read_model(path, content)
     try:
         return _described(path, content, model, complaint, names=sizes)
     except InputError:
         raise
+    # fmpy checks no values: what a conversion raises here is a fault of the file.
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: its modelDescription.xml is not valid ({shortened(str(error))}); export it again"
@@ -218,6 +222,7 @@ def _described(
     binaries = {
         name: reading.binary_member(version, one.model_identifier) for name, one in interfaces.items()
     }
+    # An FMU may have a binary per interface, and not all of them for this platform.
     runnable = {name: one for name, one in interfaces.items() if binaries[name] in names}
     if not runnable:
         platforms = {
@@ -255,6 +260,7 @@ def _described(
         depends_on={
             str(unknown.variable.name): frozenset(str(one.name) for one in unknown.dependencies)
             for unknown in model.derivatives
+            # By the standard, None is "may depend on all", and an empty list "on nothing".
             if unknown.dependencies is not None
         },
         n_event_indicators=n_event_indicators,

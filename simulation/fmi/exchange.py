@@ -50,6 +50,7 @@ class ModelExchange:
         self._states = description.states
         self._names = (*calls.FUNCTIONS, *(one.function for one in (*start.inputs, *start.seen)))
         self._tolerance = SHARE_OF_TOLERANCE * (
+            # What an FMU suggests is not checked before, and may be 0.
             plan.tolerance if plan.tolerance is not None and plan.tolerance > 0.0 else DEFAULT_TOLERANCE
         )
         self._table: IntArray = np.zeros(calls.SIZE, dtype=np.int64)
@@ -59,8 +60,10 @@ class ModelExchange:
         self._cvode = Cvode(
             self._table,
             relative_tolerance=self._tolerance,
+            # Roots are sought at the ends of internal steps: a pair of events in a longer one is not seen.
             longest_step_s=float(np.max(np.diff(plan.edges))),
         )
+        # CVODE starts anew only where an input changes: its first steps are short and of first order.
         is_change = np.any(plan.inputs[1:] != plan.inputs[:-1], axis=1)
         self._changes = np.append(1 + np.flatnonzero(is_change), plan.n_steps)
 

@@ -106,10 +106,12 @@ def _derivatives(time: Any, vector: Any, result: Any, user_data: Any) -> int:
     if not (
         at_point(table, time, states.ctypes.data) and called(table, GET_DERIVATIVES, (slopes.ctypes.data, n))
     ):
+        # CVODE repeats a recoverable failure with a smaller step; after a fatal one no call is allowed.
         return -1 if table[STATUS] >= _FATAL else 1
     bad = first_not_finite(slopes)
     if bad:
         table[NOT_FINITE] = bad
+    # A state that left its range in a trial step: a smaller step may stay inside.
     return 1 if bad else 0
 
 

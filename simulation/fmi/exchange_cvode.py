@@ -73,8 +73,10 @@ class Cvode:
             values[:] = at_first
         matrix = _Pointer(sundials.SUNDenseMatrix(n, n, context))
         linear = _Pointer(sundials.SUNLinSol_Dense(vectors[0], matrix, context))
+        # Backward differences, as for stiff models: explicit steps would follow the fastest time constant.
         memory = _Pointer(cvode.CVodeCreate(cvode.CV_BDF, context))
         right_hand_side = cvode.CVRhsFn(calls.derivatives.address)
+        # Time and states are those of no simulation yet: every row begins with a restart.
         _check(cvode.CVodeInit(memory, right_hand_side, 0.0, vectors[0]))
         _check(cvode.CVodeSVtolerances(memory, relative_tolerance, vectors[2]))
         _check(libraries.sundials_cvode.CVodeSetUserData(memory, _Pointer(table.ctypes.data)))
@@ -83,8 +85,11 @@ class Cvode:
             _check(cvode.CVodeRootInit(memory, n_indicators, cvode.CVRootFn(calls.indicators.address)))
             _check(cvode.CVodeSetNoInactiveRootWarn(memory))
         _check(cvode.CVodeSetMaxStep(memory, longest_step_s))
+        # No warnings that a step does not move the time: the loop counts such steps itself.
         _check(libraries.sundials_cvode.CVodeSetMaxHnilWarns(memory, -1))
+        # What it frees, without self: a reference to self would let it live for ever.
         weakref.finalize(self, _free, memory, linear, matrix, vectors, context)
+        # CVODE has its bare address, so the table must live as long.
         self._table = table
         names = ("CVode", "CVodeReInit", "CVodeSetStopTime", "CVodeGetDky", "CVodeSVtolerances")
         functions = [getattr(libraries.sundials_cvode, name) for name in names]
@@ -99,6 +104,7 @@ def _free(memory: Any, linear: Any, matrix: Any, vectors: list[Any], context: An
     core.SUNMatDestroy(matrix)
     for vector in vectors:
         core.N_VDestroy(vector)
+    # Last: everything above was made in it.
     core.SUNContext_Free(ctypes.byref(context))
 
 

@@ -60,6 +60,7 @@ def _go_through_event(
         How it ended, and the time of the next time event, infinite for none. [s]
     """
     x, _, absolute = vectors
+    # After the initialization an FMU is in event mode already.
     if step != _FIRST and not calls.called(table, calls.ENTER_EVENT, ()):
         return BAD_CALL, np.inf
     if step >= 0:
@@ -67,6 +68,7 @@ def _go_through_event(
         if status > WARNING:
             table[calls.STATUS], table[calls.STAGE] = status, calls.FIRST_INPUT + row
             return BAD_CALL, np.inf
+    # Nominal values are unknown before the first event.
     again, nominals, later = True, step == _FIRST, np.inf
     for _ in range(MOST_ITERATIONS):
         good, again, ends, changed, later = calls.update_discrete_states(table, info)
@@ -88,12 +90,15 @@ def _go_through_event(
             good = calls.called(table, calls.GET_NOMINALS, (absolute.ctypes.data, n))
             for index in range(n):
                 size = abs(absolute[index])
+                # A state of nominal size is then held as exactly in absolute terms as in relative ones.
                 absolute[index] = rtol * (size if size > 0.0 and np.isfinite(size) else 1.0)
+            # CVODE copies the vector, so it has to be given anew.
             call_status(table[calls.TOLERANCES], (table[calls.SOLVER], rtol, table[calls.ABSOLUTE]))
     if not good:
         return BAD_CALL, later
     if n + table[calls.N_INDICATORS] > 0:
         flag = call_status(table[calls.RESTART], (table[calls.SOLVER], time, table[calls.X]))
+        # Positive flags of CVODE are warnings.
         return min(GOOD, flag), later
     return GOOD, later
 
@@ -183,20 +188,26 @@ def simulate_row(
     if not _read(table, seen, 0, n_steps, output_list, n_outputs, y_address, behind):
         return BAD_CALL, time
     while passed < n_steps:
+        # A time event that is due already must not lead back.
         target = min(edges[changes[n_changes]], max(later, time))
         is_root = False
+        # Nearer than this CVODE takes a stop time for reached (its factor of rounding is 100, too).
         if integrates and target - time > 100.0 * _EPSILON * max(abs(time), abs(target)):
+            # A call that failed and was repeated well in an earlier step is no reason of a later failure.
             if n_internal == 0:
                 table[calls.STATUS], table[calls.NOT_FINITE] = 0, 0
             call_status(table[calls.STOP_AT], (table[calls.SOLVER], target))
+            # One step at a time: the standard wants CompletedIntegratorStep after each.
             to_target = (table[calls.SOLVER], target, table[calls.X], reached.ctypes.data, _ONE_STEP)
             flag = call_status(table[calls.SOLVE], to_target)
             if flag < 0:
                 return flag, time
             is_root = flag == _ROOT_RETURN
+            # Several roots at one time are no sign of being stuck.
             n_stuck = n_stuck + 1 if reached[0] <= time and not is_root else 0
             if n_stuck > MOST_STUCK:
                 return STUCK, time
+            # A guard: rounding must not carry the time behind the stop time.
             time = min(reached[0], target)
             n_internal += 1
             if n_internal > MOST_STEPS:
@@ -218,6 +229,7 @@ def simulate_row(
                 at_edge = n_steps + passed
                 if not _read(table, seen, passed - 1, at_edge, output_list, n_outputs, y_address, behind):
                     return BAD_CALL, edges[passed]
+        # The FMU was last asked at a trial point or an output, not where the step ended.
         if not calls.at_point(table, time, x.ctypes.data):
             return BAD_CALL, time
         # Also where the FMU says that it can do without: the call costs next to nothing.

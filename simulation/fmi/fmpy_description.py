@@ -50,6 +50,7 @@ def unit_of(unit: Any) -> UnitDefinition:
 def read_model(path: Path, content: bytes) -> tuple[Any, str]:
     """Read the description; return it, and the rules of the standard that it breaks without harm."""
     complaint = ""
+    # A broken rule of the standard that does not matter here is a complaint, no refusal.
     for validate in (True, False):
         try:
             # From memory: fmpy leaves the file open when the description is not valid.
@@ -112,6 +113,7 @@ def variable_of(variable: Any, version: FmiVersion) -> FmuVariable:
 
     setter, dtype = SETTERS[version].get(str(variable.type), ("", None))
     is_difference = variable.relativeQuantity
+    # Not by `said`: a False of the variable holds against a True of its type.
     if is_difference is None:
         is_difference = getattr(declared, "relativeQuantity", None)
     return FmuVariable(

@@ -140,6 +140,7 @@ class FmuModel:
         self._y_simulated = plan.empty_y()
         with ExitStack() as stack:
             scratch = unpacked(settings.path)
+            # First, so last undone: the library is unloaded before its folder is removed.
             stack.callback(scratch.remove)
             instance = FmuInstance(description, settings.interface, scratch.folder)
             stack.callback(instance.close)
@@ -152,6 +153,7 @@ class FmuModel:
                 warmup=None if warmup is None else settings.parameters_for_fmu(warmup),
             )
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
+            # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
 
     @property

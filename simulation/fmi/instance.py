@@ -150,6 +150,7 @@ class FmuInstance:
             One line.
         """
         self.damaged = True
+        # A status that no version of the standard has is taken for fatal.
         self.lost = self.lost or status == FATAL or status >= len(_STATUS)
         known = f"{self.prefix}{_STATUS[status]}" if 0 <= status < len(_STATUS) else f"status {status}"
         return f"{self.full_name(name)} returned {known} at {time:g} s{last_message(': {}')}"
@@ -183,6 +184,7 @@ class FmuInstance:
         Raises:
             NeedsFreshProcess: If the FMU said that all is lost, or makes no second instance in this process.
         """
+        # First: some FMUs allow one instance at a time.
         self._free_instance()
         if self.lost:
             raise NeedsFreshProcess(
@@ -249,6 +251,7 @@ class FmuInstance:
             self.call("FreeFMUState", ctypes.addressof(self._state))
         self._state = c_void_p(None)
         if self.component and not self.lost:
+            # After an error the standard allows to free an instance, not to terminate it.
             if self.is_initialized and not self.damaged and self.has("Terminate"):
                 self.call("Terminate")
             if not self.lost:
@@ -260,6 +263,7 @@ class FmuInstance:
     def _unload(self) -> None:
         handle, self._library = self._library._handle, None
         self._functions = {}
+        # Unloading runs the library's own code once more.
         if not self.lost:
             with contextlib.suppress(Exception):
                 fmpy.freeLibrary(handle)

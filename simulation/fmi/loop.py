@@ -86,6 +86,7 @@ def step_through(
     # Three C bools: event handling needed, simulation to be terminated, returned early.
     flags = np.zeros(3, dtype=np.uint8)
     flag, reach, until_output = np.intp(flags.ctypes.data), reached.ctypes.data, 0
+    # One turn more than steps: the first output lies at the first edge, before any step.
     for step in range(first, n_steps + 1):
         if until_output == 0:
             until_output = output_every
@@ -107,6 +108,7 @@ def step_through(
             return status, _STEP, step
         if flags[2] != 0:
             return EARLY, _STEP, step
+        # An FMU that ends with the last step has answered the whole row.
         if flags[1] != 0 and step < n_steps - 1:
             return ENDED, _STEP, step
         until_output -= 1

@@ -126,6 +126,7 @@ class RestartingRunner:
         forget_messages()
         reason = self._solver.solve(values, y)
         # Not every FMU can be started over out of an error, or out of numbers that are none.
+        # One sum instead of a test of each value: NaN and infinity survive it.
         self._instance.damaged = reason != "" or not math.isfinite(y[self._n_ignored :].sum())
         return reason
 
@@ -168,6 +169,7 @@ class RestartingRunner:
         if self._same(y, first_y):
             raise NeedsFreshProcess("the FMU answers other parameters like its first ones, to the last bit")
         again = np.empty_like(y)
+        # A copy, as ways that fail are removed meanwhile.
         for way in list(self._ways):
             if self._back(way) and not self._solve(first_values, again) and self._same(again, first_y):
                 break
@@ -178,6 +180,7 @@ class RestartingRunner:
                 break
         if not self._ways:
             failed = self._renew() or self._solve(first_values, again)
+            # Not the same bits, and no absolute part: outputs may be of any size.
             if failed or not np.allclose(
                 again[self._n_ignored :], first_y[self._n_ignored :], rtol=_SAME_ANSWER, atol=0.0
             ):

@@ -30,6 +30,7 @@ class Setting:
         self._references = np.array([variables[column].reference for column in columns], dtype=np.uint32)
         chosen = [values[column] for column in columns]
         if isinstance(chosen[0], str):
+            # Held here, as the FMU gets bare addresses.
             self._texts = [ctypes.create_string_buffer(text.encode()) for text in chosen]
             chosen = [np.array([ctypes.addressof(text)]) for text in self._texts]
         self.values: Any = np.column_stack(chosen)
@@ -60,6 +61,7 @@ class Start:
         self._time = float(plan.edges[0])
 
         def grouped(variables: Sequence[FmuVariable], values: list[Any]) -> list[Setting]:
+            # One call per function, not per variable.
             groups: dict[str, list[int]] = {}
             for column, variable in enumerate(variables):
                 groups.setdefault(variable.setter, []).append(column)
@@ -90,10 +92,12 @@ class Start:
         is_fmi2 = instance.prefix == "fmi2"
         configuration = [("EnterConfigurationMode",), *_calls(structural), ("ExitConfigurationMode",)]
         self._calls = [
+            # The standard wants structural parameters first, in a mode of their own: they may change sizes.
             *(configuration if structural else []),
             *([("SetupExperiment", *experiment)] if is_fmi2 else []),
             *_calls(others),
             *self._set_parameters,
+            # FMI 3.0 has no SetupExperiment and takes the same arguments here.
             ("EnterInitializationMode", *(() if is_fmi2 else experiment)),
             # Inputs of the first step are set here too: initial values may depend on them.
             *_calls(self.inputs),
@@ -129,6 +133,7 @@ class Start:
 
     def _take(self, values: FloatArray) -> None:
         for one in self._parameters:
+            # In place: the prepared calls hold the address of this array.
             one.values[0] = values[one.columns]
 
 

@@ -34,6 +34,7 @@ def unpacked(path: Path) -> ScratchFolder:
     scratch = ScratchFolder(SCRATCH_PREFIX)
     try:
         _unpack(path, scratch.folder)
+    # A Ctrl-C, too, must leave no folder.
     except BaseException as error:
         scratch.remove()
         if isinstance(error, _DAMAGED):
@@ -51,6 +52,7 @@ def _unpack(path: Path, folder: Path) -> None:
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             name = member.filename
+            # Some tools write Windows' separators.
             parts = PurePosixPath(name.replace("\\", "/")).parts
             if ".." in parts or name.startswith(("/", "\\")) or (parts and ":" in parts[0]):
                 raise InputError(
@@ -59,6 +61,7 @@ def _unpack(path: Path, folder: Path) -> None:
             needed = parts[:1] in {("modelDescription.xml",), ("resources",)}
             if not needed and (parts[:1] != ("binaries",) or parts[1:2] not in _PLATFORMS):
                 continue
+            # A zip archive has the Unix mode in the upper half.
             mode = member.external_attr >> 16
             if stat.S_ISLNK(mode):
                 raise InputError(

@@ -122,6 +122,7 @@ class FmuVariable:
             raise InputError(f"{said} has no such item; choose one of: {choice}")
         if self.kind in _VALUES:
             words, types = _VALUES[self.kind]
+            # Not isinstance: True is an int for it.
             fits = type(value) in types
         else:
             low, high = self._limits

@@ -32,6 +32,7 @@ _SAME_START_S = 1.0  # the start of a process is derived from a clock that may b
 def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optuna.Study:
     """Make the study of a declaration, or find it; its first configurations wait in it."""
     study = optuna.create_study(storage=storage, study_name=spec.name, load_if_exists=True)
+    # The declared name has a digest of what decides; a device or a limit may still have changed.
     if study.user_attrs.get(DECLARATION) != spec.to_dict():
         study.set_user_attr(DECLARATION, spec.to_dict())
     if study.user_attrs.get(PLANNED, 0) < n_trials:
@@ -39,6 +40,7 @@ def make_study(storage: RDBStorage, spec: Declaration, *, n_trials: int) -> optu
     for place, params in enumerate(spec.first_points):
         if not study.get_trials(deepcopy=False) or place:
             origin = "default" if place == 0 else "profile"
+            # Without hyperparameters every trial equals this one, and Optuna would skip it.
             study.enqueue_trial(params, user_attrs={PROPOSED_BY: origin}, skip_if_exists=bool(params))
     return study
 
@@ -53,10 +55,12 @@ def lease_next(storage: RDBStorage, study: optuna.Study) -> int:
         The trial's place in the study.
     """
     trials = study.get_trials(deepcopy=False)
+    # Optuna, too, takes the waiting trial of the lowest number.
     waiting = next((trial for trial in trials if trial.state == TrialState.WAITING), None)
     if waiting is not None:
         set_owner(storage, study, waiting.number)
         return place_of(waiting, trials)
+    # Its number is known beforehand, as no other worker of ours adds one meanwhile.
     study.add_trial(optuna.create_trial(state=TrialState.WAITING, user_attrs={OWNER: _owner(len(trials))}))
     storage.record_heartbeat(_trial_id(storage, study, len(trials)))
     return n_begun(trials)
@@ -110,6 +114,7 @@ def place_of(trial: FrozenTrial, trials: Sequence[FrozenTrial]) -> int:
 
 def places(trials: Sequence[FrozenTrial]) -> list[FrozenTrial]:
     """Return the latest attempt at each place of a study, in order."""
+    # A later attempt takes the earlier one's position: a dict leaves a key where it first was.
     return list({first_number(trial): trial for trial in trials}.values())
 
 
@@ -130,6 +135,7 @@ def run_again(study: optuna.Study, trial: FrozenTrial) -> None:
     if SEED not in trial.user_attrs:
         # Stopped while it was proposed: a part of its hyperparameters would change the draws of the others.
         trial.distributions, trial.params = {}, {}
+    # Optuna's own callback: what other programs read of retries then holds here too.
     RetryHeartbeatStaleTrialCallback(max_retry=MAX_RETRIES)(study, trial)
 
 
@@ -147,6 +153,7 @@ def retry_lost(study: optuna.Study) -> list[int]:
     ours = [trial for trial in trials if trial.state == TrialState.RUNNING and is_owned(trial)]
     lost = [trial for trial in ours if is_dead(trial.user_attrs[OWNER])]
     for trial in lost:
+        # A kill between retry and failure: the retry is there already.
         if trial.number not in repeated:
             run_again(study, trial)
         study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
@@ -171,7 +178,9 @@ def is_dead(owner: Mapping[str, Any]) -> bool:
         return False
     try:
         process = psutil.Process(int(owner["pid"]))
+        # The system gives numbers of dead processes to new ones, which started at another time.
         is_same = abs(process.create_time() - float(owner["started_s"])) < _SAME_START_S
+        # A zombie has ended and waits for its parent alone.
         return not is_same or bool(process.status() == psutil.STATUS_ZOMBIE)
     except (psutil.Error, KeyError, ValueError, TypeError):
         return True

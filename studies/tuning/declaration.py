@@ -85,6 +85,7 @@ class Declaration:
     @cached_property
     def digest(self) -> str:
         """SHA-256 over all that decides the trials and their errors."""
+        # What changes no trial is left out: another label or place of the files must not begin a new study.
         idle = ("label", "case_name", "files", "enqueue", "device", "max_trial_s", "note", "is_baseline")
         decisive = {name: value for name, value in self.to_dict().items() if name not in idle}
         return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
@@ -118,6 +119,7 @@ class Declaration:
     @cached_property
     def base_config(self) -> SurrogateConfig:
         """The settings that all trials share."""
+        # One thread each, as the workers share the cores.
         return SurrogateConfig.from_dict(self.settings | {"device": self.device, "n_threads": 1})
 
     @cached_property
@@ -152,6 +154,7 @@ class Declaration:
             InputError: the declared place lies outside the project.
         """
         file = (paths.root / self.files[name]).resolve()
+        # Resolved on both sides, as a link may lead outside too; a declaration may be another program's.
         if not file.is_relative_to(paths.root.resolve()):
             raise InputError(f"study {self.name!r}: {self.files[name]!r} lies outside the project")
         return file
@@ -168,4 +171,5 @@ def output_metric(output_name: str) -> str:
 
 def derived_seed(seed: int, *path: int) -> int:
     """Derive an independent seed from a seed and whole numbers that name its use."""
+    # Hashed, not added: sums of seed and place would give two trials one stream.
     return int(np.random.SeedSequence([seed, *path]).generate_state(1)[0])

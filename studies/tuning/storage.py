@@ -15,6 +15,7 @@ from studies.paths import ProjectPaths, cannot_open
 from studies.storage_url import hide_passwords
 from studies.tuning.attempts import run_again
 
+# Two heartbeats may be missed before a worker on another machine counts as dead.
 HEARTBEAT_S, GRACE_S = 10, 30
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -34,9 +35,11 @@ def open_storage(paths: ProjectPaths) -> RDBStorage:
         with FileLock(paths.mlruns / ".optuna.lock"):
             if paths.storage is not None:
                 _prepare_schemas(paths.storage)
+            # Before Optuna opens it: the write-ahead log is a property of the file and stays with it.
             elif not paths.optuna_database.is_file():
                 with closing(sqlite3.connect(paths.optuna_database)) as made:
                     made.execute("pragma journal_mode=wal")
+            # SQLite has one writer at a time, for whom others wait; a server may close idle connections.
             waits, asks = {"connect_args": {"timeout": 60}}, {"pool_pre_ping": True}
             storage = RDBStorage(
                 paths.optuna_url,
@@ -80,6 +83,7 @@ def _prepare_schemas(storage: str) -> None:
         raise InputError("PostgreSQL needs: pip install 'pelsvae-studies[postgres]'") from None
     try:
         with psycopg.connect(storage, autocommit=True, connect_timeout=10) as connection:
+            # Any number that is always the same; the lock ends with the connection.
             connection.execute("select pg_advisory_lock(7365747570)")
             for schema in ("optuna", "mlflow"):
                 connection.execute(f"create schema if not exists {schema}".encode())
@@ -103,6 +107,7 @@ def study_locked(storage: RDBStorage, paths: ProjectPaths, name: str) -> Iterato
         return
     from sqlalchemy import text
 
+    # PostgreSQL's locks are named by signed 64-bit numbers.
     number = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], signed=True)
     with storage.engine.connect() as connection:  # closing it gives the lock back
         connection.execute(text("select pg_advisory_lock(:n)"), {"n": number})

@@ -85,7 +85,9 @@ class TunedStudy:
     @cached_property
     def best(self) -> TrialView | None:
         """The completed trial of least validation error among those that were trained here."""
+        # Trials that users add through Optuna have no run, and so no weights to register.
         ours = [trial for trial in self.trials if trial.state == "complete" and trial.run_id]
+        # Of equal errors the earlier trial, so that reading again finds the same one.
         return min(ours, key=lambda trial: (trial.value, trial.number), default=None)
 
     @property
@@ -108,6 +110,7 @@ class TunedStudy:
     @property
     def to_go_s(self) -> float | None:
         """Training time of the trials to come, on one core; None before the first trial. [s]."""
+        # Pruned trials count with their short times, as most of those to come are pruned as well.
         n_left, n_timed = max(self.n_planned - self.n_ended, 0), sum(t.wall_s > 0.0 for t in self.trials)
         return 0.0 if not n_left else n_left * self.wall_s / n_timed if n_timed else None
 
@@ -186,6 +189,7 @@ def read_studies(paths: ProjectPaths, *, label: str | None = None) -> list[Tuned
     with storage_of(paths) as storage:
         for study in storage.get_all_studies():  # Optuna's summaries would read all trials once more
             declared = study.user_attrs.get(attempts.DECLARATION)
+            # The label first: to read a study means to read all its trials.
             if isinstance(declared, dict) and label in (None, declared.get("label")):
                 found.append(read_study(optuna.load_study(study_name=study.study_name, storage=storage)))
     found.sort(key=lambda one: (one.spec.label, one.spec.n_train, one.spec.is_baseline, one.began_s))
@@ -203,6 +207,7 @@ def latest_studies(
     """
     mine = [s for s in studies if case_digest in (None, s.spec.digests.get("case"))]
     ordered = sorted(mine, key=lambda one: one.began_s)
+    # In the order of their beginning, so the last of a size remains.
     return {(one.spec.n_train, one.spec.is_baseline): one for one in ordered}
 
 
@@ -212,8 +217,10 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
     ended = trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0
     params = dict(trial.params)
     known = {name: value for name, value in params.items() if name in spec.settings}
+    # A trial without a value counts by its last error.
     last = None if trial.last_step is None else trial.intermediate_values[trial.last_step]
     value = last if trial.value is None else float(trial.value)
+    # The worker notes a sampler only where it proposed from results.
     usual = "" if trial.state == TrialState.WAITING else "start-up"
     return TrialView(
         number=trial.number,
@@ -251,6 +258,7 @@ def importances(
     """
     if len(points) < MIN_FOR_IMPORTANCE or not space:
         return {}
+    # In memory: the points of several studies and sizes are judged as one.
     study = optuna.create_study()
     for point, value in zip(points, values, strict=True):
         study.enqueue_trial(dict(point))

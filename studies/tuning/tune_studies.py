@@ -28,6 +28,7 @@ from studies.tuning.study_results import TunedStudy, latest_studies, read_studie
 POLL_S = 0.5
 MAX_DEATHS = 3
 """Deaths of a worker in a row that brought no trial to its end."""
+# Else every worker would start a thread per core.
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
@@ -81,11 +82,13 @@ class _Size:
 
     def start_worker(self, paths: ProjectPaths, until_s: float | None) -> None:
         names = [part.spec.name for part in self.parts]
+        # -P: a file of the user's folder must not shadow a module.
         command = [sys.executable, "-P", "-m", "studies.tuning.worker", *names, "--child"]
         command += [] if until_s is None else ["--until", repr(until_s)]
         environment = os.environ | THREADS
         if paths.storage is not None:  # not among the arguments, which every user of a machine can read
             environment[STORAGE_VARIABLE] = paths.storage
+        # A file and no pipe: a full pipe would stop the worker until it is read.
         said = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its worker)
         worker = subprocess.Popen(command, cwd=paths.root, env=environment, stdout=said, stderr=said)
         self.workers[worker] = said
@@ -103,9 +106,11 @@ class _Size:
                 lines = messages.read().decode(errors="replace").strip().splitlines()
             if worker.returncode == 0:
                 continue
+            # Before anything is raised: the trial of the dead worker waits again whatever follows.
             for part in self.parts:
                 part.give_back()
             said, name = lines[-1] if lines else "no message", self.parts[0].spec.name
+            # As every command: bad input ends with 2, a fault of the machine with 1, a signal below 0.
             if worker.returncode == 2:
                 raise InputError(said)
             if worker.returncode > 0:
@@ -122,6 +127,7 @@ class _Size:
     def stop(self) -> None:
         """Stop the workers and give their trials back."""
         for worker in self.workers:
+            # All are killed before the first is waited for.
             worker.kill()
         for worker, messages in self.workers.items():
             worker.wait()
@@ -185,6 +191,7 @@ def tune(
             part = _Part(spec, study, run_id, planned, storage, paths, runs)
             part.give_back()
             sizes.setdefault(spec.n_train, _Size([])).parts.append(part)
+        # Begun last, the longest trainings would run alone at the end.
         largest_first = [sizes[n] for n in sorted(sizes, reverse=True)]
         try:
             while True:
@@ -205,6 +212,7 @@ def tune(
                 if not busy and not waiting:
                     break
                 time.sleep(POLL_S)
+        # Ctrl-C as well: no worker outlives the command.
         except BaseException:
             for size in largest_first:
                 size.stop()

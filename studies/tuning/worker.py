@@ -75,8 +75,10 @@ class Worker:
                 planned = int(self._study.user_attrs.get(attempts.PLANNED, 0))
                 if not attempts.is_unfinished(self._study.get_trials(deepcopy=False), planned):
                     return
+                # Before the sampler is made: its seed follows from the place.
                 place = attempts.lease_next(self._storage, self._study)
                 self._study.sampler = sampler_of_place(self._spec, place)
+                # Inside the lock, which the trial itself gives back once it has begun.
                 self._run_trial(release)
 
     def _run_trial(self, on_begun: Callable[[], None]) -> None:
@@ -89,6 +91,7 @@ class Worker:
             try:
                 return self._train(trial, on_begun)
             finally:
+                # While Optuna has not ended it yet: a state that is final now was set by another process.
                 self._is_lost = self._study.get_trials(deepcopy=False)[trial.number].state.is_finished()
 
         try:
@@ -141,6 +144,7 @@ class Worker:
 
         def compare(step: int, value: float) -> None:
             trial.report(value, step)
+            # At the last epoch pruning saves no time, and a complete trial is evidence for the pruner.
             if step < config.max_epochs and trial.should_prune():
                 stop(f"pruned by {spec.pruner['name']} at epoch {epoch}")
 
@@ -149,6 +153,7 @@ class Worker:
             raise optuna.TrialPruned(reason)
 
         def note(reason: str, **more: Any) -> None:
+            # Before the reason: whoever reads that a trial ended finds its curve complete.
             run.flush()
             trial.set_user_attr("reason", reason)
             wall_s = time.perf_counter() - began
@@ -167,6 +172,7 @@ class Worker:
             folder = Path(scratch) / SURROGATE
             save_surrogate(fitted.surrogate, folder)
             weights = file_digest(folder / "weights.npz")
+            # Only a trial that is the best when it ends can become its study's model.
             if metrics["val/mae"] < self._best():
                 self._runs.log_files(run.id, sorted(folder.iterdir()), SURROGATE)
         value = metrics.pop("val/mae")
@@ -195,6 +201,7 @@ def main() -> int:
     parser.add_argument("--child", action="store_true", help="end with the process that started this one")
     chosen = parser.parse_args()
     if chosen.child:
+        # By the system (prctl), as a killed command cannot end its workers itself.
         end_with_parent()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which stops its workers
     try:

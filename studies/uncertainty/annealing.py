@@ -25,18 +25,23 @@ from studies.uncertainty.weights import effective_size, normalized
 WORTH = 0.6
 """The power rises until the particles are worth this share of their number."""
 
+# As many steps as forget the start took three times the time for the same errors (docs/notes/uncertainty.md).
 SWEEPS, LAST_SWEEPS = 10, 30
 """Steps of every particle at each power, and at the last one; more by one and three for each parameter."""
 
+# 2.38 / sqrt(2 p) is the best step where the density is normal (ter Braak 2006).
+# Steps as long as a difference, or of a part of the parameters, brought no gain (docs/notes/uncertainty.md).
 STEP, SHORTEST, LONGEST = 2.38, -1.0, 0.3
 """A step is so many differences over the square root of 2 p, times e to a power drawn between the others."""
 
 EDGE = 1e-12
 """Nearest that a particle begins to the faces of the cube, whose normal scores are infinite."""
 
+# Of 14 parameters one draw in 20,000 once fell inside: three quarters of the time of an assessment.
 MOST_DRAWS = 1000
 """Whoever still fell out of the cube then begins anywhere."""
 
+# The loop ends even for a density so narrow that each power rises by next to nothing.
 MOST_POWERS = 300
 """After so many the rest is one step."""
 
@@ -85,6 +90,7 @@ class Reference:
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw points inside the cube. Shape (n, p). [1]."""
         p = self.centres.shape[1]
+        # Also the fallback: a row that no draw below replaces stays where it is.
         u = rng.random((n, p))
         near = np.arange(n // 2 if len(self.centres) else 0)
         for _ in range(MOST_DRAWS):
@@ -92,6 +98,7 @@ class Reference:
                 break
             member = rng.integers(len(self.centres), size=near.size)
             step = np.einsum("nij,nj->ni", self.roots[member], rng.standard_normal((near.size, p)))
+            # Drawn again rather than clipped: clipping would heap particles on the faces.
             there = self.centres[member] + step
             inside = np.all((there >= 0.0) & (there <= 1.0), axis=1)
             u[near[inside]] = there[inside]
@@ -104,10 +111,13 @@ class Reference:
         if not c:
             return np.zeros(len(u))
         inverse_roots, centres, log_sizes = self._whitened
+        # One matrix product serves all centres at once.
         away = (inverse_roots.reshape(c * p, p) @ u.T).reshape(c, p, -1) - centres[:, :, None]
         parts = -0.5 * np.einsum("cpn,cpn->cn", away, away) - log_sizes[:, None]
+        # Log-sum-exp: unless the largest part is taken out, exp() underflows far from all centres.
         top = parts.max(axis=0)
         near = top + np.log(np.mean(np.exp(parts - top), axis=0)) - 0.5 * p * np.log(2.0 * np.pi)
+        # The even half has density 1 in the cube, so logarithm 0; both halves weigh the same.
         found: FloatArray = np.logaddexp(0.0, near)
         return found
 
@@ -137,6 +147,7 @@ def sample_density(
         on_share: Called with the share of the work that is done.
     """
     report = on_share or (lambda share: None)
+    # One BLAS thread is five times faster on matrices of a hundred rows, with equal bits.
     with threadpool_limits(limits=1, user_api="blas"):
         return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(report)
 
@@ -163,7 +174,9 @@ class _Cloud:
 
     def log_density(self, power: float) -> FloatArray:
         """Return the logarithm of the density between the first and the last one, in normal scores."""
+        # A geometric path: at power 1 the reference is gone, and with it what its density leaves out.
         between = power * self.value + (1.0 - power) * self.at_first
+        # Change of variables u = Phi(z): the density in z is that in u times the normal density.
         found: FloatArray = between - 0.5 * np.sum(self.z**2, axis=1)
         return found
 
@@ -184,6 +197,8 @@ class _Annealing:
         n_parameters = self._cloud.z.shape[1]
         while self._power < 1.0:
             power = self._next_power() if n_powers < MOST_POWERS else 1.0
+            # Before the power is set: weights are the ratio of the new density to the old one.
+            # Resampled at every power, so no weights are carried on.
             self._cloud = self._cloud[_drawn(self._weights(power), self._rng)]
             self._power = power
             n_powers += 1
@@ -192,17 +207,20 @@ class _Annealing:
                 last = sweep / n_sweeps if power == 1.0 else 0.0
                 on_share((1.0 - LAST_SHARE) * power + LAST_SHARE * last)
                 self._sweep()
+        # Resampling leaves copies side by side, and a sample takes its members from the front.
         found = self._cloud[self._rng.permutation(len(self._cloud.z))]
         return Particles(ndtr(found.z), found.value)
 
     def _at(self, z: FloatArray) -> _Cloud:
         """Ask what is known of points; the reference no longer where it does not count."""
         u = ndtr(z)
+        # At power 1 its weight is 0, and the last sweeps are the most.
         at_first = np.zeros(len(u)) if self._power == 1.0 else self._reference.log_density(u)
         return _Cloud(z, self._log_density(u), at_first)
 
     def _weights(self, power: float) -> FloatArray:
         """Return what the particles count at a higher power. Shape (n,)."""
+        # The normal factor of the scores is in both densities and cancels.
         return normalized((power - self._power) * (self._cloud.value - self._cloud.at_first))
 
     def _next_power(self) -> float:
@@ -211,16 +229,20 @@ class _Annealing:
         def worth(power: float) -> float:
             return effective_size(self._weights(power)) / len(self._cloud.value)
 
+        # Exactly 1, which a sum of the power and what is left might miss by rounding.
         if worth(1.0) >= WORTH:
             return 1.0
         low, high = 0.0, 1.0 - self._power
+        # 60 halvings exhaust the 53 bits of a double.
         for _ in range(60):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if worth(self._power + middle) >= WORTH else (low, middle)
+        # The upper end is above 0 whatever the worth, so the power always rises.
         return min(self._power + high, 1.0)
 
     def _sweep(self) -> None:
         """Move either half of the particles by differences of the other."""
+        # Differences come from particles at rest: of moving ones they would break detailed balance.
         order = self._rng.permutation(len(self._cloud.z))
         first, second = order[: len(order) // 2], order[len(order) // 2 :]
         self._move(first, second)
@@ -229,9 +251,11 @@ class _Annealing:
     def _move(self, rows: IntArray, others: IntArray) -> None:
         here = self._cloud[rows]
         n, p = len(rows), here.z.shape[1]
+        # The two may be the same particle: that step has no length and does no harm.
         one, two = others[self._rng.integers(len(others), size=(2, n))]
         length = STEP / np.sqrt(2.0 * p) * np.exp(self._rng.uniform(SHORTEST, LONGEST, (n, 1)))
         there = self._at(here.z + length * (self._cloud.z[one] - self._cloud.z[two]))
+        # Metropolis rule without a correction: a difference and its reverse are equally probable.
         gain = there.log_density(self._power) - here.log_density(self._power)
         taken = np.flatnonzero(np.log(self._rng.random(n)) < gain)
         self._cloud[rows[taken]] = there[taken]
@@ -240,6 +264,8 @@ class _Annealing:
 def _drawn(weights: FloatArray, rng: np.random.Generator) -> IntArray:
     """Draw members by their weights, as evenly as can be. Shape (n,)."""
     n = len(weights)
+    # Systematic resampling (Kitagawa 1996): by one random number, so copies differ from n w by less than 1.
     at = (np.arange(n) + rng.random()) / n
+    # Rounding may leave the sum of all weights just below the last position.
     found: IntArray = np.minimum(np.searchsorted(np.cumsum(weights), at), n - 1)
     return found

@@ -63,6 +63,7 @@ class Assessment:
     @property
     def interval(self) -> FloatArray:
         """Ends and median of the posterior's intervals: low, median, high. Shape (3, p). [1]."""
+        # Of particles, not of the simulated members: of 48, two or three lie beyond an end of the interval.
         shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
         return np.asarray(np.quantile(self.sample.particles.u, shares, axis=0), dtype=np.float64)
 
@@ -115,11 +116,13 @@ def assess(
     report = on_phase or (lambda what, done, total: None)
     space, model = problem.space, problem.model
     p = space.n_parameters
+    # Rounding may put a parameter at its bound just outside the cube.
     rows = difference_rows(np.clip(space.to_unit(theta), 0.0, 1.0), STEP)
     answered = Trajectories(theta[None], y[None], model.time, space.names, model.output_names, ("",))
     posterior, stored_rows = Posterior(noise, problem.prior), [] if known is None or not known.n else [known]
 
     def differences(asked: CalibrationProblem) -> tuple[Evaluation, Identifiability]:
+        # The point itself was simulated by the calibration and costs no call.
         around = joined([problem.judge(rows[:1], answered), asked.evaluate(rows[1:])])
         found = judged(space.names, around, noise.raised, STEP, prior=problem.prior)
         return around, found
@@ -128,6 +131,7 @@ def assess(
         report("posterior sample", n, sampling.max_calls)
 
     n_in_vain = 0
+    # With equations 48 calls, without them 70 and 168, at about equal coverage (docs/notes/uncertainty.md).
     if emulator is not None:
         solved = problem.on(emulator)
         around, local = differences(solved)
@@ -144,7 +148,9 @@ def assess(
         )
         if sample is not None:
             return Assessment(noise, around.take(0), local, sample, 0, by_equations=True)
+        # Rows that disproved the equations still teach the surrogate, and count as calls.
         stored_rows, n_in_vain = [*stored_rows, asked], asked.n
+    # Of disproved equations the slopes are not used either: the model is asked for them.
     report("differences", 0, 2 * p)
     around, local = differences(problem)
     report("differences", 2 * p, 2 * p)

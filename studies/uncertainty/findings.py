@@ -63,6 +63,7 @@ class Compensation:
 
 def within(half: float) -> str:
     """Write half an interval of a logarithm, e.g. "to 3 %" or "within a factor of 2.1"."""
+    # Above it percents mislead: so many more and so many less are no longer the same factor.
     if half < math.log(1.5):
         percents = 100.0 * math.expm1(half)
         return f"to {percents:.1f} %" if percents < 1.0 else f"to {percents:.0f} %"
@@ -77,15 +78,19 @@ def compensations(space: ParameterSpace, u: FloatArray) -> tuple[Compensation, .
         u: The sample. Shape (n, p). [1]
     """
     widths = np.ones(space.n_parameters)
+    # So u becomes the logarithm but for a constant, in which a product is a sum.
     widths[space.is_log] = np.log(space.upper[space.is_log] / space.lower[space.is_log])
     x = u * widths
     found = []
     for i, j in combinations(range(space.n_parameters), 2):
         deviations = x[:, i].std(), x[:, j].std()
+        # A parameter that does not vary has no correlation: it would be 0 / 0.
         if min(deviations) <= 0.0:
             continue
         together = float(np.corrcoef(x[:, i], x[:, j])[0, 1])
+        # What falls as the other rises leaves the product; what rises with it leaves the ratio.
         pair = x[:, i] + x[:, j] if together < 0 else x[:, i] - x[:, j]
+        # On linear scales the sum would add quantities of different units.
         both_log = bool(space.is_log[i] and space.is_log[j])
         is_known = both_log and float(pair.std()) < CLEARLY * min(deviations)
         if is_known or abs(together) >= NAMED:
@@ -110,9 +115,11 @@ def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) 
     low, high = np.quantile(u, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
     found = {}
     for j, name in enumerate(space.names):
+        # Against the interval without data: else a narrow prior alone would make a parameter determined.
         before, left_open = LEVEL, "open"
         if prior is not None and prior.is_held[j]:
             before, left_open = _width(float(prior.centre[j]), float(prior.width[j])), "prior"
+        # Without data it becomes 0.9, with or without a prior, so one pair of limits serves both.
         share = float(high[j] - low[j]) * LEVEL / before
         found[name] = "determined" if share < DETERMINED else left_open if share > OPEN else "narrowed"
     return found
@@ -121,6 +128,7 @@ def knowledge(space: ParameterSpace, u: FloatArray, prior: Prior | None = None) 
 def _width(centre: float, deviation: float) -> float:
     """Return the width of the interval of a normal distribution that the unit interval cuts off. [1]."""
     normal = NormalDist(centre, deviation)
+    # Quantiles of a truncated normal distribution: ranks are counted between the bounds alone.
     least, most = normal.cdf(0.0), normal.cdf(1.0)
     ends = (least + (most - least) * share for share in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL))
     low, high = (normal.inv_cdf(end) for end in ends)

@@ -79,18 +79,21 @@ class Identifiability:
     @property
     def determined(self) -> tuple[str, ...]:
         """Parameters that the data determine."""
+        # Without a prior `before` is the root of 1/12, so this is a tenth of the range.
         limit = DETERMINED / np.sqrt(BOX_VARIANCE) * self.before
         return tuple(n for n, is_so in zip(self.names, self.spread < limit, strict=True) if is_so)
 
     @property
     def n_determined_directions(self) -> int:
         """Combinations of parameters that the data determine."""
+        # Noise over singular value is a direction's deviation; multiplied out, a value of 0 divides nothing.
         return int(np.sum(self.noise < DETERMINED * self.singular_values))
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
         """Pairs that the data cannot distinguish: the directions left open that two parameters make up."""
         found = []
+        # The least determined direction comes first: singular values fall.
         for direction in self.directions[self.n_determined_directions :][::-1]:
             i, j = np.argsort(-(direction**2))[:2] if len(direction) > 1 else (0, 0)
             share = float(direction[i] ** 2 + direction[j] ** 2)
@@ -125,6 +128,7 @@ def difference_rows(u: FloatArray, step: float) -> FloatArray:
     Returns:
         Shape (2 p + 1, p). [1]
     """
+    # At a bound the difference is one-sided, as nothing says that the model answers beyond it.
     ahead, behind = np.minimum(u + step, 1.0), np.maximum(u - step, 0.0)
     return np.concatenate([u[None], _moved(u, ahead), _moved(u, behind)])
 
@@ -147,6 +151,7 @@ def judged(
         prior: What is known beforehand, or None.
     """
     p = answer.u.shape[1]
+    # The error of differences grows with their step, and singular values below it are that error.
     slopes, null = _slopes(answer).T, max(NULL, NULL_PER_STEP * step)
     found = judged_slopes(names, slopes, raised, null=null, prior=prior)
     is_unknown = np.array([all(answer.failures[row] for row in (j + 1, j + 1 + p)) for j in range(p)])
@@ -173,12 +178,16 @@ def judged_slopes(
 
     """
     p = len(names)
+    # With fewer residuals than parameters the full V also has the directions that no residual sees.
     _, values, directions = np.linalg.svd(jacobian, full_matrices=len(jacobian) < p)
+    # Those directions have singular value 0.
     values = np.pad(values, (0, p - len(values)))
+    # From the singular values: J'J itself would square the condition of J and lose the open directions.
     covariance = (directions.T / ((values / raised) ** 2 + 1.0 / BOX_VARIANCE)) @ directions
     known = np.full(p, 1.0 / BOX_VARIANCE)
     if prior is not None:
         known = known + prior.width**-2.0
+        # Precisions of independent knowledge add up; thanks to the box neither inverse is singular.
         covariance = np.linalg.inv(np.linalg.inv(covariance) + np.diag(prior.width**-2.0))
     return Identifiability(
         names=names,
@@ -211,10 +220,12 @@ def _slopes(answer: Evaluation) -> FloatArray:
     ends = []
     for side in (slice(1, p + 1), slice(p + 1, None)):
         residuals = answer.residuals[side]
+        # One failed side leaves a one-sided difference, which is less exact but says more than none.
         is_good: BoolArray = np.all(np.isfinite(residuals), axis=1)
         there = np.where(is_good, np.diag(answer.u[side]), u)
         ends.append((there, np.where(is_good[:, None], residuals, answer.residuals[0])))
     (ahead, above), (behind, below) = ends
+    # Where both sides failed the slope becomes 0 / 1, not 0 / 0.
     width = np.where(ahead > behind, ahead - behind, 1.0)
     slopes: FloatArray = (above - below) / width[:, None]
     return slopes

@@ -32,17 +32,22 @@ def informative_rows(u: FloatArray, log_density: FloatArray, n_known: int | None
     kept: list[int] = []
     n_best = 0
     is_best = np.zeros(len(u), dtype=np.bool_)
+    # Only where asked rows fill the room: else stored rows follow anyway, the best ones first.
     if len(u) - n_known > MOST_ROWS - N_BEST:
         is_best[np.argsort(-log_density, kind="stable")[:N_BEST]] = True
+    # lexsort sorts by its last key first: asked and best rows, then stored ones, each by density.
     for row in np.lexsort((-log_density, is_known & ~is_best)):
+        # Stored rows come last, so their own limit may end the loop.
         if len(kept) == MOST_ROWS or n_best == MOST_KNOWN:
             break
         if not np.isfinite(log_density[row]):
             continue
+        # Two rows at one place would also make the matrix of covariances singular.
         if not kept or float(np.abs(u[kept] - u[row]).max(axis=1).min()) > SAME_ROW:
             kept.append(int(row))
             n_best += bool(is_known[row])
     rows = np.array(kept, dtype=np.int64)
+    # Callers take the first row for the best one.
     return rows[np.argsort(-log_density[rows], kind="stable")]
 
 

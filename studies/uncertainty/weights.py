@@ -14,6 +14,7 @@ def normalized(log_weights: FloatArray) -> FloatArray:
     finite = np.isfinite(log_weights)
     if not finite.any():
         return np.full(len(log_weights), 1.0 / max(len(log_weights), 1))
+    # The largest becomes 1: nothing overflows, and the sum cannot vanish.
     weights = np.exp(np.where(finite, log_weights, -np.inf) - log_weights[finite].max())
     total: FloatArray = weights / weights.sum()
     return total
@@ -41,6 +42,7 @@ def quantiles(values: FloatArray, weights: FloatArray, shares: FloatArray) -> Fl
     """
     order = np.argsort(values, axis=0)
     ranked, sorted_weights = np.take_along_axis(values, order, axis=0), weights[order]
+    # Hazen's rule for weights: a member stands at the middle of its own, so both ends are treated alike.
     middles = np.cumsum(sorted_weights, axis=0) - 0.5 * sorted_weights
     columns = [np.interp(shares, middles[:, d], ranked[:, d]) for d in range(values.shape[1])]
     return np.stack(columns, axis=1)
