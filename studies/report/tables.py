@@ -27,12 +27,16 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its key in files, its title for readers, its unit, and how a cell is written."""
+    """One column: its key in files, its title for readers, its unit, and how a cell is written.
+
+    In a narrow terminal columns with a larger `spare` are left out first; 0 is always shown.
+    """
 
     key: str
     title: str
     unit: str = ""
     write: Callable[[float], str] = significant
+    spare: int = 0
 
     def text(self, cell: Cell, digits: int = 3) -> str:
         """Write one cell for a reader.
@@ -116,13 +120,13 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
             Column(name.replace("/", "_"), name.removeprefix("test/").replace("_", " ", 1))
             for name in outputs
         ),
-        Column("gain", "gain over default", "", percent),
-        Column("pca_gp_test_mae", "PCA+GP MAE", unit),
-        Column("pca_gp_test_p90", "PCA+GP P90", unit),
-        Column("n_complete", "complete", "", count),
-        Column("n_pruned", "pruned", "", count),
-        Column("n_failed", "failed", "", count),
-        Column("validation_mae", "MAE val", unit),
+        Column("gain", "gain", "", percent),
+        Column("pca_gp_test_mae", "PCA+GP MAE", unit, spare=1),
+        Column("pca_gp_test_p90", "PCA+GP P90", unit, spare=2),
+        Column("n_complete", "complete", "", count, 3),
+        Column("n_pruned", "pruned", "", count, 3),
+        Column("n_failed", "failed", "", count, 4),
+        Column("validation_mae", "MAE val", unit, spare=5),
     )
     rows = tuple(
         (
@@ -141,7 +145,9 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
         )
         for one in found
     )
-    title = "Best surrogate per training-set size by validation error (MAE and 90th percentile: test set)"
+    title = (
+        "Best surrogate per training-set size by validation error (MAE, P90: test set; gain over default)"
+    )
     return Table("tuning", title, columns, rows)
 
 
@@ -182,12 +188,12 @@ def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -
         Column("mse", "MSE, validation", unit),
         Column("output", "output"),
         Column("unit", "unit"),
-        Column("n_samples", "samples", "", count),
+        Column("n_samples", "samples", "", count, 4),
         Column("rmse", "RMSE"),
-        Column("bias", "bias"),
-        Column("cv_rmse", "CV(RMSE)", "", percent),
-        Column("nmbe", "NMBE", "", percent),
-        Column("guideline_14", "ASHRAE guideline 14"),
+        Column("bias", "bias", spare=1),
+        Column("cv_rmse", "CV(RMSE)", "", percent, 3),
+        Column("nmbe", "NMBE", "", percent, 3),
+        Column("guideline_14", "ASHRAE guideline 14", spare=2),
     )
     units = list(map(difference_unit, record.measurement.units))
     rows: list[tuple[Cell, ...]] = []

@@ -34,24 +34,24 @@ def calibrations_table(data: ReportData) -> Table:
     with_surrogate: list[tuple[Column, Reader]] = [
         (Column("n_train", "training set", "", count), lambda c: c.n_train),
         (Column("test_mae", "test MAE", unit, _two), lambda c: c.test_mae),
-        (Column("test_p90", "test P90", unit, _two), lambda c: c.test_p90),
-        (Column("mse_surrogate", "MSE surrogate", mse_unit), lambda c: c.mse_surrogate),
+        (Column("test_p90", "test P90", unit, _two, 3), lambda c: c.test_p90),
+        (Column("mse_surrogate", "MSE surrogate", mse_unit, spare=2), lambda c: c.mse_surrogate),
         (Column("mse_screened", "MSE screened", mse_unit), lambda c: c.mse_screened),
-        (Column("screening_gap", "gap", mse_unit), lambda c: c.screening_gap),
+        (Column("screening_gap", "gap", mse_unit, spare=4), lambda c: c.screening_gap),
         (Column("n_polish", "polish calls", "", count), lambda c: c.n_polish),
     ]
     columns: list[tuple[Column, Reader]] = [
         *(with_surrogate if any(not c.is_adaptive for c in all_of_them) else []),
         (Column("mse_polished", "final MSE", mse_unit), lambda c: c.mse_polished),
         (Column("calls_paper", "calls, paper's count", "", count), lambda c: c.calls_paper),
-        (Column("total_calls", "calls, all", "", count), lambda c: c.total_calls),
+        (Column("total_calls", "calls, all", "", count, 1), lambda c: c.total_calls),
         *(
             (Column(f"calls_to_{mse:g}", f"calls to {mse:g}", "", count), partial(_calls_to, mse=mse))
             for mse in (reference.mse for reference in data.references if reference.is_target)
         ),
-        (Column("n_known", "stored before", "", count), lambda c: c.n_known),
-        (Column("wall_s", "time", "s", _two), lambda c: c.wall_s),
-        (Column("method", "method"), lambda c: c.method),
+        (Column("n_known", "stored before", "", count, 6), lambda c: c.n_known),
+        (Column("wall_s", "time", "s", _two, 5), lambda c: c.wall_s),
+        (Column("method", "method", spare=5), lambda c: c.method),
     ]
     rows = tuple(tuple(read(c) for _, read in columns) for c in all_of_them)
     emphasized = all_of_them.index(data.headline) if data.headline and len(rows) > 1 else None
@@ -107,10 +107,10 @@ def intervals_table(box: ParameterSpace, record: UncertaintyRecord) -> Table:
         Column("calibrated", "calibrated"),
         Column("low", f"{share} from"),
         Column("high", "to"),
-        Column("linear_low", "linearised from"),
-        Column("linear_high", "to"),
-        Column("lower", "lower bound", "", declared),
-        Column("upper", "upper bound", "", declared),
+        Column("linear_low", "linearised from", spare=2),
+        Column("linear_high", "to", spare=2),
+        Column("lower", "lower bound", "", declared, 1),
+        Column("upper", "upper bound", "", declared, 1),
         Column("known", "by the data"),
     )
     rows = tuple(
