@@ -156,8 +156,8 @@ def _feature_sum(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
     columns = _with_squares(x)
     centred, left_at_first = columns - columns.mean(axis=0), z - z.mean()
     size, norms = float(np.square(left_at_first).sum()), np.square(centred).sum(axis=0)
-    # Sets are searched side by side: one feature after the other did not find GFan
-    # / C among 20 with eight rows (docs/notes/state-equations.md, First form).
+    # Sets are searched side by side: one feature after the other did not find
+    # GFan / C among 20 with eight rows (docs/notes/state-equations.md, First form).
     best: list[tuple[float, tuple[int, ...]]] = [(1.0, ())]
     # The intercept takes a row, and spare rows separate a formula from chance.
     for _ in range(min(MOST_FEATURES, len(z) - 1 - SPARE_ROWS)):

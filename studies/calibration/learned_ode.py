@@ -48,8 +48,8 @@ CLEARLY = 0.8
 AT_REST = 1e-6
 
 # Rows after which equations are taken though some coefficient is no formula, by parameter and at least.
-# 12 calls to 1.02 times; with 14 rows for 14 parameters
-# it was 16, with 8 up to 31 (the same note, First form).
+# With 14 rows at first, 14 parameters took 16 calls to 1.02 times instead of 12;
+# with 8 rows, up to 31 (the same note, First form).
 PER_PARAMETER, LEAST_ROWS = 2.0 / 3.0, 6
 
 LEAST_CALLS = LEAST_TO_LEARN + 1

@@ -152,7 +152,7 @@ def independent_samples(measurement: Measurement) -> float:
         m = len(samples.time)
         rho = 0.0
         if m > 1 and lasts_s > 0.0:
-            # The median: a gap in a recording does not make samples lie farther apart.
+            # The median: a gap in a recording must not make all samples seem to lie farther apart.
             rho = float(np.exp(-np.median(np.diff(samples.time)) / lasts_s))
         total += worth_of(m, rho)
     return total

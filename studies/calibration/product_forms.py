@@ -27,7 +27,8 @@ SPARE_ROWS = 2
 # The same of longer sums, of which there are more: they have to be what is written into a model.
 EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
 # Products of so many parameters are looked at, and in sums, as far as they are few.
-# Of 14 parameters there are 3,305 products of at most three, 393 of two, and 77,028 sums of two of these.
+# Of 14 parameters there are 19,321 products of at most four (3,305 of at most three), and of the 393
+# products of at most two there are 77,028 sums of two.
 MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
 # So many rows decide which products may be meant.
 # So a coefficient without formula takes 14 to 45 ms, with up to 200 rows and 22 parameters (the same note).

@@ -74,7 +74,7 @@ def favourites(
     centre, points, expansions = surroundings.centre, list[FloatArray](), list[Expansion]()
     for rank in range(n):
         lower, upper = surroundings.box(_radius(surroundings.radius, rank))
-        # Descents from the next best rows cost 3 to 9 %
+        # Descents from the next best rows cost 3 to 9 % more calls
         # (docs/notes/adaptive-search.md, Rounds of several points).
         starts = [centre, *rng.uniform(lower, upper, (surroundings.n_descents - 1, centre.size))]
         expand = partial(surroundings.expand, caution=_caution(caution, rank))

@@ -192,7 +192,7 @@ def fitted(values: FloatArray, target: FloatArray) -> Fit:
         inverse = right.T / np.maximum(sizes, np.finfo(float).eps * max(float(sizes[0]), 1.0))
         found = inverse @ (left_vectors.T @ target)
         rest = float(np.square(target - scaled @ found).sum())
-        # Standard deviation of least squares: diagonal of the
+        # Standard deviation of least squares: root of the diagonal of the
         # inverse normal matrix times the variance that is left.
         deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
         share = deviation / (np.abs(found) + tiny)
