@@ -101,9 +101,11 @@ class AdaptiveSearch:
         while True:
             if settings.target_mse is not None and self._recorder.best_mse <= settings.target_mse:
                 return Ending("the target is reached", converged=True)
+            # What equations have left of the first design is asked once they are not believed.
             if len(self._unasked) and not self._follows_ode:
                 self._ask_rest()
                 continue
+            # A process needs two rows that succeeded.
             if np.isfinite(self._objective).sum() < 2:
                 self._ask(self._rng.random((settings.n_parallel, self._p)))
                 continue
@@ -175,6 +177,7 @@ class AdaptiveSearch:
         n_asked, q = 0, self._settings.n_parallel
         if self._ode is not None:
             n_enough = min(math.ceil(enough_for_equations(self._p) / q) * q, len(design))
+            # Whole rounds: one with idle workers takes as long.
             n_next = math.ceil(LEAST_TO_LEARN / q) * q
             while n_asked < n_enough and not self._ode.is_sure:
                 n_next = min(n_next, n_enough - n_asked)
@@ -198,6 +201,8 @@ class AdaptiveSearch:
             return False
         n = math.ceil(SEARCH.n_probes / self._settings.n_parallel) * self._settings.n_parallel
         is_affordable = self._settings.max_calls - self._recorder.n_calls >= n
+        # Two signs of a part of the model that no row has shown (docs/notes/state-equations.md, Ranges
+        # that no row has shown): an error too large for the sensor, and parameters in no equation.
         if not self._has_probed and is_affordable and (self._is_too_large or ode.left_out.any()):
             self._has_probed = True
             best = self._u[int(np.argmin(self._objective))]
@@ -311,6 +316,7 @@ class AdaptiveSearch:
             home = int(np.argmin(self._objective))
             is_end = np.abs(points[0] - centre).max() < SEARCH.at_the_edge * self._radius
             is_end |= np.abs(points[0] - self._u[home]).max() < SEARCH.came_back
+            # In another valley, no call is spent where its bottom is excluded already.
             if is_end and is_surely_no_better(process, points[0], expected, float(self._objective[home])):
                 self._turn()
                 return
@@ -322,9 +328,12 @@ class AdaptiveSearch:
         self._resize(points[0] - centre, found, gain, promise)
         self.expected_gain = promise / centre_objective if centre_objective > 0.0 else 0.0
         stagnant = max(self._ftol, SEARCH.stagnant if self._window.is_whole else SEARCH.stagnant_in_window)
+        # A round is in vain where neither found nor expected gains are left.
         hope = max(gain, promise)
         if predicted is None:
             predicted = self._expand(process, points[0], self._settings.caution).value
+        # A surrogate that errs at its favourite point ends no
+        # search (docs/notes/adaptive-search.md, Truncated windows).
         if is_surprised(float(found[0]), predicted, expected.value, centre_objective):
             hope = np.inf
         self._idle = self._idle + 1 if hope <= self._ftol * centre_objective else 0
@@ -448,10 +457,12 @@ class AdaptiveSearch:
         """
         best = self._u[int(np.argmin(self._objective))]
         if self._ode is not None and self._ode.is_believed:
+            # R alone has the slopes' singular values and products, in p rows.
             return np.asarray(np.linalg.qr(self._ode.slopes(best), mode="r"))
         process = self._last_process
         if process is None:
             return None
+        # The Hessian is 2 J' J / m, with what the variance adds: its root is J but for a rotation, in p rows.
         squares, axes = np.linalg.eigh(0.5 * self._residuals.shape[1] * process.expand(best, 1.0).hessian)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T)
 
@@ -499,6 +510,7 @@ class AdaptiveSearch:
         """Simulate rows, as many as the budget still holds, and keep what they answer."""
         left = self._settings.max_calls - self._recorder.n_calls
         u = np.round(u, SEARCH.decimals)
+        # One row at least: beyond the budget it raises BudgetExceeded, which ends the search.
         answer = self._recorder.evaluate(u[: max(left, 1)])
         self.n_rounds += math.ceil(answer.n / self._settings.n_parallel)
         self._keep(answer)
@@ -508,10 +520,12 @@ class AdaptiveSearch:
     def _keep(self, answer: Evaluation) -> None:
         """Take rows among those that the search learns from."""
         self._u = np.concatenate([self._u, answer.u])
+        # The first rows show how many residuals there are: an empty array takes that width.
         earlier = self._residuals.reshape(self._penalty.size, answer.residuals.shape[1])
         self._residuals = np.concatenate([earlier, answer.residuals])
         penalty = np.full(answer.n, np.inf)
         good = np.isfinite(answer.mse)
+        # The prior's part, apart from the error: a window changes the error alone.
         penalty[good] = answer.objective[good] - answer.mse[good]
         self._penalty = np.concatenate([self._penalty, penalty])
         self._judge()
@@ -600,6 +614,9 @@ class AdaptiveSearch:
         if not np.isfinite(found).any():
             self._radius = max(self._radius * SEARCH.shrink_after_failure, SEARCH.smallest_radius)
         elif gain < SEARCH.bad_step * expected:
+            # A radius that failures have made smaller than the
+            # least one is left as it is: no bad step widens it.
             self._radius = max(self._radius * SEARCH.shrink, min(self._radius, self._settings.least_radius))
+        # A good step inside of the region shows no need of a wider one.
         elif gain > SEARCH.good_step * expected and np.abs(step).max() > SEARCH.at_the_edge * self._radius:
             self._radius = min(self._radius * SEARCH.grow, 1.0)

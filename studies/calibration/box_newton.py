@@ -37,6 +37,8 @@ def descend(
     here = expand(u)
     damping = FIRST_DAMPING
     for _ in range(MAX_STEPS):
+        # Where the slope points out of the box, a coordinate is held at its
+        # face (projected Newton method, Bertsekas 1982, doi:10.1137/0320018).
         held = ((u <= lower) & (here.gradient > 0.0)) | ((u >= upper) & (here.gradient < 0.0))
         if held.all():
             break
@@ -46,6 +48,7 @@ def descend(
             if there.value < here.value:
                 break
             damping *= 4.0
+        # No damping lowers the function: within rounding, this is a minimum.
         else:
             break
         gain = here.value - there.value
@@ -61,9 +64,13 @@ def _damped_step(
     """Return the damped Newton point; coordinates that leave the box stop at its face. Shape (p,)."""
     step = np.zeros_like(u)
     free = free.copy()
+    # Every turn fixes a coordinate at least, so that there are at most as many as parameters.
     while free.any():
         block = here.hessian[np.ix_(free, free)]
+        # Marquardt's damping by the diagonal; the trace's
+        # small share holds directions that have no curvature.
         ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
+        # The others answer to coordinates that stop at a face; cutting the step alone may leave the valley.
         slope = here.gradient[free] + here.hessian[np.ix_(free, ~free)] @ step[~free]
         step[free] = -np.linalg.solve(block + np.diag(ridge), slope)
         beyond = free & ((u + step < lower) | (u + step > upper))

@@ -92,22 +92,30 @@ class Coefficient:
             return cls(0.0, 0.0)
         is_signed = bool((values > 0.0).all() or (values < 0.0).all())
         sign = float(np.sign(values[0])) if is_signed else 0.0
+        # Logarithms turn products and quotients into sums, which few features explain.
         z = np.log(np.abs(values)) if is_signed else values
         mean = float(z.mean())
         size = float(np.square(z - mean).sum())
+        # Differences of logarithms are relative already: they
+        # are compared with 1 where their mean is near zero.
         if size <= CONSTANT * len(z) * max(mean**2, float(is_signed)):
             return cls(sign, mean)
         if (found := product_sum(products, points.theta, values)) is not None:
             return cls(0.0, 0.0, formula=found)
+        # A coefficient that has one sign may still be a polynomial,
+        # so its values are tried beside their logarithms.
         sums = [(_feature_sum(x, z), sign), *([(_feature_sum(x, values), 0.0)] if is_signed else [])]
         (numbers, left), kind = min(sums, key=lambda one: one[0][1])
         if left < EXACT:
             return cls(kind, numbers[0], slopes=numbers[1:])
         scale = np.sqrt(size / len(z))
+        # Standardized, so that one prior of the kernel suits coefficients of any unit and size.
         v, even = (z - mean) / scale, np.ones(len(z))
         prior = np.array([LENGTH_PRIOR] * x.shape[1] + [SLOPE_PRIOR, NOISE_PRIOR]).T
+        # A coefficient is one value per row, so that one value counts in the likelihood.
         belief = Belief(prior[0], prior[1], 1.0)
         hyper = None
+        # One fit stops after few iterations (residual_kernel.py); the next goes on from there.
         for _ in range(N_FITS):
             hyper = most_probable(x, np.outer(v, v), even, belief, hyper)
         assert hyper is not None
@@ -129,6 +137,8 @@ class Coefficient:
             z += _with_squares(x) @ self.slopes
         elif self.x is not None and self.hyper is not None and self.weights is not None:
             z += between(x, self.x, self.hyper) @ self.weights
+        # Far from the rows an exponential may overflow: what is
+        # solved with it is not finite, and counts as failed.
         with np.errstate(over="ignore"):
             return self.sign * np.exp(z) if self.sign else z
 
@@ -146,14 +156,20 @@ def _feature_sum(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
     columns = _with_squares(x)
     centred, left_at_first = columns - columns.mean(axis=0), z - z.mean()
     size, norms = float(np.square(left_at_first).sum()), np.square(centred).sum(axis=0)
+    # Sets are searched side by side: one feature after the other did not find
+    # GFan / C among 20 with eight rows (docs/notes/state-equations.md, First form).
     best: list[tuple[float, tuple[int, ...]]] = [(1.0, ())]
+    # The intercept takes a row, and spare rows separate a formula from chance.
     for _ in range(min(MOST_FEATURES, len(z) - 1 - SPARE_ROWS)):
         shares = dict[tuple[int, ...], float]()
         for _, chosen in best:
+            # Beside an orthonormal basis of the chosen ones, what
+            # any other feature gains needs no fit of its own.
             basis = np.linalg.qr(centred[:, list(chosen)])[0]
             rest = centred - basis @ (basis.T @ centred)
             left = left_at_first - basis @ (basis.T @ left_at_first)
             squares = np.square(rest).sum(axis=0)
+            # What chosen ones make up has rounding left alone, whose direction means nothing.
             gains = np.where(squares > SAME_FEATURE * norms, (left @ rest) ** 2, 0.0) / (squares + TINY)
             for one in np.argsort(gains, kind="stable")[-N_BEST:].tolist():
                 share = (float(left @ left) - float(gains[one])) / size
@@ -162,6 +178,7 @@ def _feature_sum(x: FloatArray, z: FloatArray) -> tuple[FloatArray, float]:
         if best[0][0] < EXACT:
             break
     features = list(best[0][1])
+    # Projections have found the set; one plain fit gives its numbers without their accumulated rounding.
     picked = np.column_stack([np.ones(len(z)), columns[:, features]])
     numbers = np.linalg.lstsq(picked, z, rcond=None)[0]
     found = np.zeros(1 + columns.shape[1])

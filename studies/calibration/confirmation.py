@@ -47,6 +47,8 @@ def least_unlikely(
     for anywhere in rng.random((SEARCH.n_drawn, p)):
         sample = PosteriorSample.draw(process, rng)
         expand = partial(expected_objective, sample, prior, caution=0.0)
+        # From random points alone none came near an oscillator's valley: a search "converged"
+        # at 1.065 times (docs/notes/adaptive-search.md, Convergence, later in version 0.3).
         for start in (anywhere, centre):
             # Another valley, and what the rows leave open of this one.
             ends.append(descend(expand, start, np.zeros(p), np.ones(p), ftol=SEARCH.rough))
@@ -56,6 +58,7 @@ def least_unlikely(
     distances = np.abs(places[:, None] - u[None]).max(axis=2)
     scores = np.array([_unlikely(process, prior, place, SEARCH.worth * objective) for place in places])
     # Where the nearest row failed, the next one probably fails as well.
+    # They come after all others, in the order among themselves.
     scores[~good[np.argmin(distances, axis=1)]] += np.ptp(scores) + 1.0
     scores[distances.min(axis=1) < SEARCH.known] = np.inf
     order = np.argsort(scores, kind="stable")
@@ -74,5 +77,6 @@ def _unlikely(process: ProcessGroups, prior: Penalty | None, u: FloatArray, want
     mean = expected_objective(process, prior, u, 0.0).value
     whole = expected_objective(process, prior, u, 1.0).value
     variance = max(whole - mean, 0.0)
+    # A mean of n squares of normal values is noncentral chi-squared: its variance is 2 v (v + 2 m) / n.
     deviation = np.sqrt(2.0 * variance * (variance + 2.0 * mean) / SEARCH.n_independent_errors)
     return float((whole - wanted) / max(deviation, 1e-9 * whole, np.finfo(float).tiny))

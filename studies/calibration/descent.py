@@ -43,6 +43,7 @@ def jacobians(residuals: Residuals, u: FloatArray, here: FloatArray) -> FloatArr
         Shape (k, m, p), not finite where the residuals are not. [unit]
     """
     k, p = u.shape
+    # Toward the middle, so that no difference leaves the box.
     shift = np.where(u > 0.5, -SHIFT, SHIFT)
     beside = u[:, None] + shift[:, None] * np.eye(p)
     there = residuals(beside.reshape(-1, p)).reshape(k, p, here.shape[1])
@@ -78,9 +79,11 @@ def descend_together(
         if not walks.size:
             break
         stale = np.flatnonzero(is_open & is_stale)
+        # A refused step changes the damping alone: the Jacobian of its point, the costly part, is used again.
         if stale.size:
             jacobian[stale] = jacobians(residuals, u[stale], here[stale])
             is_stale[stale] = False
+            # Where points beside cannot be solved, the walk ends.
             is_open[stale] = np.isfinite(jacobian[stale]).all(axis=(1, 2))
             walks = np.flatnonzero(is_open)
         trial = u[walks].copy()
@@ -111,11 +114,15 @@ def _step(
     if prior is not None:
         _, slope, curvature = prior.expand(u)
         gradient, hessian = gradient + slope, hessian + curvature
+    # What the slope pushes against a face stays there (projected Newton method, see box_newton.py).
     free = np.flatnonzero(~(((u <= 0.0) & (gradient > 0.0)) | ((u >= 1.0) & (gradient < 0.0))))
     trial = u.copy()
     if free.size and np.isfinite(hessian).all():
         block = hessian[np.ix_(free, free)]
+        # Marquardt's damping by the diagonal; the trace's
+        # small share holds directions that have no curvature.
         ridge = damping * np.diag(block) + 1e-12 * np.trace(block) + np.finfo(float).tiny
         step = np.linalg.solve(block + np.diag(ridge), -gradient[free])
+        # Residuals are linear nearby alone: without a limit, a first step may cross the whole box.
         trial[free] = np.clip(u[free] + np.clip(step, -MOST_STEP, MOST_STEP), 0.0, 1.0)
     return trial

@@ -37,6 +37,8 @@ class Confirmation:
         Args:
             least_restarts: Restarts that are owed at least; none are owed where that is 0.
         """
+        # `and`: with zero, a search never leaves the first valley. Per call, restarts gained two to three
+        # times as often as tests (docs/notes/adaptive-search.md, Convergence, later in version 0.3).
         self.restarts_owed = least_restarts and least_restarts + SEARCH.restarts_more
         self.begin_again()
 
@@ -51,6 +53,7 @@ class Confirmation:
 
     def note_best(self, best: float) -> None:
         """Take note of the best objective; what was tested before a gain does not count. [unit squared]."""
+        # `_best` moves at such a gain alone, so that many small gains together count as one.
         if best < (1.0 - SEARCH.confirmed) * self._best:
             self._best = best
             self._forget()
@@ -102,6 +105,7 @@ class Confirmation:
             switches: Whether the model switches at times that depend on its parameters: functions that are
                 drawn are smooth, and cannot promise what another number of switchings would gain.
         """
+        # Four of six thermostats had said "converged" and were wrong (docs/calibration.md).
         if switches:
             return Ending(
                 f"{self.in_vain}; the model switches at times that depend on its parameters, so that another "

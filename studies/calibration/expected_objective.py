@@ -54,6 +54,8 @@ def is_surprised(found: float, predicted: float, favourite: float, best: float) 
         favourite: Predicted for the favourite; another point is simulated where that is known. [unit squared]
         best: Objective of the best row before. [unit squared]
     """
+    # A failed row shows no error of the prediction; a point much
+    # worse than the favourite was asked because that one is known.
     if not np.isfinite(found) or predicted > (1.0 + SEARCH.surprise) * favourite:
         found = predicted
     return max(found - predicted, favourite - best) > SEARCH.surprise * max(best, predicted)

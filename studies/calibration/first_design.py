@@ -14,6 +14,7 @@ def latin_hypercube(n: int, p: int, rng: np.random.Generator) -> FloatArray:
         cells = rng.permuted(np.tile(np.arange(n), (p, 1)), axis=1).T
         u = (cells + rng.random((n, p))) / n
         distances = ((u[:, None] - u[None]) ** 2).sum(axis=2)
+        # Maximin distance (Johnson, Moore and Ylvisaker 1990, doi:10.1016/0378-3758(90)90122-B).
         least = float(distances[~np.eye(n, dtype=np.bool_)].min())
         if least > widest:
             chosen, widest = u, least

@@ -43,6 +43,7 @@ def _slope(
     for state in range(slope.size):
         total = 0.0
         while term < ends[state]:
+            # A term without difference subtracts the 0 at the end, which needs no branch.
             value = columns[places[term, 0]] - columns[places[term, 1]]
             if places[term, 2] > 0:
                 value = _bent(places[term, 2], value)
@@ -85,6 +86,7 @@ def steps(
     n_inputs = driven.shape[1]
     answer = np.full((n, 1 + driven.shape[0] // every, n_states), np.nan)
     columns = np.zeros(n_states + n_inputs + 2)
+    # The constant, and what takes the place of factors that a term does not have; behind it stays the 0.
     columns[-2] = 1.0
     h = step_s / n_parts
     x, slope, total = np.empty(n_states), np.empty(n_states), np.empty(n_states)
@@ -98,6 +100,8 @@ def steps(
                 columns[:n_states] = x
                 _slope(columns, coefficients[point], ends, places, slope)
                 total[:] = slope
+                # Classical Runge-Kutta: four slopes, at the start, twice
+                # at half a step and at its end, count 1, 2, 2, 1 sixths.
                 for weight, reach in ((2.0, 0.5), (2.0, 0.5), (1.0, 1.0)):
                     for state in range(n_states):
                         columns[state] = x[state] + reach * h * slope[state]
@@ -108,6 +112,7 @@ def steps(
                     x[state] += h / 6.0 * total[state]
             if (step + 1) % every == 0:
                 answer[point, (step + 1) // every] = x
+                # States that run away do not come back: the rest of the answer stays NaN.
                 if not np.isfinite(x).all():
                     break
     return answer

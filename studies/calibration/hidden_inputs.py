@@ -81,6 +81,7 @@ def _unlike(columns: list[FloatArray]) -> list[int]:
         rest = values - values.mean()
         size = float(rest @ rest)
         # Twice is enough for all digits.
+        # (Gram-Schmidt, repeated once: Giraud and others 2005, doi:10.1007/s00211-005-0615-4.)
         for _ in range(2):
             rest = rest - axes @ (axes.T @ rest)
         if float(rest @ rest) > SAME * size:
@@ -152,11 +153,14 @@ def _means(values: FloatArray, every: int, *, is_held: bool, place: int) -> Floa
     jumps = np.ones(len(values) - 1, dtype=np.bool_) if is_held else _jumps(values)
     means = np.empty((len(values) - 1, every))
     means[:, :place], means[:, place:] = values[:-1, None], values[1:, None]
+    # No curve runs across a jump, where it would swing.
     ends = np.flatnonzero(np.concatenate([jumps, [True]])) + 1
     for first, end in zip(np.concatenate([[0], ends[:-1]]), ends, strict=True):
         if end - first > 1:
             at = np.arange(first, end, dtype=np.float64)
             edges = first + np.arange((end - first - 1) * every + 1) / every
+            # The integral gives exact means over steps; Akima's curve
+            # swings little beside bends (1970, doi:10.1145/321607.321609).
             whole = Akima1DInterpolator(at, values[first:end]).antiderivative()(edges)
             means[first : end - 1] = (np.diff(whole) * every).reshape(-1, every)
     return means.reshape(-1)

@@ -209,6 +209,7 @@ class _Search:
 
     def evaluate_at(self, v: FloatArray) -> Evaluation:
         """Ask the model at one point, unless it is the point asked last."""
+        # SciPy asks for the Jacobian where it has asked for the objective: that row is paid once.
         if self._last is not None and float(np.max(np.abs(self._last[0] - v))) <= SAME_POINT:
             return self._last[1]
         answer = self._recorder.evaluate(self.from_search(v[None]))
@@ -241,6 +242,7 @@ class _Search:
         self._accepted = v = np.clip(x - ORIGIN, 0.0, 1.0)
         here = self._form(self.evaluate_at(v).residuals[0])
         step = self._settings.difference_step
+        # Backward at an upper face, so that no difference leaves the box.
         steps = np.where(v + step > 1.0, -step, step)
         moved = self._differences(v, steps)
         failed = np.flatnonzero(~np.all(np.isfinite(moved), axis=1))
@@ -250,6 +252,7 @@ class _Search:
             moved[other_side] = self._differences(v, steps, other_side)
         slopes: FloatArray = (moved - here) / steps[:, None]
         is_stuck = ~np.all(np.isfinite(slopes), axis=1)
+        # A column of zeros makes the solver leave the parameter where it is.
         slopes[is_stuck] = 0.0
         self.slopes = slopes.T / self._stretch(v)
         if self._prior is None:
@@ -275,6 +278,8 @@ class _Search:
             return np.ones_like(v)
         lower, upper = self._space.lower, self._space.upper
         with np.errstate(divide="ignore", invalid="ignore"):
+            # Chain rule through the parameter: u is log(theta /
+            # lower) / log(upper / lower), v is linear in theta.
             by_v = (upper - lower) / (self._search_space.from_unit(v) * np.log(upper / lower))
         return np.where(self._space.is_log, by_v, 1.0)
 

@@ -45,19 +45,25 @@ class _ProcessSample:
         x, (n, r) = process.x, process.coefficients.shape
         inverse_lengths, slope = np.exp(-process.hyper[:-2]), float(np.exp(process.hyper[-2]))
         factor = np.linalg.inv(process.inverse_factor)
+        # With the rows' noise; a process holds its inverse factor alone.
         kernel = factor @ factor.T
         # Each component has its own amplitude.
         squares = (kernel @ process.coefficients * process.coefficients).sum(axis=0)
         amplitudes = np.sqrt(np.maximum(squares, 0.0) / n)
+        # A Gaussian kernel's spectral density is normal, with
+        # the inverse lengths as deviations (Bochner's theorem).
         frequencies = rng.standard_normal((N_COSINES, x.shape[1])) * inverse_lengths
         phases = rng.uniform(0.0, 2.0 * np.pi, N_COSINES)
+        # With this factor, cosines of random phases have the variance 1 in sum, as the kernel's bumps.
         cosines = np.sqrt(2.0 / N_COSINES) * rng.standard_normal((N_COSINES, r)) * amplitudes
         slopes = slope * inverse_lengths[:, None] * rng.standard_normal((x.shape[1], r)) * amplitudes
         constants = np.sqrt(CONSTANT) * rng.standard_normal(r) * amplitudes
         drawn = np.cos(x @ frequencies.T + phases) @ cosines + x @ slopes + constants
         of_functions = CONSTANT + 1.0 + slope**2 * (x * inverse_lengths) ** 2 @ np.ones(x.shape[1])
+        # The diagonal holds kernel and noise of a row; the difference is its noise.
         noise = np.sqrt(np.maximum(np.diag(kernel) - of_functions, 0.0))
         drawn += noise[:, None] * rng.standard_normal((n, r)) * amplitudes
+        # Matheron's rule: what the draw does at the rows, noise included, is replaced by what these answered.
         missing = process.inverse_factor.T @ (process.inverse_factor @ drawn)
         coefficients = process.coefficients - missing
         return cls(process, frequencies, phases, cosines, slopes, constants, coefficients)

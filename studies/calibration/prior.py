@@ -74,6 +74,7 @@ class Prior:
             if one is not None:
                 is_log = parameter.scale == "log"
                 step, full = one.deviation, parameter.upper - parameter.lower
+                # Of a logarithmic parameter, a deviation is declared as a factor.
                 if is_log:
                     step, full = float(np.log(step)), float(np.log(parameter.upper / parameter.lower))
                 width[j] = step / full
@@ -118,6 +119,8 @@ class Prior:
         Returns:
             One per parameter, 0 where nothing is known. Shape (n, p). [first output's unit]
         """
+        # The MSE divides by the number of residuals, so that in
+        # a sum of squares the penalty counts that many times.
         return float(np.sqrt(self.weight * n_residuals)) * self.deviations(u)
 
     def row_slopes(self, n_residuals: int) -> FloatArray:
@@ -149,6 +152,7 @@ def independent_samples(measurement: Measurement) -> float:
         m = len(samples.time)
         rho = 0.0
         if m > 1 and lasts_s > 0.0:
+            # The median: a gap in a recording must not make all samples seem to lie farther apart.
             rho = float(np.exp(-np.median(np.diff(samples.time)) / lasts_s))
         total += worth_of(m, rho)
     return total
@@ -161,4 +165,5 @@ def worth_of(m: int, rho: float) -> float:
         m: Samples.
         rho: Correlation from one to the next. [1]
     """
+    # The effective number of autocorrelated observations (Bayley and Hammersley 1946), for many samples.
     return max(1.0, m * (1.0 - rho) / (1.0 + rho))

@@ -137,6 +137,7 @@ class CalibrationProblem:
         residuals = self.measurement.compared(trajectories.y)
         failed = trajectories.failed | ~np.all(np.isfinite(residuals), axis=1)
         mse = np.full(len(u), np.inf)
+        # What is too large to square counts as failed below.
         with np.errstate(over="ignore"):
             mse[~failed] = np.mean(residuals[~failed] ** 2, axis=1)
         failed |= np.isinf(mse)

@@ -19,17 +19,24 @@ from studies.calibration.state_terms import spread
 
 # Weighted squares, as a share of those around the mean, below which a formula is exact. Sums of two are so
 # many that with few rows some would fit the errors of one product: there, the second counts.
+# Errors of 1e-4 and 1e-5, squared: coefficients of the office are good
+# to 1e-5 and worse (docs/notes/state-equations.md, Whole powers).
 EXACT, EXACT_OF_FEW, FEW_ROWS = 1e-8, 1e-10, 5
 # Rows more than amounts, before chance can be separated from a formula.
 SPARE_ROWS = 2
 # The same of longer sums, of which there are more: they have to be what is written into a model.
 EXACT_OF_LONG, SPARE_ROWS_OF_LONG = 1e-14, 3
 # Products of so many parameters are looked at, and in sums, as far as they are few.
+# Of 14 parameters there are 19,321 products of at most four (3,305 of at most three), and of the 393
+# products of at most two there are 77,028 sums of two.
 MOST_FACTORS, MOST_PRODUCTS, MOST_PAIRED = 4, 20_000, 1_000
 # So many rows decide which products may be meant.
+# So a coefficient without formula takes 14 to 45 ms, with up to 200 rows and 22 parameters (the same note).
 MOST_ROWS = 12
 # All sums of two are looked at; of longer ones those that begin with the best shorter ones, so many. So many
 # are looked at closely. Squared sines below which a product is made up by others.
+# All of 20 drawn sums of three were found so, from six
+# rows; of sums of four 2 of 5, from ten (the same note).
 MOST_SUMMED, N_BEGINNINGS, N_BEST, SAME_PRODUCT = 3, 200, 8, 1e-10
 # Values count by themselves, but not those that happen to be next to nothing. [root mean square]
 NEXT_TO_NOTHING = 1e-3
@@ -73,6 +80,7 @@ class Products:
 
 def values_of(powers: IntArray, theta: FloatArray) -> FloatArray:
     """Return products with powers (m, p) at parameters (n, p). Shape (n, m)."""
+    # Powers of 1 and -1 need no logarithms, which negative parameters would not have.
     values = np.ones((len(theta), len(powers)))
     for j, column in enumerate(theta.T):
         values[:, powers[:, j] > 0] *= column[:, None]
@@ -116,9 +124,11 @@ def product_sum(products: Products, theta: FloatArray, values: FloatArray) -> Pr
     # A part of the rows proposes products, all rows judge them.
     some = spread(len(values), MOST_ROWS)
     table = products.at(theta[some])
+    # One product goes first: in a sum, a second one would only absorb its error (the same note).
     judged = [_judged(products.powers[[_single(table, values[some])]], theta, values)]
     if judged[0].left < EXACT:
         return judged[0].formula
+    # Resistances in series make a coefficient one over a sum, such as 1 / (R + S).
     goals = [values, *([1.0 / values] if (values > 0.0).all() or (values < 0.0).all() else [])]
     table = table[:, : products.n_paired]
     beginnings = dict[int, IntArray]()
@@ -159,17 +169,20 @@ def _judged(
     weight = _weight(values)
     columns = values_of(powers, theta) * weight[:, None]
     norms = np.sqrt(np.square(columns).sum(axis=0))
+    # Products of different units differ by decades; columns of length 1 make the fit well conditioned.
     amounts = np.linalg.lstsq(columns / norms, values * weight, rcond=None)[0] / norms
     left = _left(columns @ amounts - values * weight, values * weight, weight)
     return _Judged(ProductSum(amounts, powers, is_reciprocal), left)
 
 
 def _weight(values: FloatArray) -> FloatArray:
+    # Errors count relative to each row, as coefficients vary a hundredfold over a box (the same note).
     return 1.0 / np.sqrt(values**2 + NEXT_TO_NOTHING**2 * np.mean(values**2))
 
 
 def _left(error: FloatArray, values: FloatArray, weight: FloatArray) -> float:
     """Return squared errors as a share of what a constant leaves, all weighted. [1]."""
+    # Weighted, a constant is the weight itself: its projection is what a constant explains.
     around = values - weight * (weight @ values) / (weight @ weight)
     return float(error @ error) / max(float(around @ around), float(np.finfo(float).tiny))
 
@@ -186,13 +199,18 @@ def _pairs(table: FloatArray, values: FloatArray) -> FloatArray:
     """Return what all pairs of columns (n, m) of length 1 explain of values (n,). Shape (m, m)."""
     cosines, along = table.T @ table, values @ table
     sines = 1.0 - cosines**2
+    # Squares that two columns of length 1 explain together:
+    # (a² + b² - 2 a b c) / (1 - c²), c being their cosine.
     both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
     explained = np.where(sines > SAME_PRODUCT, both / np.maximum(sines, SAME_PRODUCT), -np.inf)
+    # Each pair once, and no column with itself.
     return np.asarray(np.where(np.tri(len(cosines), dtype=np.bool_), -np.inf, explained))
 
 
 def _longer(table: FloatArray, values: FloatArray, beginnings: IntArray) -> FloatArray:
     """Return what sums that begin so (b, k) explain with one more column (n, m) of values. Shape (b, m)."""
+    # Beside an orthonormal basis of a beginning, what one
+    # more column explains is one projection: no fit per sum.
     basis = np.linalg.qr(table[:, beginnings].transpose(1, 0, 2))[0]
     rest = table - basis @ (basis.transpose(0, 2, 1) @ table)
     along = basis.transpose(0, 2, 1) @ values
@@ -214,9 +232,13 @@ def _best_sums(explained: FloatArray, beginnings: IntArray | None) -> IntArray:
         beginnings = np.arange(m)[:, None]
     # A sum of k products may have been begun in k ways.
     n = min(MOST_SUMMED * N_BEGINNINGS, explained.size)
+    # Of up to a million pairs only the best are sorted:
+    # partitioning takes time in proportion to their number.
     order = np.argpartition(-explained, n - 1, axis=None)[:n]
     order = order[np.argsort(-explained.reshape(-1)[order], kind="stable")]
     order = order[np.isfinite(explained.reshape(-1)[order])]
     sums = np.sort(np.column_stack([beginnings[order // m], order % m]), axis=1)
+    # unique sorts sums by the positions of their products;
+    # `first` brings back the order by what they explain.
     _, first = np.unique(sums, axis=0, return_index=True)
     return np.asarray(sums[np.sort(first)][:N_BEGINNINGS])

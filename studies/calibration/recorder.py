@@ -124,6 +124,7 @@ class Recorder:
 
     def _note(self, evaluation: Evaluation) -> None:
         index = int(np.argmin(evaluation.objective))
+        # A failed row is the best as long as there is no other: a result can then say why it failed.
         if self.best is None or evaluation.objective[index] < self.best.objective[0]:
             self.best = evaluation.take(index)
         self._entries.append((self.n_calls, self.best_mse))

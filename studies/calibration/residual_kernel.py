@@ -27,6 +27,8 @@ SLOPE_PRIOR = (np.log(1.0), 1.0)
 NOISE_PRIOR = (np.log(1e-2), 0.5)
 LENGTH_BOUNDS = (np.log(0.05), np.log(50.0))
 SLOPE_BOUNDS = (np.log(1e-3), np.log(50.0))
+# With 0.1 at most instead of 0.3, two of five searches from stored rows
+# never arrived (docs/notes/adaptive-search.md, Stored simulations).
 NOISE_BOUNDS = (np.log(1e-5), np.log(0.3))
 # Relative to the kernel matrix's trace: what rounding may cost before a factor no longer exists.
 JITTER = 1e-13
@@ -75,8 +77,10 @@ class KernelMatrix:
     def of(cls, x: FloatArray, hyper: FloatArray, looseness: FloatArray) -> Self:
         """Compute it: points (n, f), hyperparameters (f + 2,), factors of the rows' noise variances (n,)."""
         scaled = x * np.exp(-hyper[:-2])
+        # Distances as |a|² + |b|² - 2 <a, b>: one matrix product, which the linear part needs anyway.
         products = scaled @ scaled.T
         squares = np.diag(products)
+        # With rounding, equal points may have a negative distance.
         distances = np.maximum(squares[:, None] + squares[None] - 2.0 * products, 0.0)
         bumps = np.exp(-0.5 * distances)
         linear = np.exp(2.0 * hyper[-2]) * products
@@ -114,8 +118,10 @@ def most_probable(
     n, f = x.shape
     mean, deviation, n_independent = belief
     total = float(np.trace(gram))
+    # Rows that all answer alike teach nothing.
     if total <= 0.0:
         return mean
+    # The amplitude is profiled out, so that scale is free: with a trace of n all numbers are of size 1.
     gram = gram * (n / total)
 
     def loss(hyper: FloatArray) -> tuple[float, FloatArray]:
@@ -144,11 +150,14 @@ def _negative_log_likelihood(
     inverse = factor.T @ factor
     explained = inverse @ gram
     trace = float(np.trace(explained))
+    # Negative log marginal likelihood (Rasmussen and Williams
+    # 2006, Eq. 5.8) at its best amplitude, trace / n.
     value = 0.5 * n_independent * (-2.0 * float(np.log(np.diag(factor)).sum()) + n * np.log(trace / n))
     # d value / d kernel matrix
     slopes = 0.5 * n_independent * (inverse - (n / trace) * (explained @ inverse))
     gradient = np.empty(hyper.size)
     bumps = slopes * kernel.bumps
+    # With S symmetric, sum S_ij (x_i - x_j)² = 2 (sum s_i x_i² - x' S x): two products serve all lengths.
     mixed = (bumps + np.exp(2.0 * hyper[-2]) * slopes) @ x
     gradient[:-2] = 2.0 * np.exp(-2.0 * hyper[:-2]) * (bumps.sum(axis=1) @ (x**2) - (x * mixed).sum(axis=0))
     gradient[-2] = 2.0 * (slopes * kernel.linear).sum()
@@ -158,5 +167,6 @@ def _negative_log_likelihood(
 
 def inverse_factor(matrix: FloatArray) -> FloatArray:
     """Return the inverse of the lower Cholesky factor. Shape (n, n)."""
+    # Inverted once, as slopes of the likelihood and variances at many points then are plain products.
     inverse, _ = lapack.dtrtri(np.linalg.cholesky(matrix), lower=1)
     return np.asarray(inverse, dtype=np.float64)

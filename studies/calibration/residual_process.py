@@ -63,6 +63,7 @@ class Features:
 
     def at(self, u: FloatArray) -> FloatArray:
         """Return the features of points, between -1/2 and 1/2. Shape (n, p + l). [1]."""
+        # expm1 has all digits where a range is narrow and both differences are next to nothing.
         linear = np.expm1(self.log_width * u[..., self.is_log]) / np.expm1(self.log_width)
         return np.concatenate([u, linear], axis=-1) - 0.5
 
@@ -107,12 +108,16 @@ class Components:
         """Return all components of residuals (n, m); noise variances are errors to a power."""
         squares = (residuals**2).sum(axis=1)
         best = residuals[int(np.argmin(squares))]
+        # n rows differ in n directions at most: from here on,
+        # work does not grow with the number of residuals.
         basis, triangle = np.linalg.qr((residuals - best).T)
         level = basis.T @ best
         size = float(np.square(triangle).sum()) / len(residuals)
         loose = (
             np.maximum((squares / size) ** power, LEAST_LOOSENESS) if size > 0.0 else np.ones(len(residuals))
         )
+        # Pythagoras: what the basis does not hold is the
+        # difference of squares, which rounding may make negative.
         return cls(triangle.T, level, max(float((best**2).sum() - (level**2).sum()), 0.0), best, loose)
 
     def split(self, part: float) -> list[Self]:
@@ -121,9 +126,11 @@ class Components:
         The basis becomes that of the principal components. What is outside of it stays with the first.
         """
         squares, directions = np.linalg.eigh(self.values.T @ self.values)
+        # eigh returns them rising, and with rounding some are negative.
         squares, directions = np.maximum(squares[::-1], 0.0), directions[:, ::-1]
         held = np.cumsum(squares)
         n_leading = int((held < part * held[-1]).sum()) + 1
+        # A second group would hold rounding alone.
         if n_leading >= len(held) or held[n_leading - 1] == held[-1]:
             return [self]
         return [
@@ -195,6 +202,8 @@ class ResidualProcess:
         factor = inverse_factor(KernelMatrix.of(x, hyper, components.looseness).matrix)
         coefficients = factor.T @ (factor @ components.values)
         m = components.best.size
+        # The most probable amplitude in closed form: the trace of
+        # the inverse kernel matrix times the Gram matrix, per value.
         variance = float((components.values * coefficients).sum()) / (len(x) * m)
         return cls(
             features, x, hyper, factor, coefficients, components.level, components.outside, variance, m
@@ -227,11 +236,15 @@ class ResidualProcess:
         residuals, jacobian = self.level + k @ self.coefficients, dk.T @ self.coefficients
         mse = (self.outside + float(residuals @ residuals)) / self.n_residuals
         gradient = 2.0 * (jacobian @ residuals) / self.n_residuals
+        # Gauss-Newton: without the residuals' own curvature it is never indefinite.
         hessian = 2.0 * (jacobian @ jacobian.T) / self.n_residuals
         # Curvature of the variance: twice the covariance of the slopes, and a rest that vanishes at the data.
         known, dknown = self.inverse_factor @ k, self.inverse_factor @ dk
+        # Beside a row, rounding may make it negative.
         variance = max(CONSTANT + 1.0 + slope * float(x**2 @ weights) - float(known @ known), 0.0)
         dprior = self.features.pull_back(u, slope * x * weights)
+        # Variance of the slopes beforehand: the kernel's mixed
+        # second derivative at distance zero, (1 + a²) / L².
         roots = self.features.pull_back(u, np.diag(np.sqrt((1.0 + slope) * weights)))
         scale = caution * self.variance
         gradient = gradient + 2.0 * scale * (dprior - dknown.T @ known)

@@ -63,6 +63,7 @@ def least_excluded(
     mean = partial(expand, caution=0.0)
     starts = rng.random((max(SEARCH.least_descents, SEARCH.descents_per_point * n), p))
     ends = [descend(mean, u, np.zeros(p), np.ones(p))[0] for u in starts]
+    # Descents find other valleys of the mean, spread points find places of which next to nothing is known.
     points = np.array([*ends, *(margin + (1.0 - 2.0 * margin) * rng.random((max(SEARCH.n_spread, n), p)))])
     scores = [_excess_by_variance(expand, u, SEARCH.wanted * best) for u in points]
     order = [int(i) for i in np.argsort(scores, kind="stable")]

@@ -29,8 +29,11 @@ def best_and_far(u: FloatArray, worth: FloatArray) -> IntArray:
     distance = np.full(len(left), np.inf)
     while len(kept) < N_BEST + N_FAR and (distance > SAME_ROW).any():
         is_new = distance > SAME_ROW
+        # argmax of truth values is the first true one: of those left, the best row.
         place = int(np.argmax(is_new if len(kept) < N_BEST else distance))
         kept.append(int(left[place]))
+        # Farthest-point order needs distances to the last one
+        # alone (Gonzalez 1985, doi:10.1016/0304-3975(85)90224-5).
         distance = np.minimum(distance, np.abs(points - points[place]).max(axis=1))
     return np.array(kept, dtype=np.int64)
 

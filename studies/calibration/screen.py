@@ -95,6 +95,7 @@ class DifferentialEvolution:
             InputError: The budget does not even hold the first population.
         """
         p = problem.space.n_parameters
+        # SciPy rounds a Sobol start up to a power of two, for which these points are balanced.
         n_population = 1 << (max(5, self.popsize * p) - 1).bit_length()
         if self.max_calls is not None and self.max_calls < n_population:
             raise InputError(
@@ -124,8 +125,10 @@ class DifferentialEvolution:
                 recombination=self.recombination,
                 rng=np.random.default_rng(seed),
                 callback=search.keep_population,
+                # A polish would ask for differences row by row, beyond what is counted as generations.
                 polish=False,
                 init="sobol",
+                # A generation is one batch for the model, so that no member may see the others' progress.
                 updating="deferred",
                 vectorized=True,
             )
@@ -163,6 +166,7 @@ class _Search:
     def objective(self, columns: FloatArray) -> FloatArray:
         """Return the objectives of a generation, which SciPy hands over as (p, S). Shape (S,)."""
         evaluation = self._recorder.evaluate(columns.T)
+        # A budget may end before the first generation does; then the first population is the result.
         if not self.population_objective.size:
             self.population_u, self.population_objective = evaluation.u.copy(), evaluation.objective.copy()
         return evaluation.objective

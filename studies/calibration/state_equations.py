@@ -36,12 +36,17 @@ from studies.calibration.term_choice import chosen_terms, fitted
 # where the error of the FMU's solver leaves more.
 LEARNT, MOST_LEFT = 1e-9, 1e-6
 # The same of products, of which there are so many that some fit nearly whatever moves little.
+# An outdoor surface of the white box was fitted to 1e-10
+# by chance (docs/notes/state-equations.md, Whole powers).
 PRODUCTS_LEARNT = 1e-14
 # Standard deviation of a coefficient, as a share of itself, up to which a row determines it.
 SURE = 1e-5
 # Rows below which nothing is looked for.
+# With one or two amounts to find, four rows leave three
+# or two numbers that must fit to five digits (same note).
 LEAST_TO_LEARN = 4
 # States at all steps that are held in memory at once.
+# 32 MB, at 8 bytes each.
 MOST_VALUES = 4_000_000
 
 
@@ -139,6 +144,8 @@ class Structure:
             fits = [fitted(value, goal) for value, goal in zip(values, target, strict=True)]
             deviation = np.array([fit.deviation for fit in fits])
             # In some rows one state follows another so closely that their terms cannot be separated.
+            # A wall may follow the weather at once. With such coefficients, 4 of 45
+            # runs took 32 to 36 calls (docs/notes/state-equations.md, First form).
             is_open = deviation > np.maximum(SURE, np.median(deviation, axis=0))
             found.append(np.where(is_open, np.nan, np.array([fit.found for fit in fits])))
             worst = max([worst, *(fit.left if np.isfinite(fit.left) else np.inf for fit in fits)])
@@ -156,6 +163,7 @@ def most_left(signals: StateSignals, own: int, x: FloatArray) -> float:
     if own < 0 or not signals.tolerance:
         return LEARNT
     moved = x[..., own].std(axis=1) + np.finfo(float).tiny
+    # The solver's error is relative to a state's size, what equations leave is relative to how it moves.
     error = signals.tolerance * np.abs(x[..., own]).max(axis=1) / moved
     return float(np.clip(np.median(error) ** 2, LEARNT, MOST_LEFT))
 
@@ -176,6 +184,8 @@ def _sum(
         n_hidden=0,
     )
     enough = most_left(signals, own, x)
+    # Few candidates go first, and declared inputs before
+    # hidden ones: the more there are, the more fit by chance.
     sums, others = [(declared, candidates, enough)], [candidates_with_products, candidates_with_functions]
     curved = [(declared, offered, PRODUCTS_LEARNT) for offered in others]
     if signals.n_hidden:
@@ -255,9 +265,11 @@ class StateEquations:
         )
         start = tuple(Coefficient.fit(points, column, products) for column in starts.T)
         is_exact = all(one.is_exact for table in (*by_term, start) for one in table)
+        # Where rows leave a coefficient open, a formula from fewer than these may be chance.
         is_known = all((np.isfinite(table).sum(axis=0) >= LEAST_TO_LEARN).all() for table in found)
         flow = _flow(signals, structure)
         equations = cls(signals, structure, by_term, start, flow, is_exact and is_known)
+        # Matrix exponentials are exact: no step has to be refined.
         if isinstance(flow, LinearFlow):
             return equations
         some = points.part(spread(len(points.x), N_ROWS))
@@ -269,6 +281,7 @@ class StateEquations:
         """Return the same equations with other inputs over the communication steps. Shape (m, q)."""
         signals = replace(self.signals, driven=driven)
         flow = _flow(signals, self.structure)
+        # Fixed parts of a step, so that courses of inputs are compared with each other, and not their steps.
         if isinstance(flow, SteppedFlow) and isinstance(self.flow, SteppedFlow):
             flow = replace(flow, n_parts=self.flow.n_parts)
         return replace(self, signals=signals, flow=flow)
@@ -277,6 +290,7 @@ class StateEquations:
         """Return how solved states differ from simulated ones (n, t, s), as a share of their squares. [1]."""
         with np.errstate(all="ignore"):
             error = np.square(self._states(points) - x).mean(axis=1)
+            # By its variance: the level of a temperature in K would hide all errors.
             share = float((error / (x.var(axis=1) + np.finfo(float).tiny)).mean())
         return share if np.isfinite(share) else np.inf
 

@@ -77,13 +77,16 @@ class LinearFlow:
         """
         signals, n_states = self.signals, len(self.signals.states)
         matrices, n = self._matrices(rates), start.shape[1]
+        # One exponential for each combination of switches instead of one for each step.
         modes, mode_of = np.unique(self._switched(), axis=0, return_inverse=True)
         mode_of = mode_of.reshape(-1)
         # Over a step the inputs are constant: states and inputs together move by one matrix exponential.
+        # Inputs count as states that do not move (Van Loan 1978, doi:10.1109/TAC.1978.1101743).
         whole = np.zeros((len(modes), n, matrices.shape[-1], matrices.shape[-1]))
         for rank, mode in enumerate(modes):
             whole[rank, :, :n_states] = matrices[:, 0] + np.tensordot(matrices[:, 1:], mode, axes=(1, 0))
         is_wrong = ~np.isfinite(whole).all(axis=(0, 2, 3))
+        # What is not finite must not reach expm; the states of these points become NaN below.
         whole[:, is_wrong] = 0.0
         steps = expm(whole * signals.step_s)[:, :, :n_states]
         own, by_input = steps[..., :n_states], steps[..., n_states:]
@@ -108,6 +111,7 @@ class LinearFlow:
         states = np.empty((1 + len(driven), n_states, n))
         states[0] = now
         for step, push in enumerate(pushed):
+            # A matrix product may sum in another order beside other points, and change a point's last digits.
             now = np.add.reduce(own[mode_of[step]] * now[:, None], axis=0)
             now += push
             states[step + 1] = now
@@ -154,6 +158,8 @@ class SteppedFlow:
             rates: Coefficients of every derivative's terms. Shapes (n, terms).
         """
         flow, coarse = self, self.states(start, rates)
+        # Fixed parts instead of adaptive steps: differences of neighbouring points
+        # must not see steps change (docs/notes/state-equations.md, Whole powers).
         while flow.n_parts < MOST_PARTS:
             flow = replace(flow, n_parts=2 * flow.n_parts)
             states = flow.states(start, rates)
@@ -197,6 +203,7 @@ class SteppedFlow:
                 signals.every,
             )
 
+        # Threads are enough: compiled steps run without the interpreter's lock.
         with ThreadPoolExecutor(n_threads) as threads:
             parts = np.array_split(np.arange(start.shape[1]), n_threads)
             return np.concatenate([*threads.map(solved, parts)])
@@ -206,6 +213,7 @@ class SteppedFlow:
         from studies.calibration.flow_steps import NUMBERS
 
         terms = [(one.own, term) for one in self.sums for term in one.terms]
+        # Behind the inputs stand a 1 and a 0: with these, every term is a difference times as many factors.
         nothing = len(self.signals.states) + len(self.signals.inputs) + 1
         one, most = nothing - 1, max(len(term.factors) for _, term in terms)
         rows = [

@@ -20,11 +20,17 @@ from studies.calibration.states import StateSignals
 N_ROWS, N_TIMES = 8, 400
 DIMENSIONLESS, TEMPERATURE, ANGLE = ("", "1"), "K", ("", "1", "rad")
 # Products beyond are not looked at.
+# Among hundreds of terms some fit nearly any signal that
+# moves little (docs/notes/state-equations.md, Whole powers).
 MOST_CANDIDATES = 800
 
+# Exponentials and saturations are missing, as their places are parameters (the same note, Functions and
+# compiled steps). Functions have the sign of their argument where a flow turns with its difference.
 FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "root": lambda v: np.sign(v) * np.sqrt(np.abs(v)),
     "square": lambda v: v * np.abs(v),
+    # Heat transfer by turbulent natural convection: a coefficient
+    # that grows with the cube root of the difference.
     "natural convection": lambda v: v * np.cbrt(np.abs(v)),
     "magnitude": np.abs,
     "sine": np.sin,
@@ -99,6 +105,7 @@ def candidates(signals: StateSignals, own: int) -> list[Term]:
     n_states, columns = len(signals.states), _allowed(signals, own)
     if own < 0:
         return [*(Term(column) for column in columns), Term(-1)]
+    # Heat flows between temperatures: one difference instead of two terms with opposite coefficients.
     plain = [Term(column, signals.units[column] == signals.units[own]) for column in columns if column != own]
     switches = [column for column in columns if column >= n_states and signals.units[column] in DIMENSIONLESS]
     # Hidden inputs without unit may be dozens; those that switch have two values.
@@ -124,6 +131,8 @@ def candidates_with_products(signals: StateSignals, own: int) -> list[Term]:
     units, n_states = signals.units, len(signals.states)
     columns = sorted({*_allowed(signals, own), own} - {-1})
     is_alike = [own >= 0 and unit == units[own] and unit not in DIMENSIONLESS for unit in units]
+    # Differences without unit would make an oscillator's
+    # coefficient a difference (the same note, Whole powers).
     simple = [
         term
         for term in candidates(signals, own)
@@ -149,10 +158,14 @@ def candidates_with_products(signals: StateSignals, own: int) -> list[Term]:
             for chosen in combinations_with_replacement(among, degree)
             if sum(units[one] == TEMPERATURE for one in chosen) < 2
         )
+        # With 64 states there are 45,760 products of three: islice makes no more than can be used.
         products.append(list(islice(monomials, MOST_CANDIDATES)))
     for terms in products:
+        # All of a kind or none: a part of them would depend
+        # on the order in which the FMU names its variables.
         if len(found) + len(terms) < MOST_CANDIDATES:
             found += terms
+    # dict.fromkeys drops what is there twice and, unlike a set, leaves the order as it is.
     return [*dict.fromkeys(found), Term(-1)]
 
 
@@ -166,6 +179,7 @@ def candidates_with_functions(signals: StateSignals, own: int) -> list[Term]:
         for one in columns
         for is_difference in (False, True)
         if not is_difference or (own >= 0 and one != own and units[one] == units[own])
+        # Sines of what is no angle mean nothing, and fewer candidates fit less by chance.
         if name not in OF_ANGLES or units[one] in ANGLE
     ]
     opened = [
@@ -190,6 +204,7 @@ def _allowed(signals: StateSignals, own: int) -> list[int]:
     return [
         column
         for column, name in enumerate(names)
+        # Hidden inputs are no inputs of the FMU, so that its declared dependencies do not name them.
         if allowed is None or name in allowed or column >= n_declared
     ]
 

@@ -23,12 +23,15 @@ def switches(trajectories: FloatArray) -> bool:
         return False
     bends = np.abs(np.diff(trajectories, 2, axis=1))
     is_kink = np.zeros(bends.shape, dtype=np.bool_)
+    # Smooth motion bends alike over some samples; a kink stands out from both sides.
     beside = np.maximum(bends[:, : -2 * apart], bends[:, 2 * apart :])
     least = np.maximum(SEARCH.sharp * beside, SEARCH.visible * trajectories.std(axis=1, keepdims=True))
     is_kink[:, apart:-apart] = bends[:, apart:-apart] > least
     around = np.pad(bends, ((0, 0), (1, 1)))
+    # Between samples the same kink may fall one earlier or later.
     near = np.maximum(np.maximum(around[:, :-2], around[:, 1:-1]), around[:, 2:])
     kinked = np.flatnonzero(is_kink.sum(axis=1) >= SEARCH.least_kinks)
+    # As on an oscillator (docs/notes/adaptive-search.md, Models that switch, later in version 0.3).
     if 2 * len(kinked) < n:
         return False
     shares = [

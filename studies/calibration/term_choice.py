@@ -15,6 +15,8 @@ from simulation.arrays import FloatArray
 from studies.calibration.state_terms import Term
 
 # Sums of squares, as a share of the derivative's, that a complete sum of terms leaves.
+# Where equations exist, fits explained 13 digits or more of the squares, else
+# two at most: no tuning is needed (docs/notes/state-equations.md, First form).
 COMPLETE = 1e-16
 # Above, they are looked for once more.
 NEARLY_COMPLETE = 1e-14
@@ -45,15 +47,21 @@ def chosen_terms(terms: Sequence[Term], values: FloatArray, target: FloatArray) 
     Returns:
         Their positions, and what they leave of the target's squares, mean over rows. [1]
     """
+    # A derivative that is always zero has nothing to explain: a constant, whose coefficient is zero.
     if not target.any():
         return [len(terms) - 1], 0.0
+    # Columns of length 1: terms of any unit compare, and products of columns are cosines.
     norm = np.sqrt(np.square(values).sum(axis=1, keepdims=True))
     values = values / np.where(norm > 0.0, norm, 1.0)
     chosen, left = _added(values, target, [])
+    # One by one, x y and y were missed among 64 terms and six others taken; as a pair
+    # they are found (docs/notes/state-equations.md, Functions and compiled steps).
     if left > NEARLY_COMPLETE and len(terms) > 2 and (pair := _best_pair(values, target)):
         again, left_again = _added(values, target, pair)
         if left_again < left:
             chosen, left = again, left_again
+    # Of a room with ten terms, sixteen that were added one by one left 8e-5 of the
+    # squares; this leaves 1e-28 (docs/notes/state-equations.md, Weather inside the FMU).
     if left > NEARLY_COMPLETE and MOST_TERMS < len(terms) <= min(MOST_AT_ONCE, target.shape[1] // 2):
         again, left_again = _taken_away(values, target)
         if left_again < left and len(again) <= MOST_TERMS:
@@ -69,6 +77,7 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
     columns = np.array([triangle for _, triangle in pairs])
     goals = np.array([axes.T @ goal for (axes, _), goal in zip(pairs, target, strict=True)])
     size = np.square(target).sum(axis=1) + np.finfo(float).tiny
+    # What lies outside of all terms is lost in the projection, and is added to all that is left later.
     out_of_reach = np.maximum(1.0 - np.square(goals).sum(axis=1) / size, 0.0).mean()
 
     def left_by(chosen: list[int]) -> tuple[float, FloatArray]:
@@ -76,17 +85,22 @@ def _taken_away(values: FloatArray, target: FloatArray) -> tuple[list[int], floa
         axes, triangle = np.linalg.qr(columns[..., chosen])
         diagonal = np.arange(len(chosen))
         pivots = triangle[:, diagonal, diagonal]
+        # A column that others make up has a pivot of rounding, or of zero; the inverse has to exist.
         triangle[:, diagonal, diagonal] = np.where(np.abs(pivots) < ROUNDING, ROUNDING, pivots)
         inverse = np.linalg.inv(triangle)
         along = np.einsum("nij,ni->nj", axes, goals)
         found = np.einsum("nij,nj->ni", inverse, along)
+        # Without a term, squares grow by its coefficient squared over its diagonal
+        # of the inverse normal matrix: one factorization judges all terms.
         more = np.square(found) / np.square(inverse).sum(axis=2) / size[:, None]
         left = (np.square(goals).sum(axis=1) - np.square(along).sum(axis=1)) / size
         return float(out_of_reach + np.maximum(left, 0.0).mean()), more.mean(axis=0)
 
     chosen = list(range(n))
     left, more = left_by(chosen)
+    # What all terms together leave is the error of the data, below which fewer terms cannot come.
     limit = max(NEEDLESS, 10.0 * left)
+    # Halves first: one by one it would take as many factorizations as there are terms.
     n_away = n // 2
     while len(chosen) > 1 and n_away:
         order = np.argsort(more, kind="stable")
@@ -115,14 +129,17 @@ def _added(values: FloatArray, target: FloatArray, begun: list[int]) -> tuple[li
             along = np.einsum("nt,ntf->nf", left, rest) ** 2
             gain = np.where(is_new, along, 0.0) / np.where(is_new, squares, 1.0)
             share = (gain / size[:, None]).mean(axis=0)
+            # Rounding leaves a direction to columns that were chosen; they must not be chosen again.
             share[chosen] = -1.0
             best = int(np.argmax(share))
             if share[best] <= 0.0:
                 break
         chosen.append(best)
         axis = rest[..., best] / np.sqrt(np.maximum(squares[:, best], 1e-300))[:, None]
+        # Modified Gram-Schmidt: all columns lose the new axis at once, so that the next gains need no fit.
         rest = rest - axis[..., None] * np.einsum("nt,ntf->nf", axis, rest)[:, None]
         left = left - axis * np.einsum("nt,nt->n", axis, left)[:, None]
+        # `left` carries the rounding of all steps before; only a fit of its own resolves 16 digits.
         if unexplained(values, target, chosen) <= COMPLETE:
             break
     chosen = _without_needless(values, target, chosen or [values.shape[2] - 1])
@@ -135,6 +152,8 @@ def _best_pair(values: FloatArray, target: FloatArray) -> list[int]:
     for columns, goal in zip(values, target, strict=True):
         along = goal @ columns / np.sqrt(goal @ goal + np.finfo(float).tiny)
         cosines = columns.T @ columns
+        # Squares that two columns of length 1 explain together:
+        # (a² + b² - 2 a b c) / (1 - c²), c being their cosine.
         both = along[:, None] ** 2 + along**2 - 2.0 * np.outer(along, along) * cosines
         squares = 1.0 - cosines**2
         share = np.where(squares > SAME_TERM, both / np.maximum(squares, SAME_TERM), 0.0)
@@ -166,10 +185,15 @@ def fitted(values: FloatArray, target: FloatArray) -> Fit:
             return Fit(np.zeros(len(norm)), np.full(len(norm), np.inf), np.inf)
         norm[norm == 0.0] = 1.0
         scaled = values / norm
+        # By singular values: normal equations would square the condition, and lose half of the digits.
         left_vectors, sizes, right = np.linalg.svd(scaled, full_matrices=False)
+        # Terms that cannot be separated get a huge but finite
+        # deviation, which marks their coefficients as open.
         inverse = right.T / np.maximum(sizes, np.finfo(float).eps * max(float(sizes[0]), 1.0))
         found = inverse @ (left_vectors.T @ target)
         rest = float(np.square(target - scaled @ found).sum())
+        # Standard deviation of least squares: root of the diagonal of the
+        # inverse normal matrix times the variance that is left.
         deviation = np.sqrt(np.square(inverse).sum(axis=1) * rest / max(len(target) - len(norm), 1))
         share = deviation / (np.abs(found) + tiny)
         return Fit(found / norm, share, rest / (float(np.square(target).sum()) + tiny))

@@ -32,6 +32,7 @@ class TrajectoryFeatures:
         # Deviation and roughness count relative to what was measured, means relative to its deviation.
         rms = np.sqrt(np.mean(self._measured**2, axis=1, keepdims=True))
         rms[..., 0] = 1.0
+        # A measurement that is a straight line has no deviation to divide by.
         self._scale = self._scale / np.maximum(rms, np.sqrt(np.finfo(float).eps))
         self._measured = self._of(measured)
 
@@ -63,6 +64,7 @@ def _kinds(block: FloatArray) -> FloatArray:
     line = np.linspace(-1.0, 1.0, block.shape[-1])
     line = line / np.sqrt(line @ line)
     left = block - mean[..., None]
+    # With its slope, a slow drift would pass for amplitude.
     left = left - (left @ line)[..., None] * line
     return np.stack(
         [mean, np.sqrt(np.mean(left**2, axis=-1)), np.sqrt(np.mean(np.diff(left, axis=-1) ** 2, axis=-1))],

@@ -26,6 +26,7 @@ class TruncatedWindow:
         """
         n_outputs = len(measurement.output_names)
         zero = np.zeros((1, len(measurement.time), n_outputs))
+        # Compared with zero, all that is left is the measurement, scaled and ordered as residuals are.
         self._measured = signal = -measurement.compared(zero)[0]
         # A residual belongs to the output that moves it.
         moved = measurement.compared(zero + np.eye(n_outputs)[:, None]) + signal
@@ -79,6 +80,7 @@ class TruncatedWindow:
         is_enough = self._is_of.sum(axis=1).min() >= SEARCH.least_block * SEARCH.n_blocks
         if to_features and is_enough:
             self._features = TrajectoryFeatures(self._measured, self._is_of)
+        # Also where features come first: windows follow them.
         self._part = SEARCH.shortest
 
     def double(self) -> None:

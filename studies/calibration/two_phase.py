@@ -192,6 +192,7 @@ def _check(screened: ScreenResult, problem: CalibrationProblem) -> tuple[Evaluat
     for u in screened.population_u:
         if not checked.failures[0] or physical.n_calls == MAX_SCREEN_CHECKS:
             break
+        # Beside a point that fails, others probably fail as well.
         if min(float(np.max(np.abs(u - other))) for other in tried) > DISTANCE_FROM_FAILURE:
             checked = counted.evaluate(u)
             tried.append(u)
