@@ -2,8 +2,8 @@
 
 What happens: the table shows the best trial of each label (case and profile) and training-set size. Best
 means the least validation error among completed trials. Beside its hyperparameters and errors stand the
-errors of PCA + GP. The column "vs default" is the change of the validation error against the default
-configuration. Below the table: Python lines that load the study and the model, and the best calibration of
+errors of PCA + GP. The column "gain" is the part of the default configuration's validation error that tuning
+took away. Below the table: Python lines that load the study and the model, and the best calibration of
 each case on its latest measurement. The command changes nothing.
 
 Examples:

@@ -145,9 +145,7 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
         )
         for one in found
     )
-    title = (
-        "Best surrogate per training-set size by validation error (MAE, P90: test set; gain over default)"
-    )
+    title = "Best surrogate per training-set size by validation error (MAE, P90: test set; gain over default)"
     return Table("tuning", title, columns, rows)
 
 
