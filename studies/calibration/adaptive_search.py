@@ -2,7 +2,6 @@
 
 import math
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,11 +20,9 @@ from studies.calibration.residual_process import Expansion, Features
 from studies.calibration.restart import farther_along, least_excluded
 from studies.calibration.row_choice import missing_of_design
 from studies.calibration.search_constants import SEARCH
+from studies.calibration.search_settings import SearchSettings
 from studies.calibration.state_equations import LEAST_TO_LEARN
 from studies.calibration.truncated_window import TruncatedWindow
-
-if TYPE_CHECKING:
-    from studies.calibration.adaptive import Adaptive
 
 
 class AdaptiveSearch:
@@ -33,7 +30,7 @@ class AdaptiveSearch:
 
     def __init__(
         self,
-        settings: "Adaptive",
+        settings: SearchSettings,
         problem: CalibrationProblem,
         recorder: Recorder,
         rng: np.random.Generator,
