@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -25,8 +26,21 @@ from studies.tracking.runs import RunStore
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"
-# All five sizes with 20 trials each take minutes; README's first command runs them.
+# All five sizes with 16 trials each take minutes; README's first command runs them.
 SIZES, N_TRIALS = (32, 64), 12
+PAGES = (
+    "how-to/load-model.md",
+    "mlflow.md",
+    "how-to/weights.md",
+    "how-to/own-trials.md",
+)  # the last adds a trial
+THETA = """
+import pandas as pd
+from studies import load_case
+
+space = load_case("office").parameter_space
+theta = pd.DataFrame([space.from_unit([0.5] * len(space.names))], columns=space.names)
+"""
 # Best MSE by brute force on the FMU (fmus/office/case.toml); the paper usually ends at 1.17 times the best.
 BEST_MSE, FACTOR = 0.01052, 1.17
 
@@ -154,3 +168,19 @@ def test_known_parameters_are_found_again_up_to_what_they_do(first: Done) -> Non
     # The data do not determine each parameter, but the temperature to well below a sensor's noise (0.05 K).
     assert result.mse_polished < 0.02**2
     assert result.calls_to(0.05**2) is not None
+
+
+def test_the_python_of_the_pages_runs_in_this_project(first: Done) -> None:
+    pages = [(REPOSITORY / "docs" / page).read_text("utf-8") for page in PAGES]
+    blocks = [block for page in pages for block in re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)]
+    assert len(blocks) >= 8
+    done = subprocess.run(
+        [sys.executable, "-c", THETA + "".join(blocks) + "assert y.shape[0] == 1 and len(best) == 2"],
+        cwd=first.project,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "n_latent" in done.stdout
