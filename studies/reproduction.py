@@ -147,9 +147,7 @@ def _leaves(content: Numbers, before: str = "") -> Iterator[tuple[str, Any]]:
 
 def _compared(name: str, recorded: Any, now: Any) -> Compared:
     was, is_now = np.asarray(recorded), np.asarray(now)
-    before, after = (
-        f"{np.size(one)} values" if np.ndim(one) else repr(np.asarray(one).item()) for one in (recorded, now)
-    )
+    before, after = (f"{one.size} values" if one.ndim else repr(one.item()) for one in (was, is_now))
     are_numbers = was.dtype.kind in "iuf" and is_now.dtype.kind in "iuf" and was.shape == is_now.shape
     if np.array_equal(was, is_now, equal_nan=are_numbers):
         return Compared(name, before, after, True, 0.0 if are_numbers else None)
