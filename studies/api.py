@@ -28,6 +28,7 @@ from studies.interrupts import interrupts_kept
 from studies.paths import find_case, find_project
 from studies.report.wording import axis_label, difference_unit, quantity, squared
 from studies.stages.pipeline import StageError
+from studies.stages.saved import read_arrays
 
 Size = int | Sequence[int]
 _REDRAW_EVERY_S = 0.2
@@ -248,8 +249,7 @@ def _best_of(case: Case, document: Mapping[str, Any]) -> CalibrationResult:
 
 def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResult:
     """Read a calibration from its part of the document and from the file of arrays beside its own."""
-    with np.load(Path(stage["file"]).with_suffix(".npz"), allow_pickle=False) as arrays:
-        y = arrays["y"]
+    y = read_arrays(Path(stage["file"]).with_suffix(".npz"))["y"]
     at, series = case.measurement.time, dict[tuple[str, str], "pd.Series[float]"]()
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
@@ -259,7 +259,7 @@ def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResu
         name=f"{label}/{stage['stage'].removeprefix('calibrate-')}",
         theta=_theta(case, stage),
         mse=np.inf if stage["mse"] is None else float(stage["mse"]),
-        calls=sum(n for what, n in stage["ledger"].items() if what.startswith("n_")),
+        calls=stage["ledger"]["total_calls"],
         trajectories=pd.DataFrame(series).rename_axis("time_s"),
         units={output.name: output.unit for output in case.outputs},
         reason=stage["stop_reason"],
