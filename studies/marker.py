@@ -59,6 +59,8 @@ def mark_project(root: Path, console: Console) -> None:
 
 def _check(file: Path) -> None:
     schema = parse_toml(read_text(file, PROJECT), str(file)).get("schema")
+    if schema is None:
+        raise InputError(f"{file}: schema is missing; write this line into it: schema = {SCHEMA}")
     if schema != SCHEMA:
         raise InputError(
             f"{file}: schema is {quoted(schema)}, this version reads {SCHEMA}; use the version that made it"

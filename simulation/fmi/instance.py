@@ -75,6 +75,9 @@ class FmuInstance:
         self._state = c_void_p(None)
         self._instantiate()
         if not self.component:
+            # Some FMUs say why only where logging is on.
+            self._instantiate(is_logging=True)
+        if not self.component:
             said = last_message(" ({})")
             self._unload()
             raise InputError(
@@ -219,19 +222,20 @@ class FmuInstance:
         except AttributeError:
             raise InputError(f"{self._path}: its binary has no function {full}; export it again") from None
 
-    def _instantiate(self) -> None:
+    def _instantiate(self, is_logging: bool = False) -> None:
         forget_messages()
         self.damaged = self.is_initialized = False
         name, resources = self._identifier.encode(), self._folder / "resources"
-        no = c_bool(False)
+        no, logging = c_bool(False), c_bool(is_logging)
         if self.prefix == "fmi2":
             function = "Instantiate"
             kind, uri = c_int(1 if self._is_co_simulation else 0), resources.as_uri().encode()
-            no_2 = c_int(0)  # neither visible nor logging
-            arguments: tuple[Any, ...] = (name, kind, self._guid, uri, ctypes.byref(CALLBACKS_2), no_2, no_2)
+            visible, logging_2 = c_int(0), c_int(is_logging)
+            callbacks = ctypes.byref(CALLBACKS_2)
+            arguments: tuple[Any, ...] = (name, kind, self._guid, uri, callbacks, visible, logging_2)
         else:
             # The standard wants the folder to end with a separator.
-            arguments = (name, self._guid, os.fsencode(resources) + os.sep.encode(), no, no)
+            arguments = (name, self._guid, os.fsencode(resources) + os.sep.encode(), no, logging)
             if self._is_co_simulation:
                 function = "InstantiateCoSimulation"
                 # No event mode, no early return, no intermediate variables.

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,12 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands_shown_for_tests import WHY_NOT, give_what_commands_name, lines_shown
 
 from simulation.case import load_case
 from simulation.measurement import Measurement
 from studies.calibration.polish import LeastSquaresTRF
 from studies.calibration.screen import DifferentialEvolution
 from studies.calibration.two_phase import calibrate_two_phase
+from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.registry import load_surrogate
@@ -184,3 +187,26 @@ def test_the_python_of_the_pages_runs_in_this_project(first: Done) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "n_latent" in done.stdout
+
+
+def test_the_commands_of_the_pages_run_in_this_project(
+    first: Done,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = lines_shown()
+    assert not [reason for reason in WHY_NOT if not any(re.search(reason, line) for line in lines)]
+    give_what_commands_name(first.project)
+    shutil.copy(first.project / "Room.fmu", tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    failed = {}
+    for line in lines:
+        if any(re.search(reason, line) for reason in WHY_NOT):
+            continue
+        words = shlex.split(line)[1:]
+        # A case that is written must not be there yet.
+        monkeypatch.chdir(tmp_path if words[0] == "new" else first.project)
+        if main(words) != 0:
+            failed[line] = capsys.readouterr().err
+    assert failed == {}

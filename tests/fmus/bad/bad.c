@@ -28,7 +28,7 @@
 #define STICKY 21   /* fmi2Reset says fmi2OK and keeps the state */
 #define NO_RESET 22 /* fmi2Reset is fmi2Error */
 #define UNITS 23    /* says K, gives degC */
-#define LICENCE 24  /* no instance: a licence is missing */
+#define LICENCE 24  /* no instance: a licence is missing, which it says where logging is on */
 #define PRINTS 25   /* prints at every step */
 #define WRITES 26   /* writes files into the working directory */
 #define FROZEN 27   /* the parameters of the process's first simulation hold for all of its others */
@@ -119,7 +119,6 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     (void)type;
     (void)resources;
     (void)visible;
-    (void)logging;
     Instance *m = calloc(1, sizeof(Instance));
     if (m == NULL) {
         return NULL;
@@ -136,7 +135,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (strcmp(guid, "bad-1") != 0) {
         say(m, fmi2Error, "the GUID is not of this FMU");
     } else if (BEHAVIOUR == LICENCE) {
-        say(m, fmi2Error, "no licence for feature ROOM_RUNTIME on server 27000@nowhere");
+        if (logging) say(m, fmi2Error, "no licence for feature ROOM_RUNTIME on server 27000@nowhere");
     } else if (BEHAVIOUR == ONCE && n_instances > 1) {
         say(m, fmi2Error, "only one instance per process");
     } else if (is_dead) {

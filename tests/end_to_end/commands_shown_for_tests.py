@@ -1,0 +1,55 @@
+"""The commands that README and pages show: which of them a test runs, and why it leaves the others out."""
+
+import re
+import shutil
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+WHY_NOT = {
+    r"\bpip install|^source ": "needs the network; .ci/run and tests/package install the package",
+    r"^(export|B=|F=|mkdir|watch )": "belongs to the shell, or shows again and again what is run",
+    r"^sbatch|--dask": "needs a cluster; tests/simulation run a local one of Dask",
+    r"^studies ui|^optuna-dashboard": "serves until it is stopped; tests/browser opens both",
+    r"^python -P -m studies.tuning.worker": "names a study of another project; trials are trained so",
+    r"^python tests/benchmarks|^\$B ": "takes hours; tests/calibration check the table's file",
+    r"--budget full|--trials (200|40)|--profile paper|--max-hours|--only fig6 fig7": "takes hours",
+    r"^studies (run|tune|simulate)( --parallel 4| room| office| office-recorded --seed 3)?$": "all sizes",
+    r"^studies run office --n-train 32 64 --trials 12$": "made this project",
+    r"office-recorded|^studies import-recording": "needs the recording; tests/paper and tests/cli use it",
+    r"^studies uncertainty( office)?( --noise sensor --max-calls 200| --method paper .*)?$": "takes 20 s",
+    r"--output TAir": "names variables of an FMU that is not there",
+    r"\$RUN_ID": "tests/cli reproduces runs of MLflow",
+    r"^studies tune --profile my.toml$": "`--dry-run` reads the profile, and refined.toml is trained",
+    r"--again$": "tests/cli repeats a calibration",
+    r"^studies status 'office-quick-seed": "this project has one seed",
+    r"(?i)mywall": "tests/end_to_end/test_tutorials.py types these lines",
+    r"^studies tune office --n-train 64 256 --trials 1 ": "takes long; the trials are the same",
+}
+"""Why a command is not run, by what its line matches."""
+
+
+def lines_shown() -> list[str]:
+    """Return each line of the shell blocks once, without its comment."""
+    texts = [page.read_text("utf-8") for page in PAGES]
+    blocks = [block for text in texts for block in re.findall(r"^```sh\n(.*?)^```$", text, re.M | re.S)]
+    lines = [re.split(r"\s+# ", line)[0].strip() for block in blocks for line in block.splitlines()]
+    return [*dict.fromkeys(line for line in lines if line)]
+
+
+def give_what_commands_name(project: Path) -> None:
+    """Put the cases, profiles and files into a project that the pages' commands name."""
+    shutil.copy(ROOT / "fmus" / "wall" / "Wall.fmu", project / "Room.fmu")
+    for name, folder in (("room", "fmus/room"), ("slow-model", "fmus/slow-model"), ("my-case", "my-case")):
+        shutil.copytree(ROOT / "fmus" / "wall", project / folder)
+        shutil.copytree(ROOT / "data" / "wall", project / "data" / name)
+        case = project / folder / "case.toml"
+        text = case.read_text("utf-8").replace('name = "wall"', f'name = "{name}"')
+        case.write_text(text.replace('"../../data/wall"', f'"{project / "data" / name}"'), "utf-8")
+    profile = (ROOT / "studies" / "profiles" / "quick.toml").read_text("utf-8")
+    small = profile.replace("[32, 64, 128, 256, 512]", "[32]").replace("n_trials = 16", "n_trials = 2")
+    for name, surrogate in (("my", "refined"), ("refined", "refined"), ("pca-gp", "pca-gp")):
+        text = small.replace('name = "quick"', f'name = "{name}"').replace('"refined"', f'"{surrogate}"')
+        if surrogate == "pca-gp":  # as docs/how-to/compare-surrogates.md says
+            text = re.sub(r"\[tuning\.search\].*?(?=\n\[)", "", text, flags=re.DOTALL)
+        (project / f"{name}.toml").write_text(text, "utf-8")
