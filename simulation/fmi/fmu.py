@@ -121,6 +121,11 @@ class FmuModel:
     One instance lives as long as the model and is started over between rows (a fresh one costs tens of times
     as much, and processes die after about a thousand). Not for use from several threads at once. The FMU's
     code runs in this process, and takes it along when it crashes: PoolModel keeps it in others.
+
+    Attributes:
+        parameter_space: The parameters to calibrate.
+        output_names: The outputs.
+        time: Output times. Shape (t,). [s]
     """
 
     def __init__(self, settings: FmuSettings) -> None:
@@ -133,6 +138,8 @@ class FmuModel:
             InputError: If the FMU cannot be opened or does not have the variables.
         """
         self._settings = settings
+        self.parameter_space, self.output_names = settings.parameter_space, settings.output_names
+        self.time = settings.scenario.time
         description = read_description(settings.path)
         description.interface(settings.interface, str(settings.path))
         plan = settings.plan(description)
@@ -155,21 +162,6 @@ class FmuModel:
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The parameters to calibrate."""
-        return self._settings.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The outputs."""
-        return self._settings.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """Output times. Shape (t,). [s]."""
-        return self._settings.scenario.time
 
     @property
     def way(self) -> str:
@@ -201,7 +193,7 @@ class FmuModel:
     def _simulate_row(self, row: FloatArray, y: FloatArray) -> str:
         """Fill y with one row's outputs; return why it failed, "" when it did not."""
         settings = self._settings
-        reason = wrong_number(settings.parameter_space.names, row)
+        reason = wrong_number(self.parameter_space.names, row)
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
             reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)
