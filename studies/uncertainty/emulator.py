@@ -91,7 +91,7 @@ def sample_with(
             on_share=on_share,
         )
     # Particles come in no order, so the first ones are a sample like all.
-    u = np.round(particles.u[: min(settings.n_sample, settings.max_calls)], decimals)
+    u = np.round(particles[: min(settings.n_sample, settings.max_calls)], decimals)
     # At the rounded points: a ratio compares both densities at one and the same place.
     expected = density(u)
     parts, ratios = list[Evaluation](), np.empty(0)
