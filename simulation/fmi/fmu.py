@@ -11,8 +11,8 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.solver_choice import runner_for
+from simulation.fmi.start import RunPlan
 from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
@@ -57,13 +57,6 @@ class FmuSettings:
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
     is_watched: bool = False
-
-    def __post_init__(self) -> None:
-        k, p = len(self.output_names), self.parameter_space.n_parameters
-        if self.accepted is not None and self.accepted.shape != (k, 2):
-            raise ValueError(f"accepted has shape {self.accepted.shape}; expected {(k, 2)}")
-        if self.warmup_theta is not None and self.warmup_theta.shape != (p,):
-            raise ValueError(f"warmup_theta has shape {self.warmup_theta.shape}; expected {(p,)}")
 
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
         """Convert a row from the declared units to the FMU's. Shape (p,)."""

@@ -49,17 +49,6 @@ class ExecutionPolicy:
     max_workers: int | None = None
     max_growth_mb: float = 500.0
 
-    def __post_init__(self) -> None:
-        for name, is_right, remedy in (
-            ("timeout_s", self.timeout_s is None or self.timeout_s > 0, "seconds above 0, or inf"),
-            ("retries", self.retries >= 0, "0 or more"),
-            ("max_failed_share", 0 < self.max_failed_share <= 1, "a share up to 1"),
-            ("max_workers", self.max_workers is None or self.max_workers >= 1, "1 or more"),
-            ("max_growth_mb", self.max_growth_mb > 0, "megabytes above 0"),
-        ):
-            if not is_right:
-                raise ValueError(f"{name} is {getattr(self, name)}; give {remedy}")
-
     @property
     def finite_timeout_s(self) -> float | None:
         """The time-out, None where none is given or it is infinite. [s]."""

@@ -158,5 +158,5 @@ def assess(
     sample = PosteriorSampler(
         problem, posterior, left, joined([*stored_rows, around]), seed=seed, on_calls=report_calls
     ).sample()
-    sample = replace(sample, n_calls=sample.n_calls + n_in_vain, n_taught=sample.n_taught + n_in_vain)
+    sample = replace(sample, n_calls=sample.n_calls + n_in_vain)
     return Assessment(noise, around.take(0), local, sample, 2 * p, by_equations=False)

@@ -15,7 +15,7 @@ goes on where it stopped.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -84,24 +84,30 @@ class PosteriorSample:
 
     Attributes:
         drawn: The sample as the model answered. n rows.
-        weights: What each counts; sum 1. Shape (n,). [1]
         log_ratios: Logarithm of the model's density over the predicted one. Shape (n,). [1]
         particles: Points of equal weight on the last surrogate, which knows every simulated row, or on the
             emulator. Shape (s, p). [1]
         n_calls: Rows asked of the model.
-        n_taught: Those of them that are not in the sample: they taught the surrogate.
         best_u: The most probable row of all, asked or known before. Shape (p,). [1]
         best_mse: Its error. [first output's unit squared]
     """
 
     drawn: Evaluation
-    weights: FloatArray
     log_ratios: FloatArray
     particles: FloatArray
     n_calls: int
-    n_taught: int
     best_u: FloatArray
     best_mse: float
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """What each counts; sum 1. Shape (n,). [1]."""
+        return normalized(self.log_ratios)
+
+    @property
+    def n_taught(self) -> int:
+        """Rows asked of the model that are not in the sample: they taught the surrogate."""
+        return self.n_calls - self.drawn.n
 
     @property
     def n_effective(self) -> float:
@@ -173,16 +179,7 @@ class PosteriorSampler:
             last = self._particles(*self._learn(n_last), n_last)
         density = self._posterior.at(self._u, self._mse)
         best = int(np.argmax(density))
-        return PosteriorSample(
-            drawn=drawn,
-            weights=normalized(ratios),
-            log_ratios=ratios,
-            particles=last,
-            n_calls=self.n_calls,
-            n_taught=self.n_calls - drawn.n,
-            best_u=self._u[best],
-            best_mse=float(self._mse[best]),
-        )
+        return PosteriorSample(drawn, ratios, last, self.n_calls, self._u[best], float(self._mse[best]))
 
     def _learn(self, n_particles: int) -> tuple[Expected, Reference]:
         """Fit the process to what is known.
