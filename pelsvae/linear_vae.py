@@ -153,9 +153,7 @@ class LinearVae(nn.Module):
     def _members(self) -> list[_Member]:
         """Return what predictions take, made when first asked for."""
         if self._known is None:
-            # What inference mode makes could not be differentiated later.
-            with torch.inference_mode(False), torch.no_grad():
-                self._known = [self._member(place) for place in range(len(self.hyper))]
+            self._known = [self._member(place) for place in range(len(self.hyper))]
         return self._known
 
     def _member(self, place: int) -> _Member:

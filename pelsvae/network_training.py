@@ -15,7 +15,7 @@ from pelsvae.epochs import EpochReport, TrainingDiverged
 from pelsvae.loss import objective
 from pelsvae.network import PelsVae
 
-_TERMS = ("loss", "kl", "reconstruction", "regression_mean", "regression_scale")  # as in loss.LossTerms
+_TERMS = ("kl", "reconstruction", "regression_mean", "regression_scale")  # as in loss.LossTerms
 # One-cycle schedule of Smith and Topin 2019, arXiv:1708.07120.
 _WARM_UP = 0.2  # part of a one-cycle schedule in which the learning rate rises
 _START = 0.04  # of the peak learning rate, where one-cycle begins
@@ -32,7 +32,7 @@ def train_network(
     validation_error: Callable[[], float],
     generator: torch.Generator,
     on_epoch: Callable[[EpochReport], None] | None,
-) -> tuple[list[dict[str, float]], int, str]:
+) -> tuple[int, int, str]:
     """Train a network in place by Eq. 5 and leave it with the weights of the best validated epoch.
 
     Args:
@@ -45,7 +45,7 @@ def train_network(
         on_epoch: Called after each validated epoch.
 
     Returns:
-        What was seen at each validated epoch, by name; the best epoch; why it ended.
+        The best epoch; the last one; why it ended.
 
     Raises:
         TrainingDiverged: The loss or the validation error became NaN or infinite.
@@ -59,7 +59,6 @@ def train_network(
     step_weights = _optimizer(weights, config)
     best = [weight.detach().clone() for weight in weights]
     best_mae, best_epoch, step, n_steps = math.inf, 0, 0, config.max_epochs * len(starts)
-    history: list[dict[str, float]] = []
     for epoch in range(1, config.max_epochs + 1):
         order = torch.randperm(n, generator=generator).to(x.device) if size < n else None
         sums = torch.zeros(5, device=x.device)
@@ -84,30 +83,23 @@ def train_network(
         if epoch % config.validate_every and epoch != config.max_epochs:
             continue
         mae = validation_error()
-        row = {
-            "epoch": float(epoch),
-            **dict(zip(_TERMS, sums.tolist(), strict=True)),
-            "validation_mae": mae,
-        }
+        loss, *parts = sums.tolist()
         # Checked here, as no comparison with NaN is true: the training would go on unseen.
-        if not all(map(math.isfinite, row.values())):
+        if not all(map(math.isfinite, (loss, *parts, mae))):
             raise TrainingDiverged(
-                f"loss {row['loss']:g}, validation error {mae:g} at epoch {epoch}; "
-                "lower learning_rate or beta"
+                f"loss {loss:g}, validation error {mae:g} at epoch {epoch}; lower learning_rate or beta"
             )
-        history.append(row)
         if mae < best_mae:
             best_mae, best_epoch = mae, epoch
             best = [weight.detach().clone() for weight in weights]
         if on_epoch is not None:
-            seen = {name: row[name] for name in _TERMS[1:]}
-            on_epoch(EpochReport(epoch, config.max_epochs, row["loss"], mae, seen))
+            on_epoch(EpochReport(epoch, config.max_epochs, loss, mae, dict(zip(_TERMS, parts, strict=True))))
         if epoch - best_epoch >= config.patience:
             break
     with torch.no_grad():
         for weight, value in zip(weights, best, strict=True):
             weight.copy_(value)
-    return history, best_epoch, "max_epochs" if epoch == config.max_epochs else "patience"
+    return best_epoch, epoch, "max_epochs" if epoch == config.max_epochs else "patience"
 
 
 def _optimizer(weights: list[Tensor], config: SurrogateConfig) -> Callable[[float], None]:

@@ -39,7 +39,7 @@ def fit_processes(
     validation_error: Callable[[LinearVae], float],
     seed: int,
     on_epoch: Callable[[EpochReport], None] | None,
-) -> tuple[LinearVae, list[dict[str, float]]]:
+) -> LinearVae:
     """Fit principal components and the Gaussian processes of their coordinates.
 
     Many kernels are searched for, on few rows first; the validation set says what each counts in each code.
@@ -53,23 +53,22 @@ def fit_processes(
         n_outputs: Outputs k of a model; d is times x k.
         validation_error: Judges a network.
         seed: Of the searches' starts.
-        on_epoch: Called with searches, in parts of `max_epochs`, and last of what is returned.
+        on_epoch: Called with searches, in parts of `max_epochs`, whose errors are of a part of the rows; last
+            with the error of what is returned, and the loss of the likeliest kernel of all codes.
 
     Returns:
-        The network, and what was last reported, by name: its error, and the loss of the likeliest kernel of
-        all codes. The searches' errors before are of a part of the rows.
+        The network.
 
     Raises:
         TrainingDiverged: The loss or the validation error became NaN or infinite.
     """
     features, x = training
-    history: list[dict[str, float]] = []
+    last = 0
 
     def report(network: LinearVae, loss: float, epoch: int) -> None:
         mae = validation_error(network)
         if not math.isfinite(loss + mae):
             raise TrainingDiverged(f"loss {loss:g}, validation error {mae:g} at epoch {epoch}")
-        history.append({"epoch": float(epoch), "loss": loss, "validation_mae": mae})
         if on_epoch is not None:
             on_epoch(EpochReport(epoch, config.max_epochs, loss, mae))
 
@@ -83,8 +82,9 @@ def fit_processes(
         found: list[Candidate] = []
         for one in candidates(kernel, features, codes, seed, config.max_epochs):
             found.append(one)
-            epoch, last = int(one.done * (config.max_epochs - 1)), history[-1]["epoch"] if history else 0
+            epoch = int(one.done * (config.max_epochs - 1))
             if one.n_rows and epoch > last:
+                last = epoch
                 # One kernel for all codes: shares are chosen at the end, and this shows how far it is.
                 alone = _Members(one.hyper[None], np.ones((1, len(basis))))
                 report(_assembled(rows.first(one.n_rows), basis, rest, alone), one.loss, epoch)
@@ -96,7 +96,7 @@ def fit_processes(
         _inflate(network, *validation, n_outputs)
         of_all_codes = next(one.loss for one in found if one.is_final)
         report(network, of_all_codes, config.max_epochs)
-    return network, history[-1:]
+    return network
 
 
 class _Members(NamedTuple):

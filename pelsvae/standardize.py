@@ -64,8 +64,13 @@ class ThetaStandardizer:
         """Number of features, p + q."""
         return self.mean.size
 
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters, p."""
+        return self.n_features - self.log_columns.size
+
     def features(self, theta: Tensor, dtype: torch.dtype) -> Tensor:
-        """Map parameters to features; differentiable.
+        """Map parameters to features.
 
         Args:
             theta: Parameters, float64. Shape (..., p). [per parameter]
@@ -131,4 +136,8 @@ class OutputStandardizer:
         Returns:
             Shape (n, t, k). [output's unit]
         """
-        return x.reshape(-1, *self.mean.shape) * self.deviation + self.mean
+        return self.stretched(x) + self.mean
+
+    def stretched(self, x: Array) -> Array:
+        """Map flat network outputs (n, t * k) [1] to deviations from the mean (n, t, k). [output's unit]."""
+        return x.reshape(-1, *self.mean.shape) * self.deviation

@@ -1,4 +1,4 @@
-"""A trained PELS-VAE as a function: parameters in, trajectories and Jacobian out, in float64 NumPy."""
+"""A trained PELS-VAE as a function: parameters in, trajectories out, in float64 NumPy."""
 
 from __future__ import annotations
 
@@ -22,21 +22,11 @@ _CHUNK_ROWS_CUDA = 4096  # fewer and larger launches of kernels
 
 
 @dataclass(frozen=True)
-class SurrogateShape:
-    """What goes in and out of a surrogate."""
-
-    n_parameters: int
-    n_times: int
-    n_outputs: int
-
-
-@dataclass(frozen=True)
 class Surrogate:
     """The emulator of Eq. 6-7 with its draws fixed, hence a smooth and repeatable function of theta.
 
     Attributes:
         config: How it was built and trained.
-        shape: Parameters, times, outputs.
         network: Encoder, decoder, regressor, in evaluation mode.
         eps: The fixed standard normal draws of Eq. 7, in the network's precision. Shape (L, z).
         theta_standardizer: Parameters to features.
@@ -44,7 +34,6 @@ class Surrogate:
     """
 
     config: SurrogateConfig
-    shape: SurrogateShape
     network: PelsVae | LinearVae
     eps: Tensor
     theta_standardizer: ThetaStandardizer
@@ -71,12 +60,11 @@ class Surrogate:
         """Whether `deviation` can be asked."""
         return isinstance(self.network, LinearVae)
 
-    def deviation(self, theta: npt.ArrayLike, *, n_jobs: int = 1) -> Array:
+    def deviation(self, theta: npt.ArrayLike) -> Array:
         """Return the standard deviation of predictions.
 
         Args:
             theta: Parameters; a row with NaN has deviations NaN. Shape (n, p). [per parameter]
-            n_jobs: CPU cores that share the rows.
 
         Returns:
             Standard deviation of a normal error: 1.645 of it to both sides cover 90 % of the values of the
@@ -88,48 +76,27 @@ class Surrogate:
         network = self.network
         if not isinstance(network, LinearVae):
             raise ValueError("this surrogate states no deviation; regressor 'gaussian-process' does")
-        shape, scale = (-1, self.shape.n_times, self.shape.n_outputs), self.output_standardizer.deviation
-        return self._in_chunks(theta, network.deviation, lambda x: x.reshape(shape) * scale, n_jobs)
-
-    def jacobian(self, theta: npt.ArrayLike) -> Array:
-        """Differentiate the prediction at one parameter set.
-
-        Args:
-            theta: Parameters. Shape (p,). [per parameter]
-
-        Returns:
-            d y / d theta. Shape (t, k, p). [output's unit / parameter's unit]
-
-        Raises:
-            ValueError: As for `predict`.
-        """
-        point = torch.from_numpy(self._checked(theta, n_dimensions=1)).to(self.eps.device)
-        with torch.enable_grad(), n_threads_set(self.config.n_threads):
-            point.requires_grad_()
-            x = self.network.predict(self._features(point[None, :]), self.eps)[0]  # (t * k,)
-            # Two reverse passes make a forward pass: v -> J'v is linear, so its derivative is J'. That is
-            # p gradients, not t * k; torch's own forward mode loads its deprecated script compiler.
-            v = torch.zeros_like(x, requires_grad=True)
-            (product,) = torch.autograd.grad(x, point, v, create_graph=True)  # J'v, (p,)
-            unit = torch.eye(point.numel(), dtype=product.dtype, device=product.device)
-            (transposed,) = torch.autograd.grad(product, v, unit, is_grads_batched=True)  # (p, t * k)
-        shape = (self.shape.n_times, self.shape.n_outputs, self.shape.n_parameters)
-        standardized: Array = transposed.T.cpu().numpy().astype(np.float64).reshape(shape)
-        return standardized * self.output_standardizer.deviation[:, None]
+        return self._in_chunks(theta, network.deviation, self.output_standardizer.stretched)
 
     def _in_chunks(
         self,
         theta: npt.ArrayLike,
         answer: Callable[[Tensor], Tensor],
         scaled: Callable[[Array], Array],
-        n_jobs: int,
+        n_jobs: int = 1,
     ) -> Array:
         """Return what features (b, f) are answered with, (b, t * k) scaled to (b, t, k), for all rows."""
-        rows = self._checked(theta, n_dimensions=2)
+        # A copy: torch shares the memory, and the caller may change its own.
+        rows = np.array(theta, dtype=np.float64, order="C")
+        p = self.theta_standardizer.n_parameters
+        if rows.ndim != 2 or rows.shape[1] != p:
+            raise ValueError(f"theta has shape {rows.shape}; this surrogate takes (n, {p})")
+        require_positive(rows, self.theta_standardizer.log_columns)
         size = self.network.rows_at_once if isinstance(self.network, LinearVae) else _CHUNK_ROWS
         size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else size
-        y = np.empty((len(rows), self.shape.n_times, self.shape.n_outputs))
-        features = self._features(torch.from_numpy(rows).to(self.eps.device))  # (n, f)
+        y = np.empty((len(rows), *self.output_standardizer.mean.shape))
+        theta_on_device = torch.from_numpy(rows).to(self.eps.device)
+        features = self.theta_standardizer.features(theta_on_device, self.eps.dtype)  # (n, f)
 
         def answer_from(start: int) -> None:
             # Inference mode belongs to a thread.
@@ -141,20 +108,6 @@ class Surrogate:
         with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
             list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(answer_from, starts))
         return y
-
-    def _features(self, theta: Tensor) -> Tensor:
-        """Map theta (..., p), float64 -> features (..., f) in the network's precision."""
-        return self.theta_standardizer.features(theta, self.eps.dtype)
-
-    def _checked(self, theta: npt.ArrayLike, n_dimensions: int) -> Array:
-        """Return theta as a new contiguous float64 array; ValueError for a wrong shape or value."""
-        # A copy: torch shares the memory, and the caller may change its own.
-        rows = np.array(theta, dtype=np.float64, order="C")
-        if rows.ndim != n_dimensions or rows.shape[-1] != self.shape.n_parameters:
-            wanted = ("n, " if n_dimensions == 2 else "") + str(self.shape.n_parameters)
-            raise ValueError(f"theta has shape {rows.shape}; this surrogate takes ({wanted})")
-        require_positive(rows, self.theta_standardizer.log_columns)
-        return rows
 
 
 def require_positive(theta: Array, log_columns: npt.NDArray[np.int64]) -> None:

@@ -19,7 +19,7 @@ from pelsvae.kernel import Kernel
 from pelsvae.linear_vae import LinearVae
 from pelsvae.network import PelsVae
 from pelsvae.standardize import OutputStandardizer, ThetaStandardizer
-from pelsvae.surrogate import Surrogate, SurrogateShape
+from pelsvae.surrogate import Surrogate
 
 WEIGHTS = "weights.npz"
 DESCRIPTION = "surrogate.json"
@@ -49,9 +49,6 @@ def save_surrogate(surrogate: Surrogate, folder: Path) -> None:
     np.savez(folder / WEIGHTS, allow_pickle=False, **arrays)
     description = {
         "format": _FORMAT,
-        "n_parameters": surrogate.shape.n_parameters,
-        "n_times": surrogate.shape.n_times,
-        "n_outputs": surrogate.shape.n_outputs,
         "config": surrogate.config.to_dict(),
         "weights_sha256": hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest(),
     }
@@ -76,7 +73,7 @@ def load_surrogate(folder: Path, device: Device = "auto") -> Surrogate:
         if not (folder / name).is_file():
             raise FileNotFoundError(f"no surrogate in {folder}: {name} is missing; train or copy it again")
     try:
-        config, shape, digest = _read_description(folder / DESCRIPTION)
+        config, digest = _read_description(folder / DESCRIPTION)
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{folder / DESCRIPTION} is damaged ({error}); train or copy it again") from error
     # Read once: the bytes that are loaded are those that were checked.
@@ -87,18 +84,17 @@ def load_surrogate(folder: Path, device: Device = "auto") -> Surrogate:
         )
     try:
         arrays = _read_arrays(content)
-        return _assembled(config, shape, arrays, resolve_device(device))
+        return _assembled(config, arrays, resolve_device(device))
     except (KeyError, RuntimeError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{folder / WEIGHTS} does not fit {DESCRIPTION}: {error}") from error
 
 
-def _read_description(path: Path) -> tuple[SurrogateConfig, SurrogateShape, str]:
-    """Return config, shape and the digest of the weights."""
+def _read_description(path: Path) -> tuple[SurrogateConfig, str]:
+    """Return config and the digest of the weights."""
     read = json.loads(path.read_text(encoding="utf-8"))
     if read["format"] != _FORMAT:
         raise ValueError(f"format {read['format']!r}, this version reads {_FORMAT}")
-    shape = SurrogateShape(int(read["n_parameters"]), int(read["n_times"]), int(read["n_outputs"]))
-    return SurrogateConfig.from_dict(read["config"]), shape, str(read["weights_sha256"])
+    return SurrogateConfig.from_dict(read["config"]), str(read["weights_sha256"])
 
 
 def _read_arrays(content: bytes) -> dict[str, npt.NDArray[Any]]:
@@ -108,15 +104,11 @@ def _read_arrays(content: bytes) -> dict[str, npt.NDArray[Any]]:
 
 
 def _assembled(
-    config: SurrogateConfig, shape: SurrogateShape, arrays: dict[str, npt.NDArray[Any]], device: torch.device
+    config: SurrogateConfig, arrays: dict[str, npt.NDArray[Any]], device: torch.device
 ) -> Surrogate:
     """Put the pieces together; KeyError or RuntimeError where they do not fit."""
     theta = ThetaStandardizer(arrays["theta.log_columns"], arrays["theta.mean"], arrays["theta.deviation"])
     output = OutputStandardizer(arrays["output.mean"], arrays["output.deviation"])
-    if output.mean.shape != (shape.n_times, shape.n_outputs):
-        raise RuntimeError(f"output.mean has shape {output.mean.shape}")
-    if theta.n_features != shape.n_parameters + theta.log_columns.size:
-        raise RuntimeError(f"theta.mean has shape {theta.mean.shape}")
     eps = torch.from_numpy(arrays["eps"])
     learnt = {
         name.removeprefix(_NETWORK): torch.from_numpy(array)
@@ -131,4 +123,4 @@ def _assembled(
     else:
         kernel = Kernel(theta.n_features, config.n_scales, config.degree)
         network = LinearVae(kernel, None, **learnt)
-    return Surrogate(config, shape, network.to(device).eval(), eps.to(device), theta, output)
+    return Surrogate(config, network.to(device).eval(), eps.to(device), theta, output)

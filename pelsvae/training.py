@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,7 +19,7 @@ from pelsvae.network import PelsVae
 from pelsvae.network_training import train_network
 from pelsvae.process_fitting import fit_processes
 from pelsvae.standardize import Array, OutputStandardizer, ThetaStandardizer
-from pelsvae.surrogate import Surrogate, SurrogateShape, draw_prediction_eps, require_positive
+from pelsvae.surrogate import Surrogate, draw_prediction_eps, require_positive
 
 
 @dataclass(frozen=True)
@@ -29,20 +28,15 @@ class FitResult:
 
     Attributes:
         surrogate: With the weights of the best validated epoch.
-        history: One value per validated epoch, by name, "epoch", "loss" and "validation_mae"
-            among them; of processes what they came to alone. Each of shape (number of validations,).
         best_epoch: Epoch whose weights were kept, from 1.
         n_epochs: Epochs done.
         stop_reason: "max_epochs" or "patience"; "fitted" for processes.
-        wall_s: Wall time of the training.
     """
 
     surrogate: Surrogate
-    history: dict[str, npt.NDArray[np.float64]]
     best_epoch: int
     n_epochs: int
     stop_reason: str
-    wall_s: float
 
 
 def fit(
@@ -74,14 +68,13 @@ def fit(
         on_epoch: Called after each validated epoch; what it raises ends the training and reaches the caller.
 
     Returns:
-        The surrogate and its history.
+        The surrogate.
 
     Raises:
         ValueError: Shapes do not fit, values are not finite (drop failed rows first), or several rows
             that a process shall learn from have the same theta.
         TrainingDiverged: The loss or the validation error became NaN or infinite.
     """
-    started = time.perf_counter()
     theta, y = _checked(theta, y, "training")
     theta_validation, y_validation = _checked(*validation, "validation")
     if config.regressor == "gaussian-process" and len(theta) > 1 and (theta == theta[0]).all():
@@ -93,11 +86,10 @@ def fit(
         )
     log = _log_columns(log_columns, config, theta, theta_validation)
     theta_map, output_map = ThetaStandardizer.fit(theta, log), OutputStandardizer.fit(y)
-    shape = SurrogateShape(theta.shape[1], y.shape[1], y.shape[2])
     device = resolve_device(config.device)
 
     def surrogate_of(network: PelsVae | LinearVae, eps: Tensor) -> Surrogate:
-        return Surrogate(config, shape, network, eps, theta_map, output_map)
+        return Surrogate(config, network, eps, theta_map, output_map)
 
     def validation_error(surrogate: Surrogate) -> float:
         return errors(surrogate.predict(theta_validation), y_validation, output_scales).mae
@@ -113,7 +105,7 @@ def fit(
             # After the weights: the order of draws is part of what a seed means.
             eps = draw_prediction_eps(config.n_prediction_samples, config.n_latent, generator).to(device)
             surrogate = surrogate_of(network, eps)
-            history, best_epoch, stop_reason = train_network(
+            best_epoch, n_epochs, stop_reason = train_network(
                 network,
                 config,
                 *prepared(theta, y, torch.float32),
@@ -122,27 +114,21 @@ def fit(
                 on_epoch=on_epoch,
             )
         else:
-            made, history = fit_processes(
+            made = fit_processes(
                 config,
                 # Double: in single precision errors were up to a third of the deviation at n = 1,024.
                 prepared(theta, y, torch.float64),
                 prepared(theta_validation, y_validation, torch.float64),
-                n_outputs=shape.n_outputs,
+                n_outputs=y.shape[2],
                 validation_error=lambda network: validation_error(surrogate_of(network, network.no_draw)),
                 seed=seed,
                 on_epoch=on_epoch,
             )
             surrogate = surrogate_of(made, made.no_draw)
-            best_epoch, stop_reason = config.max_epochs, "fitted"
+            best_epoch = n_epochs = config.max_epochs
+            stop_reason = "fitted"
     surrogate.network.eval().requires_grad_(False)
-    return FitResult(
-        surrogate=surrogate,
-        history={key: np.array([row[key] for row in history]) for key in history[0]},
-        best_epoch=best_epoch,
-        n_epochs=int(history[-1]["epoch"]),
-        stop_reason=stop_reason,
-        wall_s=time.perf_counter() - started,
-    )
+    return FitResult(surrogate, best_epoch, n_epochs, stop_reason)
 
 
 def _checked(theta: npt.ArrayLike, y: npt.ArrayLike, what: str) -> tuple[Array, Array]:

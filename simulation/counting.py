@@ -48,14 +48,12 @@ class CountingModel(WrappedModel):
         """
         n = len(np.asarray(theta))
         if self.budget is not None and self.n_calls + n > self.budget:
-            raise BudgetExceeded(self._why_no_more(n))
+            left = self.budget - self.n_calls
+            # A search ends with this reason.
+            raise BudgetExceeded(
+                f"the next step takes {n} calls and the budget of {self.budget} has only {left} left"
+                if left
+                else f"the budget of {self.budget} {'call' if self.budget == 1 else 'calls'} is spent"
+            )
         self.n_calls += n
         return self._model.simulate(theta)
-
-    def _why_no_more(self, n: int) -> str:
-        """Return why so many rows do not fit into the budget; a search ends with this reason."""
-        budget = self.budget or 0
-        left = budget - self.n_calls
-        if left:
-            return f"the next step takes {n} calls and the budget of {budget} has only {left} left"
-        return f"the budget of {budget} {'call' if budget == 1 else 'calls'} is spent"

@@ -38,18 +38,8 @@ def spread_design(
 
     Returns:
         Parameters. Shape (n, p). [per parameter]
-
-    Raises:
-        ValueError: If n or spread is out of range or a name is unknown.
     """
-    if n < 0:
-        raise ValueError(f"a design of {n} rows cannot be made; ask for 0 or more")
-    if not 0.0 <= spread <= 1.0:
-        raise ValueError(f"spread is {spread}; it is a fraction of the box, from 0 to 1")
     chosen = space.names if columns is None else tuple(columns)
-    unknown = [name for name in chosen if name not in space.names]
-    if unknown:
-        raise ValueError(f"no parameter is named {unknown[0]!r}; there are {', '.join(space.names)}")
     shrink = np.where(np.isin(space.names, chosen), spread, 1.0)
     middle, reach = (space.lower + space.upper) / 2, (space.upper - space.lower) / 2
     # Generator.random fills row by row, so a longer draw begins with the shorter one.

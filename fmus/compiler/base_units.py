@@ -22,33 +22,13 @@ class BaseUnit:
     offset: float = 0.0
 
 
-_WATT = {"kg": 1, "m": 2, "s": -3}
-_KNOWN = {
-    "1": BaseUnit(),
-    "kg": BaseUnit({"kg": 1}),
-    "g": BaseUnit({"kg": 1}, 1e-3),
-    "m": BaseUnit({"m": 1}),
-    "s": BaseUnit({"s": 1}),
-    "min": BaseUnit({"s": 1}, 60.0),
-    "h": BaseUnit({"s": 1}, 3600.0),
-    "d": BaseUnit({"s": 1}, 86400.0),
-    "A": BaseUnit({"A": 1}),
-    "K": BaseUnit({"K": 1}),
-    "degC": BaseUnit({"K": 1}, 1.0, 273.15),
-    "mol": BaseUnit({"mol": 1}),
-    "cd": BaseUnit({"cd": 1}),
-    "rad": BaseUnit({"rad": 1}),
-    "deg": BaseUnit({"rad": 1}, math.pi / 180.0),
-    "Hz": BaseUnit({"s": -1}),
-    "N": BaseUnit({"kg": 1, "m": 1, "s": -2}),
-    "Pa": BaseUnit({"kg": 1, "m": -1, "s": -2}),
-    "J": BaseUnit({"kg": 1, "m": 2, "s": -2}),
-    "W": BaseUnit(_WATT),
-    "kJ": BaseUnit({"kg": 1, "m": 2, "s": -2}, 1e3),
-    "kW": BaseUnit(_WATT, 1e3),
-    "V": BaseUnit({**_WATT, "A": -1}),
-    "l": BaseUnit({"m": 3}, 1e-3),
-}
+_BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_DEFINED = {
+    "g": (1e-3, "kg"), "min": (60.0, "s"), "h": (3600.0, "s"), "d": (86400.0, "s"), "l": (1e-3, "m3"),
+    "deg": (math.pi / 180.0, "rad"), "Hz": (1.0, "s-1"), "N": (1.0, "kg.m.s-2"), "Pa": (1.0, "kg.m-1.s-2"),
+    "J": (1.0, "kg.m2.s-2"), "kJ": (1e3, "kg.m2.s-2"), "W": (1.0, "kg.m2.s-3"), "kW": (1e3, "kg.m2.s-3"),
+    "V": (1.0, "kg.m2.s-3.A-1"), "degC": (1.0, "K"),
+}  # fmt: skip
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d+)?")
 
 
@@ -64,8 +44,8 @@ def parse_unit(unit: str) -> BaseUnit:
     Raises:
         CompileError: If the unit is unknown or malformed.
     """
-    if unit in _KNOWN:
-        return _KNOWN[unit]
+    if unit == "degC":
+        return BaseUnit({"K": 1}, 1.0, 273.15)
     over, slash, under = unit.partition("/")
     if under.startswith("(") and under.endswith(")"):
         under = under[1:-1]
@@ -78,14 +58,15 @@ def parse_unit(unit: str) -> BaseUnit:
             raise CompileError(f"unit {unit!r}: nothing on one side of the slash")
         for text in part.split(".") if part else []:
             match = _FACTOR.fullmatch(text)
-            if match is None or match[1] not in _KNOWN:
+            if match is None or match[1] not in ("1", *_BASE, *_DEFINED):
                 raise CompileError(
                     f"unit {unit!r}: {text!r} is not known; add it to fmus/compiler/base_units.py"
                 )
             exponent = sign * int(match[2] or 1)
-            known = _KNOWN[match[1]]
-            factor *= known.factor**exponent
-            for name, power in known.powers.items():
+            size, others = _DEFINED.get(match[1], (1.0, ""))
+            factor *= size**exponent
+            own = {match[1]: 1} if match[1] in _BASE else {}
+            for name, power in (parse_unit(others).powers if others else own).items():
                 powers[name] = powers.get(name, 0) + power * exponent
     return BaseUnit({name: power for name, power in powers.items() if power}, factor)
 

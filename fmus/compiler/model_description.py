@@ -1,6 +1,7 @@
 """Write modelDescription.xml, in FMI 2.0 and 3.0."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from importlib.metadata import version
 from xml.etree import ElementTree
 
@@ -174,31 +175,34 @@ def _time_reference(ode: Ode) -> int:
 
 
 def _variables(ode: Ode) -> list[tuple[dict[str, str], dict[str, str]]]:
-    rows: list[tuple[dict[str, str], dict[str, str]]] = []
-    for state in ode.states:
-        rows.append(_scalar(state, causality="local", variability="continuous", initial="calculated"))
-    for index, state in enumerate(ode.states):
-        derivative = Variable(
+    if not ode.states:
+        raise CompileError(f"{ode.name}: has no state; there is nothing to simulate")
+    derivatives = [
+        replace(
+            state,
             name=f"der({state.name})",
-            symbol=None,
             unit=derivative_unit(state.unit),
             description=f"Time derivative of {state.name}",
             minimum=None,
             maximum=None,
-            start=None,
         )
-        scalar, real = _scalar(derivative, causality="local", variability="continuous", initial="calculated")
-        rows.append((scalar, {**real, "derivative": str(index + 1)}))
-    for variable in ode.inputs:
-        rows.append(_scalar(variable, causality="input", variability="continuous"))
-    for variable in ode.parameters:
-        rows.append(_scalar(variable, causality="parameter", variability="fixed", initial="exact"))
-    for variable in ode.outputs:
-        rows.append(_scalar(variable, causality="output", variability="continuous", initial="calculated"))
-    for variable in ode.discrete:
-        rows.append(_scalar(variable, causality="local", variability="discrete", initial="calculated"))
-    if not ode.states:
-        raise CompileError(f"{ode.name}: has no state; there is nothing to simulate")
+        for state in ode.states
+    ]
+    calculated = {"variability": "continuous", "initial": "calculated"}
+    rows = [
+        _scalar(variable, causality=causality, **attributes)
+        for variables, causality, attributes in (
+            (ode.states, "local", calculated),
+            (derivatives, "local", calculated),
+            (ode.inputs, "input", {"variability": "continuous"}),
+            (ode.parameters, "parameter", {"variability": "fixed", "initial": "exact"}),
+            (ode.outputs, "output", calculated),
+            (ode.discrete, "local", {**calculated, "variability": "discrete"}),
+        )
+        for variable in variables
+    ]
+    for index, (_, real) in enumerate(rows[len(ode.states) : 2 * len(ode.states)], start=1):
+        real["derivative"] = str(index)
     if len({scalar["name"] for scalar, _ in rows}) != len(rows):
         raise CompileError(f"{ode.name}: an output is a state; give it its own name and an equation")
     return rows

@@ -50,10 +50,10 @@ def build_fmu(folder: Path, target: Path | None = None) -> Path:
         raise CompileError(f"{target}: {wrong}; name a file to write, in a folder that is there")
     modelica = sorted(folder.glob("*.mo"))
     ode = make_explicit(read_model(modelica, settings.model, with_events=settings.events))
-    code = write_code(ode, settings)
+    functions, header = write_code(ode, settings)
     own = sorted({*settings.source_files, *settings.headers} - {"model.c"})
     sources = {name: (WRAPPER / name).read_bytes() for name in own}
-    sources |= {"model.c": code.functions.encode(), "model.h": code.header.encode()}
+    sources |= {"model.c": functions.encode(), "model.h": header.encode()}
     sources |= {name: (_fmi_headers() / name).read_bytes() for name in _FMI_HEADERS[settings.fmi_version]}
     described = write_description(ode, settings, guid="") + write_data(ode, guid="")
     guid = _guid([*sources.values(), described.encode(), *(path.read_bytes() for path in modelica)])

@@ -10,8 +10,7 @@ from simulation.fmi.call import make_ready
 from simulation.fmi.instance import DISCARD, WARNING, FmuInstance
 from simulation.fmi.log import last_message
 from simulation.fmi.loop import EARLY, ENDED, FUNCTIONS, step_through
-from simulation.fmi.run_plan import RunPlan
-from simulation.fmi.start import Start
+from simulation.fmi.start import RunPlan, Start
 
 # fmi2StatusKind that asks whether the FMU wants to end the simulation.
 _TERMINATED: Final = 3

@@ -11,8 +11,7 @@ from simulation.fmi import exchange_loop as loop
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.exchange_cvode import Cvode, flag_in_words
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.run_plan import RunPlan
-from simulation.fmi.start import Start
+from simulation.fmi.start import RunPlan, Start
 
 # OpenModelica's default, used where neither case nor FMU names a tolerance.
 DEFAULT_TOLERANCE: Final = 1e-6

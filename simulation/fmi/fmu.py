@@ -11,8 +11,8 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.fmi.description import FmuDescription, read_description
 from simulation.fmi.instance import FmuInstance
-from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.solver_choice import runner_for
+from simulation.fmi.start import RunPlan
 from simulation.fmi.unpack import unpacked
 from simulation.fmi.variable import FmuVariable, Interface, Value
 from simulation.parameters import ParameterSpace
@@ -57,13 +57,6 @@ class FmuSettings:
     parameter_factors: FloatArray | None = None
     parameter_offsets: FloatArray | None = None
     is_watched: bool = False
-
-    def __post_init__(self) -> None:
-        k, p = len(self.output_names), self.parameter_space.n_parameters
-        if self.accepted is not None and self.accepted.shape != (k, 2):
-            raise ValueError(f"accepted has shape {self.accepted.shape}; expected {(k, 2)}")
-        if self.warmup_theta is not None and self.warmup_theta.shape != (p,):
-            raise ValueError(f"warmup_theta has shape {self.warmup_theta.shape}; expected {(p,)}")
 
     def parameters_for_fmu(self, row: FloatArray) -> FloatArray:
         """Convert a row from the declared units to the FMU's. Shape (p,)."""
@@ -121,6 +114,11 @@ class FmuModel:
     One instance lives as long as the model and is started over between rows (a fresh one costs tens of times
     as much, and processes die after about a thousand). Not for use from several threads at once. The FMU's
     code runs in this process, and takes it along when it crashes: PoolModel keeps it in others.
+
+    Attributes:
+        parameter_space: The parameters to calibrate.
+        output_names: The outputs.
+        time: Output times. Shape (t,). [s]
     """
 
     def __init__(self, settings: FmuSettings) -> None:
@@ -133,6 +131,8 @@ class FmuModel:
             InputError: If the FMU cannot be opened or does not have the variables.
         """
         self._settings = settings
+        self.parameter_space, self.output_names = settings.parameter_space, settings.output_names
+        self.time = settings.scenario.time
         description = read_description(settings.path)
         description.interface(settings.interface, str(settings.path))
         plan = settings.plan(description)
@@ -155,21 +155,6 @@ class FmuModel:
             # The finalizer runs at close(), when the model is forgotten, or when the interpreter ends.
             # With an error above, the stack undoes all at once instead.
             self._finalizer = weakref.finalize(self, stack.pop_all().close)
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The parameters to calibrate."""
-        return self._settings.parameter_space
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The outputs."""
-        return self._settings.output_names
-
-    @property
-    def time(self) -> FloatArray:
-        """Output times. Shape (t,). [s]."""
-        return self._settings.scenario.time
 
     @property
     def way(self) -> str:
@@ -201,7 +186,7 @@ class FmuModel:
     def _simulate_row(self, row: FloatArray, y: FloatArray) -> str:
         """Fill y with one row's outputs; return why it failed, "" when it did not."""
         settings = self._settings
-        reason = wrong_number(settings.parameter_space.names, row)
+        reason = wrong_number(self.parameter_space.names, row)
         if not reason:
             # A NaN parameter raises nothing in most FMUs, so such a row is never handed over.
             reason = self._runner.run(settings.parameters_for_fmu(row), self._y_simulated)

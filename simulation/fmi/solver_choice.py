@@ -6,9 +6,8 @@ from simulation.fmi.cosimulation import CoSimulation, SharedWarmup
 from simulation.fmi.description import FmuDescription
 from simulation.fmi.instance import FmuInstance
 from simulation.fmi.reset_proof import RestartingRunner, Way
-from simulation.fmi.run_plan import RunPlan
 from simulation.fmi.runner import Solver
-from simulation.fmi.start import Start
+from simulation.fmi.start import RunPlan, Start
 from simulation.fmi.variable import FmuInterface, Interface
 
 

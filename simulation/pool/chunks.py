@@ -1,14 +1,9 @@
-"""Which rows of a batch wait, in what chunks they are handed out, and when too many have failed."""
+"""Which rows of a batch wait, and in what chunks they are handed out."""
 
 import math
-import re
-from collections import Counter, deque
-from collections.abc import Sequence
+from collections import deque
 from typing import Final
 
-from simulation.pool.execution import ExecutionPolicy, TooManyFailuresError
-
-_NUMBER: Final = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 # Towards the end chunks are shorter, so that all processes are busy, but not below this share.
 _LEAST: Final = 0.1
 
@@ -59,42 +54,3 @@ class RowQueue:
         if rows:
             self._waiting.appendleft(rows)
             self.n_waiting += len(rows)
-
-
-class FailureCount:
-    """Finished and failed rows of a batch."""
-
-    def __init__(self, policy: ExecutionPolicy) -> None:
-        """Begin with no rows.
-
-        Args:
-            policy: How many may fail.
-        """
-        self._policy = policy
-        self._kinds: Counter[str] = Counter()
-        self._examples: dict[str, str] = {}
-        self._n = 0
-
-    def add(self, failures: Sequence[str]) -> None:
-        """Count rows that have finished.
-
-        Args:
-            failures: Why they failed; "" for those that are good.
-
-        Raises:
-            TooManyFailuresError: If too many have failed by now.
-        """
-        for reason in filter(None, failures):
-            kind = _NUMBER.sub("#", reason)
-            self._kinds[kind] += 1
-            self._examples.setdefault(kind, reason)
-        self._n += len(failures)
-        n, n_failed, share = self._n, self._kinds.total(), self._policy.max_failed_share
-        if not self._policy.is_hopeless(n, n_failed):
-            return
-        ((kind, n_times),) = self._kinds.most_common(1)
-        raise TooManyFailuresError(
-            f"{n_failed} of {n} simulations failed, more than simulation.max_failed_share = {share:g} "
-            f"allows; the commonest reason ({n_times} of them): {self._examples[kind]}; narrow the bounds, "
-            "mend the model, widen what the case accepts or raise the share"
-        )

@@ -1,6 +1,9 @@
 """How patiently simulations are run: time-outs, retries, when to stop, how many at once."""
 
 import math
+import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from simulation.errors import InputError
@@ -13,6 +16,8 @@ FIRST_LIMIT_S = 86_400.0
 
 MIN_ROWS, DEVIATIONS = 20, 2.0
 """Below so many rows a share of failed ones says nothing, and so many standard deviations are bad luck."""
+
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 class TooManyFailuresError(InputError):
@@ -44,17 +49,6 @@ class ExecutionPolicy:
     max_workers: int | None = None
     max_growth_mb: float = 500.0
 
-    def __post_init__(self) -> None:
-        for name, is_right, remedy in (
-            ("timeout_s", self.timeout_s is None or self.timeout_s > 0, "seconds above 0, or inf"),
-            ("retries", self.retries >= 0, "0 or more"),
-            ("max_failed_share", 0 < self.max_failed_share <= 1, "a share up to 1"),
-            ("max_workers", self.max_workers is None or self.max_workers >= 1, "1 or more"),
-            ("max_growth_mb", self.max_growth_mb > 0, "megabytes above 0"),
-        ):
-            if not is_right:
-                raise ValueError(f"{name} is {getattr(self, name)}; give {remedy}")
-
     @property
     def finite_timeout_s(self) -> float | None:
         """The time-out, None where none is given or it is infinite. [s]."""
@@ -64,6 +58,24 @@ class ExecutionPolicy:
         """Return whether so many of n rows failed that going on would waste simulations."""
         share = self.max_failed_share
         return n >= MIN_ROWS and n_failed > share * n + DEVIATIONS * math.sqrt(share * (1.0 - share) * n)
+
+    def check(self, n: int, reasons: Sequence[str]) -> None:
+        """Stop where too many rows have failed by now.
+
+        Args:
+            n: Rows that have finished.
+            reasons: Why some of them failed.
+
+        Raises:
+            TooManyFailuresError: If too many have failed.
+        """
+        if self.is_hopeless(n, len(reasons)):
+            reason, n_times = commonest(reasons)
+            raise TooManyFailuresError(
+                f"{len(reasons)} of {n} simulations failed, more than simulation.max_failed_share = "
+                f"{self.max_failed_share:g} allows; the commonest reason ({n_times} of them): {reason}; "
+                "narrow the bounds, mend the model, widen what the case accepts or raise the share"
+            )
 
     def limit_s(self, slowest_s: float | None) -> float:
         """Return the time after which a simulation is killed, infinite for never. [s].
@@ -101,3 +113,16 @@ class ExecutionPolicy:
         if slowest_s is not None:
             limit += f", {SLOWER:g} times the slowest before, at least {self.least_limit_s:g} s"
         return f"without simulation.timeout_s it is stopped after {limit}"
+
+
+def commonest(reasons: Sequence[str]) -> tuple[str, int]:
+    """Return why most rows failed, whatever numbers that holds, and how many did; "" and 0 for none.
+
+    Args:
+        reasons: Why rows failed; "" for those that are good.
+    """
+    kinds = Counter(_NUMBER.sub("#", reason) for reason in reasons if reason)
+    if not kinds:
+        return "", 0
+    ((kind, n),) = kinds.most_common(1)
+    return next(reason for reason in reasons if _NUMBER.sub("#", reason) == kind), n

@@ -21,9 +21,8 @@ from typing import Final
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, packed
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
-from simulation.pool.messages import Job
 from simulation.pool.safe_start import as_for_fmus
-from simulation.pool.supervisor import no_process, supervise
+from simulation.pool.supervisor import Job, no_process, supervise
 from simulation.pool.warm_code import ROOM, remember
 
 # Rows are spread over processes: threads below that would only get into each other's way.

@@ -16,13 +16,12 @@ import numpy as np
 from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.parameters import ParameterSpace
-from simulation.pool.chunks import FailureCount, RowQueue
+from simulation.pool.chunks import RowQueue
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, Facts, known_facts, packed
-from simulation.pool.messages import ChunkAnswer
 from simulation.pool.processes import Processes, ProcessLostError
 from simulation.pool.remote import RemoteModel
-from simulation.pool.worker_process import MAX_CHUNK_BYTES
+from simulation.pool.worker_process import MAX_CHUNK_BYTES, ChunkAnswer
 from simulation.trajectories import Trajectories
 
 _LOG = logging.getLogger(__name__)
@@ -237,7 +236,7 @@ class _Batch:
         self.queue = RowQueue(len(theta), chunk_s=self._chunk_s, max_rows=max_rows)
         # Since when, and how long the slowest row before has taken, see ExecutionPolicy.limit_s.
         self.running: dict[Future[ChunkAnswer | Facts], tuple[range, float, float | None]] = {}
-        self._failures = FailureCount(model._policy)
+        self._n_done, self._reasons = 0, list[str]()
         self._losses: Counter[int] = Counter()
         self._max_running: int | None = None
 
@@ -308,7 +307,9 @@ class _Batch:
                 model._row_s = min(answer.row_s, 0.5 * ((model._row_s or answer.row_s) + answer.row_s))
         theta = self._theta[done.start : done.stop].copy()
         yield np.array(done, dtype=np.int64), model._trajectories(theta, answer.y, answer.failures)
-        self._failures.add(answer.failures)
+        self._n_done += len(done)
+        self._reasons += filter(None, answer.failures)
+        model._policy.check(self._n_done, self._reasons)
 
     @property
     def _longest_s(self) -> float:

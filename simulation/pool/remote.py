@@ -10,8 +10,8 @@ from typing import Any, Final
 from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Facts
-from simulation.pool.messages import ChunkAnswer
 from simulation.pool.processes import Processes
+from simulation.pool.worker_process import ChunkAnswer
 
 FILES: Final[dict[str, Path]] = {}
 """Where models' files lie that were sent to this machine, by SHA-256 of their content."""

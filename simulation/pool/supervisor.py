@@ -23,11 +23,11 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.errors import InputError, MachineError
 from simulation.foreign_code import ENDED_BY
+from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, subject
 from simulation.pool.family import adopt_orphans, in_a_fork, kill_descendants
-from simulation.pool.messages import ChunkAnswer, Job
 from simulation.pool.warm_code import remember
-from simulation.pool.worker_process import LOG, End, Opened, SharedRows, refusal, work
+from simulation.pool.worker_process import LOG, ChunkAnswer, End, Opened, SharedRows, refusal, work
 from simulation.scratch import ScratchFolder
 
 SCRATCH_PREFIX: Final = "simulation-workers-"
@@ -47,6 +47,25 @@ _PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
 # An FMU that prints at every step would fill the disk: its process is replaced.
 _MAX_LOG_BYTES: Final = 10_000_000
 _MAX_SAID: Final = 300  # characters of its last line that a reason quotes
+
+
+@dataclass(frozen=True)
+class Job:
+    """To the fork server, and through it to a new supervisor: what to simulate, and where it runs.
+
+    Attributes:
+        make_model: The model's factory, pickled.
+        module: The module of the factory.
+        known: What workers for this program have compiled before, see warm_code.
+        policy: What happens to rows that hang, crash or fail.
+        folder: Where relative paths begin.
+    """
+
+    make_model: bytes
+    module: str
+    known: frozenset[bytes]
+    policy: ExecutionPolicy
+    folder: str
 
 
 def supervise(parent: Connection, job: Job) -> None:

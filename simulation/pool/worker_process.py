@@ -51,6 +51,21 @@ class Opened:
     known: bytes
 
 
+@dataclass(frozen=True)
+class ChunkAnswer:
+    """From a supervisor: what became of the first rows of a chunk; the others are to be asked again.
+
+    Attributes:
+        y: Outputs, NaN throughout in failed rows. Shape (m, t, k). [per output]
+        failures: Why each row failed; "" where it is good. Length m, at least 1.
+        row_s: Time per row that did not end its process; None for no such row. [s]
+    """
+
+    y: FloatArray
+    failures: tuple[str, ...]
+    row_s: float | None
+
+
 class SharedRows:
     """Memory of a supervisor and its workers, without a name.
 

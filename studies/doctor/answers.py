@@ -7,16 +7,19 @@ import numpy as np
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.design import uniform_design
+from simulation.forward_model import ForwardModel
+from simulation.pool.execution import commonest
 from simulation.trajectories import Trajectories
 from studies.doctor.declared import unit_problem
 from studies.doctor.finding import Finding, Level, finding, named
-from studies.doctor.region import commonest
 from studies.doctor.storing import MORE_TIME, STOPPED
 from studies.report.captions import enclosed_fraction
-from studies.report.wording import difference_unit, quantity, squared
+from studies.report.wording import difference_unit, percent, quantity, shown_unit, squared
 
 N_CORNERS, N_COVERAGE = 32, 64
 DOCTOR_SEED = 12_345
+N_HALVINGS = 5
+"""Rows that find out from where on a bound fails: to 1/32 of the way to it."""
 SAME = 1e-9
 """Two answers of one model to one question differ by no more than this. [output's unit]"""
 UNSEEN_SHARE = 0.01
@@ -82,7 +85,7 @@ def look_at_corners(answer: Trajectories) -> Finding:
     if not n_failed:
         return finding("corners", "ok", n=answer.n)
     level: Level = "fail" if n_failed == answer.n else "warn"
-    return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures))
+    return finding("corners-fail", level, n_failed=n_failed, n=answer.n, why=commonest(answer.failures)[0])
 
 
 def coverage_points(case: Case, n: int) -> FloatArray:
@@ -93,7 +96,7 @@ def coverage_points(case: Case, n: int) -> FloatArray:
 def look_at_coverage(case: Case, answer: Trajectories) -> Finding:
     """Say how much of the measurement the box can produce."""
     n_failed, good = int(answer.failed.sum()), answer.y[~answer.failed]
-    why = commonest(answer.failures)
+    why, _ = commonest(answer.failures)
     if len(good) < 2 or n_failed > case.policy.max_failed_share * answer.n:
         return finding("box-fails", "fail", n_failed=n_failed, n=answer.n, why=why)
     inside = enclosed_fraction(case.measurement, good)
@@ -149,6 +152,38 @@ def look_at_influence(case: Case, share: FloatArray, other_share: FloatArray | N
     weak, least = which(most < UNSEEN_SHARE), int(np.argmin(most))
     values = {"least": case.parameter_space.names[least], "most": most[least], "names": weak}
     return finding("effect", "warn" if weak else "ok", **values)
+
+
+def look_at_bounds(
+    case: Case, base: FloatArray, answer: Trajectories, model: ForwardModel | None
+) -> Iterator[Finding]:
+    """Say which single parameters cannot be moved to a bound, from where on, and why.
+
+    Args:
+        case: The case.
+        base: The estimates. Shape (p,). [per parameter]
+        answer: The answers to `moved_points`, or to the first of them.
+        model: Shows from where on a bound fails; None where there is no time for that.
+    """
+    failed, space = np.flatnonzero(answer.failed), case.parameter_space
+    if not len(failed):
+        return
+    good, bad = np.tile(space.to_unit(base), (len(failed), 1)), space.to_unit(answer.theta[failed])
+    for _ in range(N_HALVINGS):
+        if model is not None:
+            middle = 0.5 * (good + bad)
+            is_good = ~model.simulate(space.from_unit(middle)).failed[:, None]
+            good, bad = np.where(is_good, middle, good), np.where(is_good, bad, middle)
+    regions = []
+    for row, edge in zip(failed, space.from_unit(good), strict=True):
+        one, is_upper = space.parameters[row // 2], bool(row % 2)
+        bound, where, side = (one.upper, "above", "upper") if is_upper else (one.lower, "below", "lower")
+        begin = "" if model is None else f"{where} {edge[row // 2]:.3g}, "
+        regions.append(
+            f"{one.name} fails {begin}at its {side} bound {bound:.4g} {shown_unit(one.unit)}".rstrip()
+        )
+    share, reason = percent(len(failed) / answer.n), commonest(answer.failures)[0]
+    yield from named("bounds-fail", regions, "; ", share=share, reason=reason)
 
 
 def look_at_inputs(names: tuple[str, ...], nominal: Trajectories, answer: Trajectories) -> Finding:

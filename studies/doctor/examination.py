@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import studies.doctor.answers as answers
-import studies.doctor.cost as cost
-import studies.doctor.repeats as repeats
+import studies.doctor.variants as variants
 from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
@@ -18,18 +17,19 @@ from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.pool_model import PoolModel
 from simulation.trajectories import Trajectories
 from studies.circumstances import RestartModel
+from studies.console import format_seconds
 from studies.doctor.declared import base_point, look_at_data, look_at_declaration
-from studies.doctor.finding import Diagnosis, Finding, named
-from studies.doctor.region import N_HALVINGS, look_at_bounds
+from studies.doctor.finding import Diagnosis, Finding, finding, named
 from studies.doctor.storing import StoringModel
 from studies.doctor.time_budget import TimeBudget
-from studies.doctor.variants import circumstances, look_at_halving
 from studies.physical_model import open_physical_model
 from studies.stages.pipeline import Study
 
 N_STEPS = 7
 PIECE = 8
 """Simulations of each worker between two looks at the clock."""
+LEAST_TIMES = 3.0
+"""A time-out of fewer times the simulation of the estimates stops rows that are only somewhat harder."""
 
 
 def examine(study: Study, *, is_thorough: bool = False) -> Diagnosis:
@@ -87,7 +87,7 @@ class _Examination:
                     yield self._restart(after.take([0]))
             yield from self._in_the_box(nominal)
             yield self._in_other_processes(nominal, again)
-        yield [*self._costs()]
+        yield list(self._costs())
 
     def _restart(self, later: Trajectories) -> list[Finding]:
         """Ask a row as the first of a process that was answered after others in another."""
@@ -96,7 +96,7 @@ class _Examination:
         with PoolModel(model.open, 1, policy=policy) as alone:
             answer = alone.simulate(np.zeros((1, 1)))
         first = replace(later, y=answer.y[:, :, :-1], failures=answer.failures)
-        return [repeats.look_at_order(later, first), *repeats.look_at_restart(answer)]
+        return [variants.look_at_order(later, first), *variants.look_at_restart(answer)]
 
     def _in_the_box(self, nominal: Trajectories) -> Iterator[list[Finding]]:
         """Move the parameters, and keep what is simulated."""
@@ -137,15 +137,15 @@ class _Examination:
             if not moved.failed[0]:
                 other_share = answers.influence(case, moved.take([0]), moved.take(np.arange(1, n + 1)))
         yield answers.look_at_influence(case, share, other_share)
-        n_rows = N_HALVINGS * int(answer.failed.sum())
+        n_rows = answers.N_HALVINGS * int(answer.failed.sum())
         is_traced = n_rows > 0 and self.budget.rows("from where on bounds fail", n_rows, n_rows) > 0
-        yield from look_at_bounds(case, self._base, answer, model if is_traced else None)
+        yield from answers.look_at_bounds(case, self._base, answer, model if is_traced else None)
 
     def _in_other_processes(self, nominal: Trajectories, again: list[Trajectories]) -> list[Finding]:
         """Ask the estimates in another process: as they are, at half the step, with other inputs."""
         case, budget, names = self._case, self.budget, self._case.scenario.input_names
         halved = load_case(case.path, case.window_d, communication_step_s=case.communication_step_s / 2.0)
-        model = circumstances(case, halved, self._base)
+        model = variants.circumstances(case, halved, self._base)
         policy = self._policy(budget.with_opening(budget.row_timeout_s))
         with PoolModel(model.open, min(budget.n_workers, 2 + len(names)), policy=policy) as other:
             n = budget.rows("another process, half the step, other inputs", 3 + len(names), 3)
@@ -153,18 +153,22 @@ class _Examination:
                 return []
             answer = other.simulate(np.arange(n - 1, dtype=np.float64)[:, None])
         asked = names[: n - 3]
-        findings = [repeats.look_at_repeats(nominal, again, answer.take([0]))] if again else []
-        findings.append(look_at_halving(case, halved, nominal, answer.take([1])))
+        findings = [variants.look_at_repeats(nominal, again, answer.take([0]))] if again else []
+        findings.append(variants.look_at_halving(case, halved, nominal, answer.take([1])))
         if asked:
             changed = answer.take(np.arange(2, 2 + len(asked)))
             findings.append(answers.look_at_inputs(asked, nominal, changed))
         return findings
 
     def _costs(self) -> Iterator[Finding]:
-        study, budget = self._study, self.budget
-        yield from cost.look_at_cost(study.case, budget.simulation_s, study.command)
-        values = {"each": cost.duration(budget.simulation_s), "command": study.command}
-        yield from named("left-out", budget.left_out, "; ", **values)
+        """Say what a simulation takes, and name a time-out that is near to it."""
+        command, simulation_s = self._study.command, self.budget.simulation_s
+        timeout_s = self._case.policy.timeout_s
+        each = f"{1000.0 * simulation_s:.3g} ms" if simulation_s < 1.0 else format_seconds(simulation_s)
+        yield finding("cost", "ok", each=each, command=command)
+        if timeout_s is not None and timeout_s < LEAST_TIMES * simulation_s:
+            yield finding("timeout", limit=f"{timeout_s:g} s", each=each)
+        yield from named("left-out", self.budget.left_out, "; ", each=each, command=command)
 
     def _policy(self, timeout_s: float | None) -> ExecutionPolicy:
         """Return the case's policy with this time-out and without an end when many fail."""

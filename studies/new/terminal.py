@@ -63,9 +63,6 @@ def list_variables(options: argparse.Namespace, paths: ProjectPaths, console: Co
     active = {v.name for v in choose_parameters(fmu, named).used} if is_any else set()
     document: dict[str, Any] = {"command": "new"}
 
-    def marked(variable: FmuVariable) -> str:
-        return variable.name + " *" * (variable.name in active)
-
     for what in (*["output"] * bool(fmu.names("output")), "input", "parameter", "local"):
         found = [fmu.variables[name] for name in fmu.names(what)]
         document[f"{what}s"] = [_as_json(v, active) for v in found]

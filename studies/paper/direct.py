@@ -167,35 +167,26 @@ def start_points(space: ParameterSpace, row: Row) -> FloatArray:
     return np.clip(starts, space.lower, space.upper)
 
 
-class _Asked:
+class _Asked(CountingModel):
     """The model as an optimizer sees it: counted, in its coordinates, the best point kept."""
 
     def __init__(self, model: ForwardModel, measurement: Measurement, row: Row, stop: Event | None) -> None:
-        self._counter = CountingModel(model, row.max_calls)
-        self._measurement = measurement
-        self._row = row
-        self._stop = stop
-        self.space = model.parameter_space
+        super().__init__(model, row.max_calls)
+        self._measurement, self._row, self._stop = measurement, row, stop
+        space = self.parameter_space
+        self.bounds = Bounds(space.lower, space.upper)
+        if row.in_unit_cube:
+            self.bounds = Bounds(np.zeros(space.n_parameters), np.ones(space.n_parameters))
         self.best_mse = np.inf
-        self.best_theta: FloatArray = np.full(self.space.n_parameters, np.nan)
-
-    @property
-    def n_calls(self) -> int:
-        return self._counter.n_calls
-
-    @property
-    def bounds(self) -> Bounds:
-        if self._row.in_unit_cube:
-            return Bounds(np.zeros(self.space.n_parameters), np.ones(self.space.n_parameters))
-        return Bounds(self.space.lower, self.space.upper)
+        self.best_theta: FloatArray = np.full(space.n_parameters, np.nan)
 
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return the residuals at a point, those of a failure large and finite. Shape (m,)."""
         if self._stop is not None and self._stop.is_set():
             raise BudgetExceeded("the command was interrupted")
-        unit = self._row.in_unit_cube
-        theta = self.space.from_unit(x) if unit else np.clip(x, self.space.lower, self.space.upper)
-        answer = self._counter.simulate(theta[None])
+        space, unit = self.parameter_space, self._row.in_unit_cube
+        theta = space.from_unit(x) if unit else np.clip(x, space.lower, space.upper)
+        answer = self.simulate(theta[None])
         residuals = self._measurement.compared(answer.y)[0]
         if answer.failures[0] or not np.all(np.isfinite(residuals)):
             residuals = np.full(self._measurement.n_samples, np.sqrt(FAILED))
@@ -225,7 +216,7 @@ def minimize_from(
         The best point it saw, whether or not the optimizer was content.
     """
     asked = _Asked(model, measurement, row, stop)
-    x0 = asked.space.to_unit(theta0) if row.in_unit_cube else theta0
+    x0 = model.parameter_space.to_unit(theta0) if row.in_unit_cube else theta0
     solve = {"LS-TRF": _least_squares, "Differential evolution": _evolve}.get(row.method, _minimize)
     try:
         reason = solve(asked, row, x0)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pelsvae.metrics import errors
-from simulation.arrays import FloatArray
+from pelsvae.metrics import Errors, errors
 from simulation.design import spread_design
+from simulation.trajectories import Trajectories
 from studies.paper.items import Shown
 from studies.paper.models import Settings, chosen_settings, train_again
 from studies.paper.plan import Plan
@@ -27,8 +27,6 @@ SPREADS = np.linspace(0.0, 1.0, 11)
 """The paper's delta. [1]"""
 
 KINDS = {"important": "(a) six important parameters restricted", "all": "(b) all parameters restricted"}
-
-By = dict[str, dict[int, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ def run(plan: Plan) -> Shown:
     trained = {n: train_again(plan.study, n, chosen.settings[n]) for n in plan.budget.n_train}
     study = next(iter(trained.values()))[0]
     important = important_parameters(plan.study)
-    mae, p90, n_rows = _judge(study, plan.budget.n_spread, important)
+    judged, n_rows = _judge(study, plan.budget.n_spread, important)
     origin = origin_of(plan, plan.study, "fig7")
     found = [
         SpreadSize(
@@ -78,8 +76,8 @@ def run(plan: Plan) -> Shown:
             important=important,
             n_spread=plan.budget.n_spread,
             n_rows=n_rows,
-            mae={kind: tuple(mae[kind][n].tolist()) for kind in KINDS},
-            p90={kind: tuple(p90[kind][n].tolist()) for kind in KINDS},
+            mae={kind: tuple(one.mae for one in judged[n, kind]) for kind in KINDS},
+            p90={kind: tuple(one.p90 for one in judged[n, kind]) for kind in KINDS},
         )
         for n, (_, training_s) in trained.items()
     ]
@@ -138,34 +136,28 @@ def _figure(origin: Origin, sizes: Sequence[SpreadSize]) -> Figure:
     return Figure(title, tuple(panels), columns=2, shows_names=True)
 
 
-def _judge(study: Study, n: int, important: tuple[str, ...]) -> tuple[By, By, int]:
-    """Return MAE and 90th percentile by kind and size, each of shape (s,), and the narrower sets' rows."""
-    scales, measurement, space = (
-        study.case.measurement.error_scales,
-        study.case.measurement,
-        study.case.parameter_space,
-    )
-    mae: By = {kind: {} for kind in KINDS}
-    p90: By = {kind: {} for kind in KINDS}
+def _judge(
+    study: Study, n: int, important: tuple[str, ...]
+) -> tuple[dict[tuple[int, str], list[Errors]], int]:
+    """Return the errors at all spreads by size and kind, and the rows of the narrower test sets."""
+    measurement, space = study.case.measurement, study.case.parameter_space
+    true: dict[str, list[Trajectories]] = {kind: [] for kind in KINDS}
     asked: set[bytes] = set()
     with open_physical_model(study) as physical:
-        true = {}
         for kind, columns in (("important", important), ("all", None)):
-            for i, spread in enumerate(SPREADS):
+            for spread in SPREADS:
                 # At 1 it is the test set that all trials are judged by, at 0 one point.
                 theta = spread_design(space, n, float(spread), TEST_SEED, columns=columns)
                 if spread < 1.0:  # the test set is counted where trials are judged by it
                     asked |= {row.tobytes() for row in theta}
-                true[kind, i] = physical.simulate(theta)
+                rows = physical.simulate(theta)
+                true[kind].append(rows.take(~rows.failed))
+    found = {}
     for n_train in study.profile.data.n_train:
         surrogate, _ = best_surrogate(study, n_train)
         model = SurrogateModel(surrogate, space, measurement.output_names, measurement.time)
         for kind in KINDS:
-            found = []
-            for i in range(len(SPREADS)):
-                rows = true[kind, i]
-                good = ~rows.failed
-                found.append(errors(model.simulate(rows.theta[good]).y, rows.y[good], scales))
-            mae[kind][n_train] = np.array([one.mae for one in found])
-            p90[kind][n_train] = np.array([one.p90 for one in found])
-    return mae, p90, len(asked)
+            found[n_train, kind] = [
+                errors(model.simulate(rows.theta).y, rows.y, measurement.error_scales) for rows in true[kind]
+            ]
+    return found, len(asked)

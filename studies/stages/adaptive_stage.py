@@ -9,6 +9,7 @@ import numpy as np
 
 from simulation.case import Case
 from simulation.errors import InputError
+from simulation.pool.execution import commonest
 from simulation.store.stored_model import StoredModel
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.learned_ode import LEAST_CALLS
@@ -17,7 +18,6 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.recorder import Progress
 from studies.calibration.row_choice import best_and_far
 from studies.console import OnBar
-from studies.doctor.region import commonest
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.provenance import provenance_of
 from studies.report.wording import count, difference_unit, quantity, squared
@@ -228,7 +228,7 @@ def _reporter(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Pro
             raise StageError(
                 f"{n_failed} of {count(now.n_done, 'simulation')} failed, more than "
                 f"simulation.max_failed_share = {study.case.policy.max_failed_share:g} allows; the commonest "
-                f"reason: {commonest(physical.failures)}; {best} so far, and the finished simulations are "
+                f"reason: {commonest(physical.failures)[0]}; {best} so far, and the finished simulations are "
                 f"kept; narrow the bounds (studies check {study.command} says where it fails) or raise the "
                 "share"
             )

@@ -176,7 +176,7 @@ def _result(
 ) -> Uncertainty:
     """Put together what is kept."""
     found, local, noise = assessed.sample, assessed.local, assessed.noise
-    space, measurement, u = problem.space, problem.measurement, assessed.sample.particles.u
+    space, measurement, u = problem.space, problem.measurement, assessed.sample.particles
     linear, ends = space.from_unit(assessed.linear).T, space.from_unit(assessed.interval).T
     known, theta = knowledge(space, u, problem.prior), assessed.point.theta[0]
     good = np.isfinite(found.drawn.mse)

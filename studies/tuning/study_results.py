@@ -28,7 +28,6 @@ class TrialView:
         number: Optuna's number of the trial.
         state: "complete", "pruned", "failed", "running" or "waiting".
         params: its hyperparameters.
-        settings: all settings of its surrogate; empty where it has no hyperparameters yet.
         value: validation MAE; of a trial that is not complete the last one reported. [output's unit]
         metrics: errors by name; empty unless the trial is complete. [output's unit]
         run_id: MLflow's run, empty without one.
@@ -44,7 +43,6 @@ class TrialView:
     number: int
     state: str
     params: Mapping[str, Any]
-    settings: Mapping[str, Any]
     value: float | None
     metrics: Mapping[str, float]
     run_id: str
@@ -166,12 +164,11 @@ def read_study(study: optuna.Study) -> TunedStudy:
     Raises:
         InputError: it was made by another program or version.
     """
-    spec, attrs = attempts.declaration_of(study), study.user_attrs
-    trials = attempts.places(study.get_trials(deepcopy=False))
+    attrs = study.user_attrs
     return TunedStudy(
-        spec=spec,
+        spec=attempts.declaration_of(study),
         n_planned=int(attrs.get(attempts.PLANNED, 0)),
-        trials=tuple(_view(spec, trial) for trial in trials),
+        trials=tuple(map(_view, attempts.places(study.get_trials(deepcopy=False)))),
         n_closed=int(attrs.get(attempts.CLOSED, 0)),
     )
 
@@ -211,12 +208,10 @@ def latest_studies(
     return {(one.spec.n_train, one.spec.is_baseline): one for one in ordered}
 
 
-def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
+def _view(trial: FrozenTrial) -> TrialView:
     training = trial.user_attrs.get("training", {})
     began = trial.datetime_start.timestamp() if trial.datetime_start else 0.0
     ended = trial.datetime_complete.timestamp() if trial.datetime_complete else 0.0
-    params = dict(trial.params)
-    known = {name: value for name, value in params.items() if name in spec.settings}
     # A trial without a value counts by its last error.
     last = None if trial.last_step is None else trial.intermediate_values[trial.last_step]
     value = last if trial.value is None else float(trial.value)
@@ -225,8 +220,7 @@ def _view(spec: Declaration, trial: FrozenTrial) -> TrialView:
     return TrialView(
         number=trial.number,
         state="failed" if trial.state == TrialState.FAIL else trial.state.name.lower(),
-        params=params,
-        settings={**spec.settings, **known} if known or not spec.space else {},
+        params=dict(trial.params),
         value=value,
         metrics=attempts.errors_of(trial) if trial.state == TrialState.COMPLETE else {},
         run_id=str(trial.user_attrs.get(attempts.RUN_ID, "")),

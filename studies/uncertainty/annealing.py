@@ -17,7 +17,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, ndtri
-from threadpoolctl import threadpool_limits
 
 from simulation.arrays import FloatArray, IntArray
 from studies.uncertainty.weights import effective_size, normalized
@@ -53,19 +52,6 @@ OnShare = Callable[[float], None]
 
 LAST_SHARE = 0.3
 """Share of the work that the last power's steps are, about."""
-
-
-@dataclass(frozen=True, eq=False)
-class Particles:
-    """A sample of a density.
-
-    Attributes:
-        u: Points of equal weight, in no order. Shape (n, p). [1]
-        log_density: Their density's logarithm. Shape (n,). [1]
-    """
-
-    u: FloatArray
-    log_density: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +122,10 @@ def sample_density(
     seed: int,
     n_particles: int,
     on_share: OnShare | None = None,
-) -> Particles:
+) -> FloatArray:
     """Sample a density over the unit cube.
+
+    With one BLAS thread it is five times faster: matrices have a hundred rows.
 
     Args:
         log_density: The density; the cube's outside is never asked.
@@ -145,44 +133,19 @@ def sample_density(
         seed: Seed of all draws.
         n_particles: How many.
         on_share: Called with the share of the work that is done.
+
+    Returns:
+        Points of equal weight, in no order. Shape (n, p). [1]
     """
     report = on_share or (lambda share: None)
-    # One BLAS thread is five times faster on matrices of a hundred rows, with equal bits.
-    with threadpool_limits(limits=1, user_api="blas"):
-        return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(report)
-
-
-@dataclass(eq=False)
-class _Cloud:
-    """Particles, and what is known of them.
-
-    Attributes:
-        z: Normal scores. Shape (n, p). [1]
-        value: The density's logarithm. Shape (n,). [1]
-        at_first: The reference's. Shape (n,). [1]
-    """
-
-    z: FloatArray
-    value: FloatArray
-    at_first: FloatArray
-
-    def __getitem__(self, rows: IntArray) -> "_Cloud":
-        return _Cloud(self.z[rows], self.value[rows], self.at_first[rows])
-
-    def __setitem__(self, rows: IntArray, other: "_Cloud") -> None:
-        self.z[rows], self.value[rows], self.at_first[rows] = other.z, other.value, other.at_first
-
-    def log_density(self, power: float) -> FloatArray:
-        """Return the logarithm of the density between the first and the last one, in normal scores."""
-        # A geometric path: at power 1 the reference is gone, and with it what its density leaves out.
-        between = power * self.value + (1.0 - power) * self.at_first
-        # Change of variables u = Phi(z): the density in z is that in u times the normal density.
-        found: FloatArray = between - 0.5 * np.sum(self.z**2, axis=1)
-        return found
+    return _Annealing(log_density, reference, n_particles, np.random.default_rng(seed)).run(report)
 
 
 class _Annealing:
-    """The particles on their way."""
+    """The particles on their way.
+
+    A cloud has a row per particle: p normal scores, the density's logarithm and the reference's.
+    """
 
     def __init__(
         self, log_density: Density, reference: Reference, n_particles: int, rng: np.random.Generator
@@ -191,10 +154,10 @@ class _Annealing:
         self._power = 0.0
         self._cloud = self._at(ndtri(np.clip(reference.draw(n_particles, rng), EDGE, 1.0 - EDGE)))
 
-    def run(self, on_share: OnShare) -> Particles:
+    def run(self, on_share: OnShare) -> FloatArray:
         """Raise the power to 1."""
         n_powers = 0
-        n_parameters = self._cloud.z.shape[1]
+        n_parameters = self._cloud.shape[1] - 2
         while self._power < 1.0:
             power = self._next_power() if n_powers < MOST_POWERS else 1.0
             # Before the power is set: weights are the ratio of the new density to the old one.
@@ -208,26 +171,26 @@ class _Annealing:
                 on_share((1.0 - LAST_SHARE) * power + LAST_SHARE * last)
                 self._sweep()
         # Resampling leaves copies side by side, and a sample takes its members from the front.
-        found = self._cloud[self._rng.permutation(len(self._cloud.z))]
-        return Particles(ndtr(found.z), found.value)
+        found: FloatArray = ndtr(self._cloud[self._rng.permutation(len(self._cloud)), :-2])
+        return found
 
-    def _at(self, z: FloatArray) -> _Cloud:
+    def _at(self, z: FloatArray) -> FloatArray:
         """Ask what is known of points; the reference no longer where it does not count."""
         u = ndtr(z)
         # At power 1 its weight is 0, and the last sweeps are the most.
         at_first = np.zeros(len(u)) if self._power == 1.0 else self._reference.log_density(u)
-        return _Cloud(z, self._log_density(u), at_first)
+        return np.column_stack([z, self._log_density(u), at_first])
 
     def _weights(self, power: float) -> FloatArray:
         """Return what the particles count at a higher power. Shape (n,)."""
         # The normal factor of the scores is in both densities and cancels.
-        return normalized((power - self._power) * (self._cloud.value - self._cloud.at_first))
+        return normalized((power - self._power) * (self._cloud[:, -2] - self._cloud[:, -1]))
 
     def _next_power(self) -> float:
         """Return the power at which the particles are worth as much as wanted, by halving."""
 
         def worth(power: float) -> float:
-            return effective_size(self._weights(power)) / len(self._cloud.value)
+            return effective_size(self._weights(power)) / len(self._cloud)
 
         # Exactly 1, which a sum of the power and what is left might miss by rounding.
         if worth(1.0) >= WORTH:
@@ -243,22 +206,31 @@ class _Annealing:
     def _sweep(self) -> None:
         """Move either half of the particles by differences of the other."""
         # Differences come from particles at rest: of moving ones they would break detailed balance.
-        order = self._rng.permutation(len(self._cloud.z))
+        order = self._rng.permutation(len(self._cloud))
         first, second = order[: len(order) // 2], order[len(order) // 2 :]
         self._move(first, second)
         self._move(second, first)
 
     def _move(self, rows: IntArray, others: IntArray) -> None:
         here = self._cloud[rows]
-        n, p = len(rows), here.z.shape[1]
+        n, p = len(rows), here.shape[1] - 2
         # The two may be the same particle: that step has no length and does no harm.
         one, two = others[self._rng.integers(len(others), size=(2, n))]
         length = STEP / np.sqrt(2.0 * p) * np.exp(self._rng.uniform(SHORTEST, LONGEST, (n, 1)))
-        there = self._at(here.z + length * (self._cloud.z[one] - self._cloud.z[two]))
+        difference = self._cloud[one, :-2] - self._cloud[two, :-2]
+        there = self._at(here[:, :-2] + length * difference)
         # Metropolis rule without a correction: a difference and its reverse are equally probable.
-        gain = there.log_density(self._power) - here.log_density(self._power)
+        gain = self._between(there) - self._between(here)
         taken = np.flatnonzero(np.log(self._rng.random(n)) < gain)
         self._cloud[rows[taken]] = there[taken]
+
+    def _between(self, cloud: FloatArray) -> FloatArray:
+        """Return the logarithm of the density between the first and the last one, in normal scores."""
+        # A geometric path: at power 1 the reference is gone, and with it what its density leaves out.
+        between = self._power * cloud[:, -2] + (1.0 - self._power) * cloud[:, -1]
+        # Change of variables u = Phi(z): the density in z is that in u times the normal density.
+        found: FloatArray = between - 0.5 * np.sum(cloud[:, :-2] ** 2, axis=1)
+        return found
 
 
 def _drawn(weights: FloatArray, rng: np.random.Generator) -> IntArray:

@@ -65,7 +65,7 @@ class Assessment:
         """Ends and median of the posterior's intervals: low, median, high. Shape (3, p). [1]."""
         # Of particles, not of the simulated members: of 48, two or three lie beyond an end of the interval.
         shares = [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL]
-        return np.asarray(np.quantile(self.sample.particles.u, shares, axis=0), dtype=np.float64)
+        return np.asarray(np.quantile(self.sample.particles, shares, axis=0), dtype=np.float64)
 
 
 def sampling_within(max_calls: int, n_parameters: int) -> Sampling:
@@ -158,5 +158,5 @@ def assess(
     sample = PosteriorSampler(
         problem, posterior, left, joined([*stored_rows, around]), seed=seed, on_calls=report_calls
     ).sample()
-    sample = replace(sample, n_calls=sample.n_calls + n_in_vain, n_taught=sample.n_taught + n_in_vain)
+    sample = replace(sample, n_calls=sample.n_calls + n_in_vain)
     return Assessment(noise, around.take(0), local, sample, 2 * p, by_equations=False)

@@ -24,7 +24,6 @@ from studies.uncertainty.sample import (
     agrees,
     decimals_for,
 )
-from studies.uncertainty.weights import normalized
 
 # Intervals are of particles, which the FMU does not weigh: so the two densities themselves must agree.
 SAME_DENSITY = 0.25
@@ -91,7 +90,7 @@ def sample_with(
             on_share=on_share,
         )
     # Particles come in no order, so the first ones are a sample like all.
-    u = np.round(particles.u[: min(settings.n_sample, settings.max_calls)], decimals)
+    u = np.round(particles[: min(settings.n_sample, settings.max_calls)], decimals)
     # At the rounded points: a ratio compares both densities at one and the same place.
     expected = density(u)
     parts, ratios = list[Evaluation](), np.empty(0)
@@ -108,17 +107,8 @@ def sample_with(
     drawn = joined(parts)
     every = joined([known, drawn])
     best = int(np.argmax(posterior.at(every.u, every.mse)))
-    sample = PosteriorSample(
-        drawn=drawn,
-        weights=normalized(ratios),
-        log_ratios=ratios,
-        particles=particles,
-        n_calls=len(ratios),
-        n_taught=0,
-        best_u=every.u[best],
-        best_mse=float(every.mse[best]),
-    )
-    return sample, drawn
+    mse = float(every.mse[best])
+    return PosteriorSample(drawn, ratios, particles, len(ratios), every.u[best], mse), drawn
 
 
 def _valleys(

@@ -15,7 +15,7 @@ goes on where it stopped.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -24,10 +24,9 @@ from threadpoolctl import threadpool_limits
 from simulation.arrays import FloatArray
 from studies.calibration.problem import CalibrationProblem, Evaluation
 from studies.calibration.residual_process import Features, ResidualProcess
-from studies.uncertainty.annealing import Particles, Reference, sample_density
+from studies.uncertainty.annealing import Reference, sample_density
 from studies.uncertainty.density import Posterior, Predicted
-from studies.uncertainty.rows import informative_rows, joined
-from studies.uncertainty.succeeding import Succeeding
+from studies.uncertainty.rows import informative_rows, joined, log_success
 from studies.uncertainty.weights import effective_size, normalized
 
 # A store finds a row by the exact bytes of its parameters.
@@ -85,23 +84,30 @@ class PosteriorSample:
 
     Attributes:
         drawn: The sample as the model answered. n rows.
-        weights: What each counts; sum 1. Shape (n,). [1]
         log_ratios: Logarithm of the model's density over the predicted one. Shape (n,). [1]
-        particles: On the last surrogate, which knows every simulated row, or on the emulator.
+        particles: Points of equal weight on the last surrogate, which knows every simulated row, or on the
+            emulator. Shape (s, p). [1]
         n_calls: Rows asked of the model.
-        n_taught: Those of them that are not in the sample: they taught the surrogate.
         best_u: The most probable row of all, asked or known before. Shape (p,). [1]
         best_mse: Its error. [first output's unit squared]
     """
 
     drawn: Evaluation
-    weights: FloatArray
     log_ratios: FloatArray
-    particles: Particles
+    particles: FloatArray
     n_calls: int
-    n_taught: int
     best_u: FloatArray
     best_mse: float
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """What each counts; sum 1. Shape (n,). [1]."""
+        return normalized(self.log_ratios)
+
+    @property
+    def n_taught(self) -> int:
+        """Rows asked of the model that are not in the sample: they taught the surrogate."""
+        return self.n_calls - self.drawn.n
 
     @property
     def n_effective(self) -> float:
@@ -173,16 +179,7 @@ class PosteriorSampler:
             last = self._particles(*self._learn(n_last), n_last)
         density = self._posterior.at(self._u, self._mse)
         best = int(np.argmax(density))
-        return PosteriorSample(
-            drawn=drawn,
-            weights=normalized(ratios),
-            log_ratios=ratios,
-            particles=last,
-            n_calls=self.n_calls,
-            n_taught=self.n_calls - drawn.n,
-            best_u=self._u[best],
-            best_mse=float(self._mse[best]),
-        )
+        return PosteriorSample(drawn, ratios, last, self.n_calls, self._u[best], float(self._mse[best]))
 
     def _learn(self, n_particles: int) -> tuple[Expected, Reference]:
         """Fit the process to what is known.
@@ -204,20 +201,20 @@ class PosteriorSampler:
         self._decimals = decimals_for(float(np.sqrt(np.diagonal(narrowest[0]).max())))
         # A narrow region that no even start finds is not lost as long as a row lies in it.
         good = self._u[rows[density[rows] >= density[rows[0]] - NEAR_BEST][:MOST_CENTRES]]
-        succeeding = Succeeding(self._u, ~np.isfinite(self._mse), narrowest[0])
+        known, failed = self._u, ~np.isfinite(self._mse)
 
         def expected(u: FloatArray, caution: float = 1.0) -> FloatArray:
             # Failed rows have no residuals to teach the process: 94 to 96 of 96 failed at an edge.
             value: FloatArray = self._posterior.by(predicted, u, caution=caution)
-            return value + succeeding.log_probability(u)
+            return value + log_success(u, known, failed, narrowest[0])
 
         # A narrow region that is known would crowd out wider ones, and they it, if either began alone.
         anywhere = self._particles(expected, Reference.even(self._u.shape[1]), n_particles)
-        centres = np.concatenate([good, anywhere.u[:MOST_CENTRES]])
+        centres = np.concatenate([good, anywhere[:MOST_CENTRES]])
         precision = self._posterior.precision(predicted.metric(centres, raised), wider=WIDER)
         return expected, Reference(centres, np.linalg.cholesky(np.linalg.inv(precision)))
 
-    def _particles(self, expected: LogDensity, around: Reference, n_particles: int) -> Particles:
+    def _particles(self, expected: LogDensity, around: Reference, n_particles: int) -> FloatArray:
         """Sample a density by so many particles, with a seed of their own."""
         seed = int(self._rng.integers(2**31))
         return sample_density(expected, around, seed=seed, n_particles=n_particles)
@@ -231,7 +228,7 @@ class PosteriorSampler:
         n = self._settings.n_drawn_from
         # No sample is drawn so: unsure places would count as probable (six walls: 86 instead of 95 %).
         wider = [self._particles(partial(expected, caution=caution), around, n) for caution in FARTHER]
-        u = np.round(np.concatenate([particles.u[:n_each] for particles in wider]), self._decimals)
+        u = np.round(np.concatenate([particles[:n_each] for particles in wider]), self._decimals)
         # Before they are asked, as asking adds them to the rows of which the best is taken.
         before, best = expected(u), float(self._posterior.at(self._u, self._mse).max())
         found = self._posterior.at(u, self._ask(u).mse)
@@ -243,7 +240,7 @@ class PosteriorSampler:
         """Whether the calls that are left allow a sample of two batches."""
         return self._settings.max_calls - self.n_calls >= 2 * self._settings.n_batch
 
-    def _simulate(self, expected: LogDensity, particles: Particles) -> tuple[Evaluation, FloatArray, bool]:
+    def _simulate(self, expected: LogDensity, particles: FloatArray) -> tuple[Evaluation, FloatArray, bool]:
         """Simulate particles as long as the model agrees.
 
         Args:
@@ -261,7 +258,7 @@ class PosteriorSampler:
             if n <= 0:
                 break
             # Particles come in no order, so the next ones continue the sample.
-            u = np.round(particles.u[len(ratios) : len(ratios) + n], self._decimals)
+            u = np.round(particles[len(ratios) : len(ratios) + n], self._decimals)
             answer = self._ask(u)
             parts.append(answer)
             new = self._posterior.at(u, answer.mse) - expected(u)

@@ -82,7 +82,7 @@ def one(case: Case, model: WatchedModel, seed: int, options: argparse.Namespace)
         "n_independent": noise.n_independent,
         "held": ((low <= truth) & (truth <= high)).tolist(),
         "held_linear": ((linear_low <= truth) & (truth <= linear_high)).tolist(),
-        "rank": np.mean(sample.particles.u < truth, axis=0).tolist(),
+        "rank": np.mean(sample.particles < truth, axis=0).tolist(),
         "width": (high - low).tolist(),
         "width_linear": (linear_high - linear_low).tolist(),
         "worth": sample.n_effective / len(sample.weights),

@@ -1,7 +1,6 @@
 """Designs: inside the box, uniform in physical units, nested."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,16 +37,3 @@ def test_the_draw_is_uniform_in_physical_units_also_where_the_scale_is_logarithm
     n = 4000
     rows = np.sort((uniform_design(SPACE, n, 0) - SPACE.lower) / (SPACE.upper - SPACE.lower), axis=0)
     assert np.abs(rows - (np.arange(n)[:, None] + 0.5) / n).max() < 1.63 / np.sqrt(n)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"n": -1}, "-1 rows"),
-        ({"spread": 1.5}, "spread is 1.5"),
-        ({"columns": ["X"]}, "no parameter is named 'X'; there are R, C, T"),
-    ],
-)
-def test_misuse_is_refused(arguments: dict, message: str):
-    with pytest.raises(ValueError, match=message):
-        spread_design(SPACE, **{"n": 3, "spread": 0.5, "seed": 0, **arguments})

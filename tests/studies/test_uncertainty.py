@@ -88,7 +88,7 @@ def test_a_linear_models_posterior_is_the_textbook_one():
     best, design = least_squares(problem)
     found = assessed(problem, best, kind="sensor")
     expected = SIGMA**2 * np.linalg.inv(design.T @ design)
-    theta = problem.space.from_unit(found.sample.particles.u)
+    theta = problem.space.from_unit(found.sample.particles)
     deviation = np.sqrt(np.diag(expected))
     # A thousand points know a mean to 3 % of the deviation, a variance to 5 %.
     assert np.abs(theta.mean(axis=0) - best) == pytest.approx(0.0, abs=0.15 * deviation.min())
@@ -173,7 +173,7 @@ def test_a_emulator_may_leave_a_direction_open_beside_the_narrowest_one(sigma: f
         problem, theta, y, noise=noise, known=None,
         sampling=sampling_within(60, 3), seed=0, emulator=model,
     )  # fmt: skip
-    u = found.sample.particles.u
+    u = found.sample.particles
     assert found.by_equations
     # Of the open parameter a twentieth lies beyond either end, as of an even density: few came so far.
     assert found.interval[[0, 2], 2] == pytest.approx([0.05, 0.95], abs=0.1)
@@ -206,7 +206,7 @@ def test_a_prior_enters_as_it_is():
     of_data, of_prior = 16.0 * design.T @ design / SIGMA**2, np.diag(width**-2.0)
     covariance = np.linalg.inv(of_data + of_prior)
     mean = problem.space.to_unit(best) + covariance @ of_prior @ np.array([0.0, 0.01])
-    u, deviation = found.sample.particles.u, np.sqrt(np.diag(covariance))
+    u, deviation = found.sample.particles, np.sqrt(np.diag(covariance))
     assert (u.mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
     assert np.cov(u.T) == pytest.approx(covariance, rel=0.15)
 
@@ -216,14 +216,14 @@ def test_a_product_is_known_and_its_factors_are_not():
     found = assessed(problem, [2.0, 0.7, 1.5], kind="sensor", max_calls=100)
     space = problem.space
     assert space.names[2:] == tuple(
-        n for n, k in knowledge(space, found.sample.particles.u).items() if k == "determined"
+        n for n, k in knowledge(space, found.sample.particles).items() if k == "determined"
     )
-    pair = compensations(space, found.sample.particles.u)[0]
+    pair = compensations(space, found.sample.particles)[0]
     assert (pair.first, pair.second, pair.known) == ("a", "b", "product")
     assert "compensate each other: only their product is known, to " in pair.in_words
     # The posterior is the hyperbola a b = 1.4 from bound to bound, as even in log a as the bounds allow: a
     # from 0.28 to 5, so that its 90 % interval leaves 5 % of that logarithm out at both ends.
-    a = space.from_unit(found.sample.particles.u)[:, 0]
+    a = space.from_unit(found.sample.particles)[:, 0]
     low, high = np.log(1.4 / 5.0), np.log(5.0)
     ends = np.log(np.quantile(a, [0.05, 0.95]))
     assert ends == pytest.approx(
@@ -313,12 +313,12 @@ def test_many_open_parameters_are_filled_evenly(rate):
     mean = 1.0 / rate - 1.0 / np.expm1(rate) if rate else 0.5
     deviation = np.sqrt(1.0 / rate**2 - np.exp(rate) / np.expm1(rate) ** 2) if rate else np.sqrt(1.0 / 12.0)
     # Of a thousand independent points one mean errs by 3 % of the deviation.
-    assert (found.u[:, 4:].mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
-    assert np.mean(found.u[:, 4:], axis=0).mean() == pytest.approx(mean, abs=0.03 * deviation)
-    assert found.u[:, 4:].std(axis=0) == pytest.approx(deviation, rel=0.15)
+    assert (found[:, 4:].mean(axis=0) - mean) / deviation == pytest.approx(0.0, abs=0.15)
+    assert np.mean(found[:, 4:], axis=0).mean() == pytest.approx(mean, abs=0.03 * deviation)
+    assert found[:, 4:].std(axis=0) == pytest.approx(deviation, rel=0.15)
     # The shares are those of a sum that leaves either parameter anywhere.
-    assert np.quantile(found.u[:, 0], [0.05, 0.5, 0.95]) == pytest.approx([0.05, 0.5, 0.95], abs=0.06)
-    assert np.quantile(found.u[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([0.03, 0.3, 0.57], abs=0.06)
+    assert np.quantile(found[:, 0], [0.05, 0.5, 0.95]) == pytest.approx([0.05, 0.5, 0.95], abs=0.06)
+    assert np.quantile(found[:, 2], [0.05, 0.5, 0.95]) == pytest.approx([0.03, 0.3, 0.57], abs=0.06)
 
 
 def test_particles_fill_a_hyperbola():
@@ -329,9 +329,9 @@ def test_particles_fill_a_hyperbola():
         return -0.5 * product - 0.5 * np.sum(((u[:, 2:] - 0.6) / 0.02) ** 2, axis=1)
 
     found = sample_density(log_density, Reference.even(7), seed=0, n_particles=2000)
-    shares = np.quantile(np.log(found.u[:, 0] / 0.2) / np.log(5.0), [0.05, 0.25, 0.5, 0.75, 0.95])
+    shares = np.quantile(np.log(found[:, 0] / 0.2) / np.log(5.0), [0.05, 0.25, 0.5, 0.75, 0.95])
     assert shares == pytest.approx([0.05, 0.25, 0.5, 0.75, 0.95], abs=0.05)
-    assert found.u[:, 2:].std(axis=0) == pytest.approx(0.02, rel=0.15)
+    assert found[:, 2:].std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
 @pytest.mark.parametrize("narrow", [0.01, 0.03])
@@ -353,7 +353,7 @@ def test_regions_far_apart_keep_their_shares(narrow):
             3.0 * np.stack([narrow * np.eye(n_parameters), 0.03 * np.eye(n_parameters)]),
         )
     found = sample_density(log_density, reference, seed=0, n_particles=1000)
-    assert np.mean(found.u[:, 0] < 0.5) == pytest.approx(0.3, abs=0.1)
+    assert np.mean(found[:, 0] < 0.5) == pytest.approx(0.3, abs=0.1)
 
 
 def test_the_predictive_band_holds_the_measured_values():
