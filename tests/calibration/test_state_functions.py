@@ -19,7 +19,7 @@ from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import FUNCTIONS, Sum, Term
 from studies.calibration.states import StateRows, StateSignals, WatchedModel
 
-N_STEPS, N_FINE = 200, 20
+N_STEPS, N_FINE = 200, 4
 
 
 @dataclass(frozen=True)
@@ -262,12 +262,11 @@ def test_forms_that_held_and_hold_no_more_are_given_up() -> None:
     """A heater that is never off at full power, as in no row before, moves by terms that are known."""
     truth = HEATER.parameter_space.to_unit(np.array([100.0, 5e6, 1000.0, 1400.0]))
     problem = measured(HEATER, truth, 0.15)
-    for seed in range(3):
-        ode = LearnedODE.of(problem)
-        found = Adaptive(max_calls=150, misfit_threshold=0.09).minimize(problem, seed=seed, learned_ode=ode)
-        assert found.mse <= 1.05 * problem.mse(truth[None])[0], seed
-        assert not ode.is_believed
-        assert ode.without_effect == ()
+    ode = LearnedODE.of(problem)
+    found = Adaptive(max_calls=150, misfit_threshold=0.09).minimize(problem, seed=0, learned_ode=ode)
+    assert found.mse <= 1.05 * problem.mse(truth[None])[0]
+    assert not ode.is_believed
+    assert ode.without_effect == ()
 
 
 def test_a_form_that_no_row_has_shown_is_looked_for_before_equations_end_a_search() -> None:
@@ -285,12 +284,10 @@ def test_a_form_that_no_row_has_shown_is_looked_for_before_equations_end_a_searc
     assert points.shape == (6, 4)
     assert points[0].tolist() == [*truth[:2], 0.0, 0.0]
     assert points[1].tolist() == [*truth[:2], 1.0, 1.0]
-    for seed in range(3):
-        # Where the error is too large, and where an uncertain sensor might explain it.
-        for threshold in (0.04**2, 1.0):
-            ode = LearnedODE.of(problem)
-            settings = Adaptive(max_calls=120, misfit_threshold=threshold)
-            found = settings.minimize(problem, seed=seed, learned_ode=ode)
-            assert not ode.is_believed
-            if threshold < 1.0:
-                assert found.mse <= 1.05 * problem.mse(truth[None])[0], seed
+    # Where the error is too large, and where an uncertain sensor might explain it.
+    for threshold in (0.04**2, 1.0):
+        ode = LearnedODE.of(problem)
+        found = Adaptive(max_calls=120, misfit_threshold=threshold).minimize(problem, seed=0, learned_ode=ode)
+        assert not ode.is_believed
+        if threshold < 1.0:
+            assert found.mse <= 1.05 * problem.mse(truth[None])[0]
