@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from made_once import made_once
 
 if TYPE_CHECKING:
     from postgres_for_tests import PostgresServer
@@ -49,6 +50,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first, for processes that test side by side."""
     place = {name: at for at, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+@pytest.fixture(scope="session")
+def whole_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in which the office was run with the profile "smoke"; to be read or copied."""
+    from project_for_tests import finish, make_validated_project
+
+    return made_once(tmp_path_factory, "whole-run", lambda root: finish(make_validated_project(root)))
 
 
 @pytest.fixture(scope="session")
