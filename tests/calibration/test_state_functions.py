@@ -1,15 +1,14 @@
 """State equations with functions (flows, drag, angles), and equations that no row of a design has shown."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from moving_for_tests import Moving, box
 
 from simulation.arrays import FloatArray
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.flow_steps import NUMBERS
 from studies.calibration.learned_ode import LearnedODE
@@ -17,76 +16,9 @@ from studies.calibration.problem import CalibrationProblem
 from studies.calibration.state_equations import LEARNT, Structure
 from studies.calibration.state_flow import SteppedFlow
 from studies.calibration.state_terms import FUNCTIONS, Sum, Term
-from studies.calibration.states import StateRows, StateSignals, WatchedModel
+from studies.calibration.states import StateRows, WatchedModel
 
-N_STEPS, N_FINE = 200, 4
-
-
-@dataclass(frozen=True)
-class Moving:
-    """A model by its slopes; answers its first state, then all states and their slopes.
-
-    Solved by Runge and Kutta's method in many parts of a step, all rows at once.
-    """
-
-    parameter_space: ParameterSpace
-    units: tuple[str, ...]
-    step_s: float
-    inputs: FloatArray
-    slope: Callable[..., list[FloatArray]]
-    start: Callable[..., list[FloatArray]]
-
-    @property
-    def signals(self) -> StateSignals:
-        n_states = len(self.units) - self.inputs.shape[1]
-        names = tuple(f"x{j}" for j in range(n_states))
-        return StateSignals(
-            states=names,
-            derivatives=tuple(f"der({name})" for name in names),
-            inputs=tuple(f"u{j}" for j in range(self.inputs.shape[1])),
-            units=self.units,
-            depends_on=(None,) * n_states,
-            driven=self.inputs,
-            step_s=self.step_s,
-            every=1,
-            n_before=0,
-            outputs=("y",),
-            conversions=np.array([[1.0, 0.0]]),
-        )
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return ("y", *self.signals.states, *self.signals.derivatives)
-
-    @property
-    def time(self) -> FloatArray:
-        return self.step_s * np.arange(N_STEPS + 1)
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        x = np.array(self.start(*theta.T))
-
-        def slope(x: FloatArray, u: FloatArray) -> FloatArray:
-            return np.array(self.slope(*theta.T, *x, *u))
-
-        h, rows = self.step_s / N_FINE, list[FloatArray]()
-        for u in np.concatenate([self.inputs[:1], self.inputs]):
-            for _ in range(N_FINE if rows else 0):
-                one = slope(x, u)
-                two = slope(x + 0.5 * h * one, u)
-                three = slope(x + 0.5 * h * two, u)
-                x = x + h / 6.0 * (one + 2.0 * two + 2.0 * three + slope(x + h * three, u))
-            rows.append(np.concatenate([x[:1], x, slope(x, u)]).T)
-        return Trajectories.checked(
-            theta,
-            np.array(rows).transpose(1, 0, 2),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-        )
-
-
-def box(**bounds: tuple[float, float]) -> ParameterSpace:
-    return ParameterSpace(tuple(Parameter(name, *ends, scale="log") for name, ends in bounds.items()))
+N_STEPS = 200
 
 
 def pulses(low: float, high: float, seed: int) -> FloatArray:
@@ -148,7 +80,7 @@ def measured(model: Moving, u: FloatArray, noise: float) -> CalibrationProblem:
     watched = WatchedModel(model, model.signals)
     y = watched.simulate(model.parameter_space.from_unit(u[None])).y[0]
     y = y + noise * np.random.default_rng(0).standard_normal(y.shape)
-    measurement = Measurement.on_grid(model.time, y, ("y",), np.array([noise]))
+    measurement = Measurement.on_grid(model.time, y, ("y0",), np.array([noise]))
     return CalibrationProblem(watched, measurement)
 
 
