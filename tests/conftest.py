@@ -31,18 +31,26 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
 # What takes minutes begins first: begun last, it would run alone at the end.
 LONGEST = (
     "test_cli_resume",
-    "test_quick_profile",
     "test_killed",
-    "test_state_functions",
-    "test_browser",
+    "test_quick_profile",
+    "test_cli_adaptive",
     "test_notebook",
-    "test_doctor",
-    "test_reproduce_paper",
-    "test_pool",
+    "test_pool_killed",
     "test_house",
     "test_reproduce",
-    "test_server",
+    "test_reproduce_paper",
+    "test_pool",
     "test_safe_start",
+    "test_doctor",
+    "test_state_equations",
+    "test_state_functions",
+    "test_bad_fmus",
+    "test_trials",
+    "test_server",
+    "test_newcomer",
+    "test_package",
+    "test_tutorials",
+    "test_browser",
 )
 
 
