@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from made_once import made_once
 
 if TYPE_CHECKING:
     from postgres_for_tests import PostgresServer
@@ -30,18 +31,26 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
 # What takes minutes begins first: begun last, it would run alone at the end.
 LONGEST = (
     "test_cli_resume",
-    "test_quick_profile",
     "test_killed",
-    "test_state_functions",
-    "test_browser",
+    "test_quick_profile",
+    "test_cli_adaptive",
     "test_notebook",
-    "test_doctor",
-    "test_reproduce_paper",
-    "test_pool",
+    "test_pool_killed",
     "test_house",
     "test_reproduce",
-    "test_server",
+    "test_reproduce_paper",
+    "test_pool",
     "test_safe_start",
+    "test_doctor",
+    "test_state_equations",
+    "test_state_functions",
+    "test_bad_fmus",
+    "test_trials",
+    "test_server",
+    "test_newcomer",
+    "test_package",
+    "test_tutorials",
+    "test_browser",
 )
 
 
@@ -49,6 +58,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first, for processes that test side by side."""
     place = {name: at for at, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+@pytest.fixture(scope="session")
+def whole_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in which the office was run with the profile "smoke"; to be read or copied."""
+    from project_for_tests import finish, make_validated_project
+
+    return made_once(tmp_path_factory, "whole-run", lambda root: finish(make_validated_project(root)))
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "cli")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from made_up_recording import write_csv_files  # noqa: E402
 

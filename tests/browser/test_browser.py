@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 SLOW_MS = 90_000
-ALL = "All runs of office-small"
-BEST = "Best trial per training-set size of office-small"
+ALL = "All runs of office-smoke"
+BEST = "Best trial per training-set size of office-smoke"
 MODELS = "Registered models"
 
 
@@ -28,10 +28,10 @@ def page(browser: "Browser") -> "Iterator[Page]":
 
 
 @pytest.fixture(scope="module")
-def tuned(project: Path) -> list[TunedStudy]:
+def tuned(whole_run: Path) -> list[TunedStudy]:
     """The study of each size, as Optuna has it."""
-    found = [one for one in read_studies(ProjectPaths(project)) if not one.spec.is_baseline]
-    assert [one.spec.n_train for one in found] == [16, 24]
+    found = [one for one in read_studies(ProjectPaths(whole_run)) if not one.spec.is_baseline]
+    assert [one.spec.n_train for one in found] == [16, 32]
     return found
 
 
@@ -45,7 +45,7 @@ def test_the_first_screen_names_the_best_of_each_size_above_the_runs(
 ) -> None:
     page.goto(addresses[ALL])
     cells = page.get_by_role("gridcell")
-    for name in ("n0016 study", "n0024 study", "n0024 calibration"):
+    for name in ("n0016 study", "n0032 study", "n0032 calibration"):
         cells.filter(has_text=name).first.wait_for()
     note = page.get_by_text("Best per n_train (n_latent / n_hidden / beta").first
     note.wait_for()
@@ -87,7 +87,7 @@ def test_a_trial_shows_its_hyperparameters_errors_and_curves(
 
 def test_the_best_model_is_in_the_registry_under_its_alias(page: "Page", addresses: dict[str, str]) -> None:
     page.goto(addresses[MODELS])
-    page.get_by_role("link", name="office-small-n0016").first.wait_for()
-    page.get_by_role("link", name="office-small-n0024").first.wait_for()
-    page.goto(addresses[MODELS].replace("#/models", "#/models/office-small-n0024"))
+    page.get_by_role("link", name="office-smoke-n0016").first.wait_for()
+    page.get_by_role("link", name="office-smoke-n0032").first.wait_for()
+    page.goto(addresses[MODELS].replace("#/models", "#/models/office-smoke-n0032"))
     page.get_by_text("champion").first.wait_for()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from simulation.arrays import FloatArray
 from simulation.case import Case, load_case
@@ -38,7 +38,7 @@ def weather() -> FloatArray:
 class TwoRooms:
     """Two rooms, one with a window, a heater and a fan to the other; answers the room, states and slopes.
 
-    Solved by Runge and Kutta's method, held inputs step by step.
+    Solved exactly by the matrix exponential, held inputs step by step.
     """
 
     parameter_space: ParameterSpace = field(
@@ -62,19 +62,26 @@ class TwoRooms:
         between = (x[1] - x[0]) / r + u[2] * fan * (x[1] - x[0])
         return np.array([(between + (u[0] - x[0]) / r_out + u[1]) / c, -between / (3.0 * c)])
 
+    def after(self, theta: FloatArray, x: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return the states and their slopes at the end of each step. Shape (t, 4)."""
+        rows, steps = [], {}
+        for u in inputs:
+            if u[2] not in steps:
+                at_rest = self.slope(theta, np.zeros(2), u)
+                rates = np.column_stack([self.slope(theta, one, u) - at_rest for one in np.eye(2)])
+                step = expm(STEP_S * rates)
+                steps[u[2]] = step, np.linalg.solve(rates, step - np.eye(2))
+            step, gain = steps[u[2]]
+            x = step @ x + gain @ self.slope(theta, np.zeros(2), u)
+            rows.append([*x, *self.slope(theta, x, u)])
+        return np.array(rows)
+
     def simulate(self, theta: FloatArray) -> Trajectories:
         inputs, y = weather(), []
         for row in theta:
-            x, states = np.array([row[4], row[4]]), []
-            u = inputs[0]
-            states.append([*x, *self.slope(row, x, u)])
-            for u in inputs:
-                solved = solve_ivp(
-                    lambda _, x, u=u, row=row: self.slope(row, x, u), (0.0, STEP_S), x, rtol=1e-10, atol=1e-9
-                )
-                x = solved.y[:, -1]
-                states.append([*x, *self.slope(row, x, u)])
-            kept = np.array(states)[::EVERY]
+            x = np.array([row[4], row[4]])
+            first = [*x, *self.slope(row, x, inputs[0])]
+            kept = np.vstack([first, self.after(row, x, inputs)])[::EVERY]
             y.append(np.column_stack([kept[:, 0] - 273.15, kept]))
         return Trajectories.checked(
             theta,
@@ -233,12 +240,11 @@ def test_a_building_is_calibrated_with_little_more_than_a_call_per_parameter(
     name: str, most_calls: int
 ) -> None:
     case = load_case(REPOSITORY / "fmus" / name)
-    for seed in (0, 1):
-        found, n_asked = solved(case, seed, has_equations=True)
-        alone, _ = solved(case, seed, has_equations=False)
-        assert n_asked > 0
-        assert found.n_calls <= most_calls < alone.n_calls
-        assert found.mse <= 1.001 * alone.mse
+    found, n_asked = solved(case, 0, has_equations=True)
+    alone, _ = solved(case, 0, has_equations=False)
+    assert n_asked > 0
+    assert found.n_calls <= most_calls < alone.n_calls
+    assert found.mse <= 1.001 * alone.mse
 
 
 @dataclass(frozen=True)
@@ -251,13 +257,9 @@ class Kicked(TwoRooms):
         answer = super().simulate(theta)
         y = answer.y.copy()
         for row, one in enumerate(theta):
-            x = y[row, 30, 1:3] + [self.kick, 0.0]
-            for step, u in enumerate(weather()[30 * EVERY :], start=1):
-                x = solve_ivp(
-                    lambda _, x, u=u, one=one: self.slope(one, x, u), (0.0, STEP_S), x, rtol=1e-10, atol=1e-9
-                ).y[:, -1]
-                if step % EVERY == 0:
-                    y[row, 30 + step // EVERY] = [x[0] - 273.15, *x, *self.slope(one, x, u)]
+            after = self.after(one, y[row, 30, 1:3] + [self.kick, 0.0], weather()[30 * EVERY :])
+            y[row, 31:, 1:] = after[EVERY - 1 :: EVERY]
+            y[row, 31:, 0] = y[row, 31:, 1] - 273.15
         return replace(answer, y=y)
 
 
@@ -273,7 +275,7 @@ def test_what_jumps_between_is_not_predicted_and_nothing_is_sure(kick: float) ->
 
 
 def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() -> None:
-    case = load_case(REPOSITORY / "fmus" / "office")
+    case = load_case(REPOSITORY / "fmus" / "wall")
     with watching_states(case).open_model() as model:
         problem = CalibrationProblem(WatchedModel(model, StateSignals.of(case)), case.measurement)
         found = [
@@ -282,9 +284,9 @@ def test_where_the_best_fit_is_a_bad_one_the_first_design_is_asked_to_the_end() 
             )
             for threshold in (0.1, 1e-4)
         ]
-    assert found[0].n_calls < 14
+    assert found[0].n_calls < 7
     # Four points where equations may act that no row has shown, and the rest of the design.
-    assert found[1].n_calls == 4 + 14 + found[0].n_calls - 4
+    assert found[1].n_calls == 4 + 7 + found[0].n_calls - 4
     assert all(one.converged for one in found)
 
 

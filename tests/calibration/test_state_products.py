@@ -1,17 +1,16 @@
 """State equations with products: flows times temperatures, radiation, oscillations."""
 
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from moving_for_tests import Moving
 
 from simulation.arrays import FloatArray
 from simulation.case import load_case
 from simulation.errors import InputError
 from simulation.parameters import Parameter, ParameterSpace
-from simulation.trajectories import Trajectories
 from studies.calibration.adaptive import Adaptive
 from studies.calibration.coefficient import Points
 from studies.calibration.first_design import latin_hypercube
@@ -21,7 +20,7 @@ from studies.calibration.product_forms import Products
 from studies.calibration.state_equations import LEARNT, StateEquations, Structure
 from studies.calibration.state_flow import LinearFlow, SteppedFlow
 from studies.calibration.state_terms import Sum, Term, candidates_with_products
-from studies.calibration.states import StateRows, StateSignals, WatchedModel, watching_states
+from studies.calibration.states import StateSignals, WatchedModel, watching_states
 
 REPOSITORY = Path(__file__).parents[2]
 STEP_S, EVERY, N_STEPS = 300.0, 2, 160
@@ -46,64 +45,28 @@ def supply(n_levels: int | None) -> FloatArray:
     return np.column_stack([310.0 + 10.0 * np.sin(time / 5000.0), flow, 275.0 + 5.0 * np.cos(time / 8000.0)])
 
 
-@dataclass(frozen=True)
-class Radiator:
-    """A room, water that heats it, and radiation to outside or a wall; answers room, heat, states, slopes."""
+def radiator(inputs: FloatArray, radiates: bool) -> Moving:
+    """A room, water that heats it, and radiation to outside or a wall; shows the room and the heat."""
 
-    inputs: FloatArray
-    radiates: bool
-    parameter_space: ParameterSpace = SPACE
-    output_names: tuple[str, ...] = ("TRoom", "Q", "T", "TWater", "der(T)", "der(TWater)")
-    time: FloatArray = field(default_factory=lambda: EVERY * STEP_S * np.arange(N_STEPS // EVERY + 1))
+    def slope(c, c_water, g, area, _, room, water, t_sup, flow, out):
+        given = g * (water - room)
+        lost = 5.67e-8 * area * (room**4 - out**4) if radiates else area * (room - out)
+        return [(given - lost) / c, (WATER * flow * (t_sup - water) - given) / c_water]
 
-    def slope(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
-        c, c_water, g, area, _ = theta
-        given = g * (x[1] - x[0])
-        lost = 5.67e-8 * area * (x[0] ** 4 - u[2] ** 4) if self.radiates else area * (x[0] - u[2])
-        return np.array([(given - lost) / c, (WATER * u[1] * (u[0] - x[1]) - given) / c_water])
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        y = []
-        for row in theta:
-            x, states = np.array([row[4], row[4] + 10.0]), []
-            for u in np.concatenate([self.inputs[:1], self.inputs]):
-                if states:
-                    x = solve_ivp(
-                        lambda _, x, u=u, row=row: self.slope(row, x, u),
-                        (0.0, STEP_S),
-                        x,
-                        rtol=1e-10,
-                        atol=1e-9,
-                    ).y[:, -1]
-                heat = WATER * u[1] * (u[0] - x[1])
-                states.append([x[0] - 273.15, heat, *x, *self.slope(row, x, u)])
-            y.append(np.array(states)[::EVERY])
-        return Trajectories.checked(
-            theta,
-            np.array(y),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-        )
-
-    @property
-    def signals(self) -> StateSignals:
-        return StateSignals(
-            states=("T", "TWater"),
-            derivatives=("der(T)", "der(TWater)"),
-            inputs=("TSup", "mFlow", "TOut"),
-            units=("K", "K", "K", "kg/s", "K"),
-            depends_on=(None, None),
-            driven=self.inputs,
-            step_s=STEP_S,
-            every=EVERY,
-            n_before=0,
-            outputs=("TRoom", "Q"),
-            conversions=np.array([[1.0, -273.15], [1.0, 0.0]]),
-        )
+    return Moving(
+        SPACE,
+        ("K", "K", "K", "kg/s", "K"),
+        STEP_S,
+        inputs,
+        slope,
+        lambda *theta: [theta[4], theta[4] + 10.0],
+        lambda theta, x, u: [x[0], WATER * u[1] * (u[0] - x[1])],
+        (-273.15, 0.0),
+        EVERY,
+    )
 
 
-def learnt(model: Radiator, n: int) -> StateEquations:
+def learnt(model: Moving, n: int) -> StateEquations:
     u = 0.1 + 0.8 * latin_hypercube(n, 5, np.random.default_rng(0))
     watched = WatchedModel(model, model.signals)
     rows = watched.seen(watched.simulate(SPACE.from_unit(u)).theta)
@@ -122,7 +85,7 @@ def learnt(model: Radiator, n: int) -> StateEquations:
     [(False, 3, LinearFlow), (False, None, SteppedFlow), (True, 3, SteppedFlow)],
 )
 def test_flows_and_radiation_are_found_and_solved(radiates: bool, n_levels: int | None, kind: type) -> None:
-    model = Radiator(supply(n_levels), radiates)
+    model = radiator(supply(n_levels), radiates)
     equations = learnt(model, 8)
     assert isinstance(equations.flow, kind)
     room, water, shown, heat = (set(one.terms) for one in equations.structure.sums)
@@ -143,39 +106,18 @@ def test_reactions_in_a_stirred_tank_are_found() -> None:
     space = ParameterSpace(
         tuple(Parameter(name, low, 30.0 * low, scale="log") for name, low in (("V", 1.0), ("k", 1e-7)))
     )
-    n, h = 200, 60.0
+    n = 200
     inputs = np.column_stack([1e-3 * (2.0 + np.sin(np.arange(n) / 9.0)), 500.0 + np.arange(n)])
-    signals = StateSignals(
-        states=("cA", "cB"),
-        derivatives=("der(cA)", "der(cB)"),
-        inputs=("V_flow", "cAIn"),
-        units=("mol/m3", "mol/m3", "m3/s", "mol/m3"),
-        depends_on=(None, frozenset({"cA", "cB"})),
-        driven=inputs,
-        step_s=h,
-        every=1,
-        n_before=0,
-        outputs=("cA",),
-        conversions=np.array([[1.0, 0.0]]),
-    )
 
-    def slope(theta: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
-        rate = theta[1] * x[0] * x[1]
-        return np.array([u[0] / theta[0] * (u[1] - x[0]) - rate, -2.0 * rate])
+    def slope(v, k, c_a, c_b, flow, c_in):
+        rate = k * c_a * c_b
+        return [flow / v * (c_in - c_a) - rate, -2.0 * rate]
 
-    def answer(theta: FloatArray) -> FloatArray:
-        x, rows = np.array([300.0, 800.0]), []
-        for u in np.concatenate([inputs[:1], inputs]):
-            if rows:
-                x = solve_ivp(lambda _, x, u=u: slope(theta, x, u), (0.0, h), x, rtol=1e-10, atol=1e-9).y[
-                    :, -1
-                ]
-            rows.append([*x, *slope(theta, x, u)])
-        return np.array(rows)
-
-    u = latin_hypercube(4, 2, np.random.default_rng(0))
-    y = np.array([answer(theta) for theta in space.from_unit(u)])
-    rows = StateRows(y[..., :2], y[..., 2:], y[..., :1])
+    units = ("mol/m3", "mol/m3", "m3/s", "mol/m3")
+    model = Moving(space, units, 60.0, inputs, slope, lambda v, k: [300.0 + 0.0 * v, 800.0 + 0.0 * v])
+    signals = replace(model.signals, depends_on=(None, frozenset({"x0", "x1"})))
+    watched, u = WatchedModel(model, signals), latin_hypercube(4, 2, np.random.default_rng(0))
+    rows = watched.seen(watched.simulate(space.from_unit(u)).theta)
     structure = Structure.of(signals, rows)
     assert set(structure.sums[0].terms) == {Term(3, True, (2,)), Term(0, factors=(1,))}
     assert structure.sums[1].terms == (Term(0, factors=(1,)),)
@@ -186,12 +128,12 @@ def test_reactions_in_a_stirred_tank_are_found() -> None:
     assert equations is not None
     assert equations.is_exact
     fresh = np.random.default_rng(1).random((3, 2))
-    expected = np.array([answer(theta)[:, :1] for theta in space.from_unit(fresh)])
+    expected = model.simulate(space.from_unit(fresh)).y[..., :1]
     np.testing.assert_allclose(equations.outputs(Points.of(space, fresh)), expected, rtol=1e-3)
 
 
 def test_what_moves_too_fast_is_left_alone() -> None:
-    signals = Radiator(supply(3), radiates=False).signals
+    signals = radiator(supply(3), radiates=False).signals
     flow = SteppedFlow(signals, (Sum(0, (Term(0, factors=(0,)),)), Sum(1, (Term(0, True),))))
     start, slow = np.array([[1.0], [2.0]]), [np.array([[-1e-4]]), np.array([[1e-3]])]
     fine = flow.fine_enough(start, slow)
@@ -211,7 +153,7 @@ def test_a_learned_ode_needs_a_model_that_watches_its_states() -> None:
 
 
 def test_a_state_at_rest_does_not_move_too_fast() -> None:
-    signals = Radiator(supply(3), radiates=False).signals
+    signals = radiator(supply(3), radiates=False).signals
     flow = SteppedFlow(signals, (Sum(0, (Term(0, factors=(0,)),)), Sum(1, (Term(1), Term(-1)))))
     for rate in np.random.default_rng(0).uniform(1e-4, 1e-3, 20):
         rates = [np.array([[-1e-4]]), np.array([[-rate, 293.17 * rate]])]
@@ -219,7 +161,7 @@ def test_a_state_at_rest_does_not_move_too_fast() -> None:
 
 
 def test_products_are_offered_as_far_as_they_are_few() -> None:
-    signals = Radiator(supply(3), radiates=False).signals
+    signals = radiator(supply(3), radiates=False).signals
     few = candidates_with_products(signals, 0)
     assert len(few) == len(set(few))
     assert few[-1] == Term(-1)

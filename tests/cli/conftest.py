@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from mlflow_store_for_tests import give_store
-from project_for_tests import TINY_PROFILE, Answer, Run, make_project
+from project_for_tests import Answer, Run, make_project
 
 from studies.cli import main
 
@@ -36,16 +36,3 @@ def studies(capsys: pytest.CaptureFixture[str]) -> Run:
         return Answer(code, captured.out, captured.err)
 
     return run
-
-
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a tuned and calibrated study; to be copied, not to be changed."""
-    root = make_project(tmp_path_factory.mktemp("finished") / "project")
-    (root / "tiny.toml").write_text(TINY_PROFILE, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
-        patch.chdir(root)
-        assert main(["tune", "--profile", "tiny.toml", "--quiet"]) == 0
-        assert main(["calibrate", "--method", "paper", "--profile", "tiny.toml", "--quiet"]) == 0
-    return root

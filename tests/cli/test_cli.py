@@ -153,14 +153,14 @@ def test_a_plan_says_what_is_to_do_and_writes_nothing(new_project: Path, studies
 
 
 def test_a_plan_counts_what_is_there_and_takes_times_from_it(
-    finished: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    whole_run: Path, studies: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy_of(finished, tmp_path / "project", monkeypatch)
-    plan = ("tune", "--profile", "tiny.toml", "--dry-run", "--json")
+    copy_of(whole_run, tmp_path / "project", monkeypatch)
+    plan = ("tune", "--profile", "smoke", "--n-train", "16", "--dry-run", "--json")
     done = studies(*plan).document
     assert (done["n_simulations"], done["sizes"]) == (0, [{"n_train": 16, "n_left": 0, "training_s": 0.0}])
     (size,) = studies(*plan, "--trials", "5").document["sizes"]
-    assert size["n_left"] == 2
+    assert size["n_left"] == 3
     assert size["training_s"] > 0.0
 
 

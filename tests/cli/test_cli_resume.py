@@ -2,11 +2,9 @@
 
 import json
 import os
-import shutil
 import signal
 import sqlite3
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -14,33 +12,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from project_for_tests import REPOSITORY, Run, make_project, stored_simulations
+from project_for_tests import (
+    LIMIT_S,
+    SMOKE_RUN,
+    Run,
+    copy_of,
+    finish,
+    make_validated_project,
+    process_environment,
+    stored_simulations,
+)
 
 from studies.paths import ProjectPaths
 from studies.tracking.quiet_mlflow import connect
 from studies.tuning.study_results import read_studies
 
 LABEL = "office-smoke"
-LIMIT_S = 300.0
-RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
-
-
-def environment(project: Path) -> dict[str, str]:
-    return os.environ | {
-        "STUDIES_ROOT": str(project),
-        "PYTHONPATH": str(REPOSITORY),
-        "OMP_NUM_THREADS": "1",
-    }
-
-
-def finish(project: Path, *more: str) -> str:
-    """Run to the end and return what was said on the way."""
-    command = [*RUN, *more]
-    done = subprocess.run(
-        command, env=environment(project), capture_output=True, text=True, timeout=LIMIT_S, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stderr
 
 
 def interrupt(project: Path, how: signal.Signals, is_moment: Callable[[Path, str], bool]) -> tuple[int, str]:
@@ -48,13 +35,17 @@ def interrupt(project: Path, how: signal.Signals, is_moment: Callable[[Path, str
     log = project / "stderr.txt"
     with log.open("w") as stderr:
         process = subprocess.Popen(
-            RUN, env=environment(project), stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True
+            SMOKE_RUN,
+            env=process_environment(project),
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            start_new_session=True,
         )
         deadline = time.monotonic() + LIMIT_S
         while not is_moment(project, log.read_text()):
             assert process.poll() is None, f"the run ended before its moment came:\n{log.read_text()}"
             assert time.monotonic() < deadline
-            time.sleep(0.002)
+            time.sleep(0.02)  # oftener would take the run's processor
         if how is signal.SIGINT:
             # a terminal sends Ctrl-C to the whole group, workers included
             os.killpg(process.pid, how)
@@ -162,33 +153,22 @@ def ended_trials(project: Path) -> dict[str, object]:
     return {f"{study_id}/{number}": ended for study_id, number, ended in rows}
 
 
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with an empty MLflow store, whose making costs more than all the rest."""
-    return make_project(tmp_path_factory.mktemp("template") / "project")
-
-
-@pytest.fixture(scope="module")
-def uninterrupted(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run without an interruption; a second one finds everything finished."""
-    project = shutil.copytree(template, tmp_path_factory.mktemp("uninterrupted") / "project")
-    finish(project)
-    assert {"calibrate-n0016.json", "calibrate-n0032.json"} <= set(results(project))
+def test_a_second_run_finds_everything_finished(
+    whole_run: Path, tmp_path: Path, studies: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = copy_of(whole_run, tmp_path / "project", monkeypatch)
     work = finished_work(project)
-    log = finish(project)
+    log = studies(*SMOKE_RUN[3:]).err
     stages = ("check", "simulate", "sensitivity", "tune", "calibrate-n0016", "calibrate-n0032", "report")
     for stage in stages:
         assert f"{stage}: finished before" in log
     assert "96 simulations reused" in log
     assert finished_work(project) == work
     assert open_runs(project) == []
-    return project
 
 
-def test_a_run_interrupted_in_every_stage_ends_the_same(
-    template: Path, tmp_path: Path, uninterrupted: Path
-) -> None:
-    project = shutil.copytree(template, tmp_path / "project")
+def test_a_run_interrupted_in_every_stage_ends_the_same(tmp_path: Path, whole_run: Path) -> None:
+    project = make_validated_project(tmp_path / "project")
     for moment, is_moment in MOMENTS.items():
         how = signal.SIGINT if moment in BY_CTRL_C else signal.SIGKILL
         before = finished_work(project)
@@ -208,7 +188,9 @@ def test_a_run_interrupted_in_every_stage_ends_the_same(
     after = finished_work(project)
     assert {name: after.get(name) for name in before} == before
     assert "simulate: finished before" in log
-    assert results(project) == results(uninterrupted)
+    undisturbed = results(whole_run)
+    assert {"calibrate-n0016.json", "calibrate-n0032.json"} <= set(undisturbed)
+    assert results(project) == undisturbed
     assert open_runs(project) == []
 
 

@@ -7,31 +7,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from project_for_tests import TINY_PROFILE, Run, copy_of, make_project
+from project_for_tests import Run, copy_of
 
 from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.reproduction import compare
 from studies.tracking.quiet_mlflow import connect
 
-STUDY = ("office", "--profile", "tiny.toml", "--quiet")
-LABEL = "office-tiny"
+LABEL = "office-smoke"
 CASE = Path("fmus") / "office" / "case.toml"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(whole_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which something of every kind was made."""
-    root = make_project(tmp_path_factory.mktemp("made") / "project")
-    profile = TINY_PROFILE + "[sensitivity]\nn_base = 4\nn_resamples = 10\n"
-    (root / "tiny.toml").write_text(profile, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
-        patch.chdir(root)
-        assert main(["tune", *STUDY]) == 0
-        assert main(["calibrate", *STUDY, "--method", "paper"]) == 0
-        assert main(["calibrate", *STUDY, "--max-calls", "35"]) == 0
-        assert main(["sensitivity", *STUDY]) == 0
+        root = copy_of(whole_run, tmp_path_factory.mktemp("made") / "project", patch)
+        assert main(["calibrate", "office", "--profile", "smoke", "--quiet", "--max-calls", "35"]) == 0
     return root
 
 
@@ -69,12 +61,11 @@ def files_below(root: Path) -> dict[str, int]:
 
 
 def test_what_mlflow_recorded_is_made_again_to_the_last_digit(copied: Path, studies: Run) -> None:
-    (size,) = studies("best", "--json").document["sizes"]
+    size = studies("best", "--json").document["sizes"][0]
     # What else the project holds is not needed.
     shutil.rmtree(copied / "mlruns" / "results")
     shutil.rmtree(copied / "data" / "office" / "generated")
     (copied / "mlruns" / "optuna.db").unlink()
-    (copied / "tiny.toml").unlink()
     for what in (f"{LABEL}/n0016", f"{LABEL}/adaptive", size["run_id"]):
         before = files_below(copied)
         answer = studies("reproduce", what, "--json")
@@ -146,8 +137,8 @@ def test_what_was_changed_since_is_one_line(copied: Path, studies: Run, change: 
 @pytest.mark.parametrize(
     ("run", "said"),
     [
-        ("office-tiny/n0077", "nothing is called 'office-tiny/n0077'"),
-        ("office-tiny", "nothing is called"),
+        ("office-smoke/n0077", "nothing is called 'office-smoke/n0077'"),
+        ("office-smoke", "nothing is called"),
         ("office-large/adaptive", "nothing is called"),
         ("0123456789abcdef", "nothing is called"),
         ("0123456789abcdef0123456789abcdef", "nothing is called"),

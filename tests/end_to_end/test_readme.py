@@ -229,16 +229,6 @@ def test_the_german_csv_file_in_the_pages_is_read(tmp_path: Path) -> None:
     assert math.isnan(recording.columns["Wärme"][1])
 
 
-def test_the_example_of_the_readme_runs_in_an_empty_folder(tmp_path: Path) -> None:
-    (example,) = code_blocks(read(README), "python")
-    assert len([line for line in example.splitlines() if line]) <= 5
-    (tmp_path / "example.py").write_text(f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{example}", "utf-8")
-    command = [sys.executable, "-W", "error", "example.py"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("office-quick/adaptive: MSE 0.0105")
-
-
 def test_the_example_in_python_calibrates_and_predicts(tmp_path: Path) -> None:
     (example,) = code_blocks(read(ROOT / "docs" / "own-fmu.md"), "python")
     script = tmp_path / "example.py"

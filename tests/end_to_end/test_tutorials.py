@@ -1,7 +1,9 @@
-"""The tutorials show what their commands print."""
+"""The README and the tutorials show what their examples print."""
 
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,8 +18,8 @@ PROCESSORS_DIFFER = 0.02
 """The last digits differ between processors."""
 
 
-def blocks(page: str, kind: str) -> list[str]:
-    text = (TUTORIALS / page).read_text("utf-8")
+def blocks(page: Path, kind: str) -> list[str]:
+    text = page.read_text("utf-8")
     return re.findall(rf"^```{kind}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -53,13 +55,22 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_office_is_calibrated_as_shown(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (example,) = blocks(ROOT / "README.md", "python")
+    assert len([line for line in example.splitlines() if line]) <= 5
+    (project / "example.py").write_text(f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{example}", "utf-8")
+    command = [sys.executable, "-W", "error", "example.py"]
+    done = subprocess.run(command, cwd=project, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("office-quick/adaptive: MSE 0.0105")
+    # The command finds what the example has made.
     assert main(["calibrate"]) == 0
-    compare(blocks("office.md", "text")[0], capsys.readouterr().out)
+    compare(blocks(TUTORIALS / "office.md", "text")[0], capsys.readouterr().out)
 
 
 def test_an_fmu_of_ones_own_is_calibrated_as_shown(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    commands = [line.split() for block in blocks("own-fmu.md", "sh") for line in block.splitlines()]
-    texts = blocks("own-fmu.md", "text")
+    page = TUTORIALS / "own-fmu.md"
+    commands = [line.split() for block in blocks(page, "sh") for line in block.splitlines()]
+    texts = blocks(page, "text")
     shutil.copy(ROOT / "fmus" / "wall" / "Wall.fmu", project / "MyWall.fmu")
 
     def type_in(word: str, *options: str) -> str:

@@ -1,15 +1,13 @@
 """Projects with the toy's data sets: with empty stores, and with tuned studies; made once and copied."""
 
-import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from made_once import made_once
 from mlflow_store_for_tests import give_store
 from toy_study_for_tests import N_TUNED, SPECS, add_sets
 
-from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths
 from studies.tuning.storage import open_storage
 from studies.tuning.tune_studies import tune
@@ -20,12 +18,13 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which nothing was tuned yet."""
 
     def make(root: Path) -> None:
+        root.mkdir()
         (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
         add_sets(root)
         give_store(root)
         open_storage(ProjectPaths(root)).engine.dispose()
 
-    return _made_once(tmp_path_factory, "template", make)
+    return made_once(tmp_path_factory, "template", make)
 
 
 @pytest.fixture(scope="session")
@@ -33,10 +32,10 @@ def tuned(template: Path, tmp_path_factory: pytest.TempPathFactory) -> ProjectPa
     """A project with studies of two sizes and the baselines beside them; to be read or copied."""
 
     def make(root: Path) -> None:
-        shutil.copytree(template, root, dirs_exist_ok=True)
+        shutil.copytree(template, root)
         tune(SPECS, paths=ProjectPaths(root), n_trials=N_TUNED, n_jobs=2)
 
-    return ProjectPaths(_made_once(tmp_path_factory, "tuned", make))
+    return ProjectPaths(made_once(tmp_path_factory, "tuned", make))
 
 
 @pytest.fixture
@@ -51,17 +50,3 @@ def copied(tuned: ProjectPaths, tmp_path: Path) -> ProjectPaths:
     """The project with tuned studies at another place, as a test may change it."""
     shutil.copytree(tuned.root, tmp_path / "copied")
     return ProjectPaths(tmp_path / "copied")
-
-
-def _made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
-    """Make a folder once for all processes that test side by side."""
-    own = factory.getbasetemp()
-    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
-    root = shared / f"toy-{name}"
-    with FileLock(shared / f"toy-{name}.lock"):
-        if not (root / ".made").is_file():
-            shutil.rmtree(root, ignore_errors=True)
-            root.mkdir(parents=True)
-            make(root)
-            (root / ".made").touch()
-    return root

@@ -1,8 +1,11 @@
-"""What the command line's tests share: a small project with the real office FMU, and answers of commands."""
+"""What tests share: a small project with the real office FMU, a whole run in it, and answers of commands."""
 
 import json
+import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -13,9 +16,10 @@ import pytest
 from made_up_recording import write_csv_files
 from mlflow_store_for_tests import give_store
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[1]
 OFFICE = REPOSITORY / "fmus" / "office"
-
+SMOKE_RUN = (sys.executable, "-m", "studies", "run", "--profile", "smoke", "--jobs", "2")
+LIMIT_S = 300.0
 
 TINY_PROFILE = """\
 schema = 1
@@ -112,3 +116,42 @@ def make_project(root: Path, *, with_store: bool = True) -> Path:
     if with_store:
         give_store(root)
     return root
+
+
+def make_validated_project(root: Path) -> Path:
+    """Make a project whose office is validated on days 10 to 12 and was not measured on day 2."""
+    make_project(root)
+    case = root / "fmus" / "office" / "case.toml"
+    text = case.read_text(encoding="utf-8")
+    assert "start_d = 0 " in text
+    case.write_text(text.replace("[time]\n", "[time]\nvalidation_d = [10, 12]\n"), encoding="utf-8")
+    recording = root / "data" / "office" / "recording_1800s.csv"
+    lines = recording.read_text(encoding="utf-8").splitlines()
+    for row in range(101, 149):
+        cells = lines[row].split(",")
+        lines[row] = ",".join([cells[0], "", *cells[2:]])
+    recording.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return root
+
+
+def process_environment(project: Path) -> dict[str, str]:
+    """Return the environment of a command in a project, in a process of its own."""
+    return os.environ | {
+        "STUDIES_ROOT": str(project),
+        "PYTHONPATH": str(REPOSITORY),
+        "OMP_NUM_THREADS": "1",
+    }
+
+
+def finish(project: Path) -> str:
+    """Run to the end and return what was said on the way."""
+    done = subprocess.run(
+        SMOKE_RUN,
+        env=process_environment(project),
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stderr
