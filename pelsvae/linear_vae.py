@@ -110,6 +110,14 @@ class LinearVae(nn.Module):
             total = total.index_add(1, member.columns, share * self._member_mean(member, theta))
         return total
 
+    def regressor_mean_by_products(self, theta: Tensor) -> Tensor:
+        """The same for ONNX: torch 2.13 exports `index_add` as another sum. theta (b, f) -> (b, z)."""
+        total = theta.new_zeros(1, len(self.basis))
+        for place, member in enumerate(self._members()):
+            share = torch.diag(self.share[place])[member.columns]  # (c, z)
+            total = total + self._member_mean(member, theta) @ share
+        return total
+
     def regressor_variance(self, theta: Tensor) -> Tensor:
         """Variance of varphi(theta), the members' disagreement included: theta (b, f) -> (b, z)."""
         center = self.regressor_mean(theta)
@@ -143,7 +151,7 @@ class LinearVae(nn.Module):
         mean = member.constant + near @ member.slope
         if self.kernel.degree == 2:
             # A quadratic form per code, summed over training rows beforehand: they cost nothing here.
-            bent = (near @ member.bend).reshape(len(near), -1, near.shape[1])  # (b, c, f)
+            bent = (near @ member.bend).reshape(near.shape[0], -1, near.shape[1])  # (b, c, f)
             mean = mean + (bent @ near[:, :, None])[:, :, 0]
         points = self.kernel.near(member.hyper, near)
         for far, coefficients in member.bumps:

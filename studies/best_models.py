@@ -17,7 +17,7 @@ from studies.tuning.study_results import TunedStudy, latest_studies
 def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
     """Return what a person sees."""
     blocks: list[Block] = []
-    for label, found in _by_label(project, sizes).items():
+    for label, found in best_by_label(project, sizes).items():
         table = tuning_table([one.summary(project.studies) for one in found])
         blocks += [Said(label, "strong"), *([terminal_table(table)] if table else [])]
         blocks += [*_how_to_load(project, found), Said("")]
@@ -28,7 +28,7 @@ def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
 
 def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, Any]:
     """Return what a program reads: where Optuna and MLflow keep everything, and the best of each size."""
-    best = [one.summary(project.studies) for found in _by_label(project, sizes).values() for one in found]
+    best = [one.summary(project.studies) for found in best_by_label(project, sizes).values() for one in found]
     return {
         "command": "best",
         "optuna_storage": hide_passwords(project.paths.optuna_url),
@@ -38,7 +38,7 @@ def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, An
     }
 
 
-def _by_label(project: Project, sizes: Sequence[int] | None) -> dict[str, list[TunedStudy]]:
+def best_by_label(project: Project, sizes: Sequence[int] | None) -> dict[str, list[TunedStudy]]:
     """Return the study begun last of each size that has a best trial; the label used last comes first."""
     tuned = [one for one in project.studies if not one.spec.is_baseline and one.best is not None]
     found = {}

@@ -4,12 +4,20 @@ What happens: the table shows the best trial of each label (case and profile) an
 means the least validation error among completed trials. Beside its hyperparameters and errors stand the
 errors of PCA + GP. The column "gain" is the part of the default configuration's validation error that tuning
 took away. Below the table: Python lines that load the study and the model, and the best calibration of
-each case on its latest measurement. The command changes nothing.
+each case on its latest measurement. Without --write the command writes nothing.
+
+--write writes the best calibration of one case to a new file; it replaces no file. The values have the units
+of the FMU. What the case holds under [fixed] is written with them. The formats are ssv (System Structure
+Parameter Values), modelica, csv, json, and fmu, a copy of the FMU with these start values. Some importers do
+not set start values of a description: docs/how-to/values.md. onnx writes the surrogate of least validation
+error.
 
 Examples:
   studies best                             all labels and sizes
   studies best office --n-train 64         one case, one size
   studies best office-quick --json         one label, for programs
+  studies best office --write ssv          the calibrated parameters, for a simulator
+  studies best office --n-train 64 --write onnx office.onnx
 """
 
 import argparse
@@ -25,6 +33,13 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
     )
     options.add_sizes(command, "training-set sizes; default: all")
+    command.add_argument(
+        "--write",
+        nargs="+",
+        metavar=("FORMAT", "FILE"),
+        help="write the best calibration to a new file: ssv, modelica, csv, json, or fmu; "
+        "onnx: the best surrogate; default of FILE: named after the case, in the working folder",
+    )
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
@@ -42,6 +57,13 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
             raise InputError(
                 f"nothing was tuned with n_train = {n_train}, there are {there}; correct --n-train"
             )
-    console.show(best_blocks(project, chosen.n_train))
-    console.document(best_document(project, chosen.n_train))
+    document = best_document(project, chosen.n_train)
+    if chosen.write:
+        from studies.exports.written_file import write_best
+
+        document["written"] = str(write_best(project, chosen.write, chosen.n_train))
+        console.result(f"written: {document['written']}")
+    else:
+        console.show(best_blocks(project, chosen.n_train))
+    console.document(document)
     return 0

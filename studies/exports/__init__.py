@@ -1,0 +1,1 @@
+"""What a study found, in files that simulators and other programs read."""

@@ -1,0 +1,127 @@
+"""The best calibration of a case as the values of its FMU's variables, and what made it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simulation.case import Case, load_case
+from simulation.errors import InputError
+from simulation.fmi.variable import FmuVariable, Value
+from simulation.foreign_text import quoted, shortened
+from studies.best_models import best_calibrations
+from studies.paths import ProjectPaths
+from studies.project import FinishedCalibration, Project
+from studies.report.wording import difference_unit, squared
+
+
+@dataclass(frozen=True)
+class SetValue:
+    """The value of one variable.
+
+    Attributes:
+        variable: The FMU's variable.
+        value: Its value; the number of an item for an enumeration. [unit]
+        unit: Unit of the FMU, or of the case where the FMU declares none; "" for none.
+        origin: "calibrated" or "fixed".
+    """
+
+    variable: FmuVariable
+    value: Value
+    unit: str
+    origin: str
+
+    @property
+    def name(self) -> str:
+        """Name of the variable."""
+        return self.variable.name
+
+    @property
+    def text(self) -> str:
+        """The value as XML writes it, with all digits of a number."""
+        return str(self.value).lower() if isinstance(self.value, bool) else str(self.value)
+
+
+@dataclass(frozen=True)
+class CalibratedValues:
+    """What sets an FMU as the best calibration of a case did.
+
+    Attributes:
+        case: The case.
+        finished: The calibration.
+        values: Calibrated parameters, then what the case holds under [fixed].
+    """
+
+    case: Case
+    finished: FinishedCalibration
+    values: tuple[SetValue, ...]
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What made the values, as JSON values."""
+        return {
+            "case": self.case.name,
+            "case_digest": self.case.digest,
+            "command": str(self.finished.outcome.provenance["command"]),
+            "finished": self.finished.outcome.finished,
+            "mse": self.finished.found.mse,
+            "mse_unit": squared(difference_unit(self.finished.found.output_unit)),
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The same in one line."""
+        return shortened(", ".join(f"{name}: {value}" for name, value in self.about.items()), 1000)
+
+
+def calibrated_values(project: Project) -> CalibratedValues:
+    """Return the best calibration of the one case of a project.
+
+    Args:
+        project: What the project holds of the case.
+
+    Raises:
+        InputError: There is none, there are several cases, or the case is not as it was calibrated.
+    """
+    best = best_calibrations(project)
+    if len(best) != 1:
+        cases = ", ".join(one.found.case for one in best)
+        remedy = f"name one of: {cases}" if cases else "type studies calibrate first"
+        raise InputError(f"--write needs one calibrated case; {remedy}")
+    (finished,) = best
+    case = case_of(project.paths, finished.outcome.provenance)
+    space, fmu, units = case.parameter_space, case.fmu, finished.found.units
+    theta = np.array([finished.found.theta[name] for name in space.names])
+    variables = [fmu.variables[name] for name in space.names]
+    in_fmu = case.settings.parameters_for_fmu(theta).tolist()
+    values = [
+        SetValue(variable, value, variable.unit or units[variable.name], "calibrated")
+        for variable, value in zip(variables, in_fmu, strict=True)
+    ]
+    fixed = ((fmu.variables[name], value) for name, value in case.fixed.items())
+    values += [SetValue(variable, value, variable.unit, "fixed") for variable, value in fixed]
+    return CalibratedValues(case, finished, tuple(values))
+
+
+def case_of(paths: ProjectPaths, made: Mapping[str, Any]) -> Case:
+    """Return the case that something was made from.
+
+    Args:
+        paths: The project.
+        made: What its provenance says.
+
+    Raises:
+        InputError: The case is not here, or is not as it was.
+    """
+    file = paths.located(made.get("case_file"))
+    if file is None:
+        raise InputError(f"the case file {quoted(made.get('case_file'))} is not in the project; put it there")
+    first, last = made["window_d"]
+    case = load_case(file, window_d=(first, last))
+    if case.digest != made["case_digest"]:
+        raise InputError(
+            f"{paths.show(file)}: the case, its FMU or its inputs changed since {quoted(made['command'])}; "
+            "repeat that command"
+        )
+    return case

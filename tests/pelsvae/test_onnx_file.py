@@ -1,0 +1,30 @@
+"""A surrogate as an ONNX graph answers as the surrogate itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rc_step_for_tests import PROCESSES, RESIDUAL, SMALL, rc_step
+
+from pelsvae.config import SurrogateConfig
+from pelsvae.onnx_file import onnx_bytes
+from pelsvae.training import fit
+
+SAME = 1e-6  # relative to the largest value of an output: inside, networks compute in single precision
+
+
+@pytest.mark.parametrize("config", [SMALL, RESIDUAL, PROCESSES], ids=["plain", "residual", "processes"])
+def test_any_number_of_rows_is_answered_in_physical_units(config: SurrogateConfig) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime", reason="pip install -e '.[onnx]'")
+    validation = rc_step(20, seed=2, n_outputs=2)
+    surrogate = fit(*rc_step(32, seed=1, n_outputs=2), validation, config=config, seed=0).surrogate
+    content = onnx_bytes(surrogate, metadata={"case": "step"})
+    assert __file__.rpartition("/tests")[0].encode() not in content
+    session = onnxruntime.InferenceSession(content)
+    assert session.get_modelmeta().custom_metadata_map == {"case": "step"}
+    for n in (1, 7, 300):
+        theta, _ = rc_step(n, seed=5)
+        (y,) = session.run(["y"], {"theta": theta})
+        expected = surrogate.predict(theta)
+        assert (y.dtype, y.shape) == (np.float64, expected.shape)
+        assert (np.abs(y - expected) <= SAME * np.abs(expected).max(axis=(0, 1))).all()
