@@ -33,7 +33,7 @@ def onnx_bytes(surrogate: Surrogate, *, metadata: Mapping[str, str]) -> bytes:
     Raises:
         ModuleNotFoundError: onnx or onnxscript is not installed.
     """
-    rows = np.ones((2, surrogate.shape.n_parameters))
+    rows = np.ones((2, surrogate.theta_standardizer.n_parameters))
     surrogate.predict(rows)  # what is computed once must not become a part of the graph
     exporter = logging.getLogger("torch.onnx")
     level = exporter.level
