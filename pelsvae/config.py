@@ -1,7 +1,5 @@
 """Every choice about the network and its training in one frozen record; imports nothing heavy."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -110,7 +108,7 @@ class SurrogateConfig:
         if self.optimizer == "adam" and self.weight_decay != 0.0:
             raise ValueError("weight_decay belongs to optimizer 'adamw'; set it to 0 for 'adam'")
 
-    def replace(self, **changes: Any) -> SurrogateConfig:
+    def replace(self, **changes: Any) -> "SurrogateConfig":
         """Return a copy with some settings changed.
 
         Args:
@@ -129,7 +127,7 @@ class SurrogateConfig:
         return dataclasses.asdict(self)
 
     @staticmethod
-    def from_dict(settings: Mapping[str, Any]) -> SurrogateConfig:
+    def from_dict(settings: Mapping[str, Any]) -> "SurrogateConfig":
         """Build a config from plain values; what is not named keeps its default.
 
         Args:

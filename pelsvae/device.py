@@ -1,7 +1,5 @@
 """Where and how torch computes: device by name, thread count and flushed denormals for a while."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

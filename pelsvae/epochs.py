@@ -1,7 +1,5 @@
 """What a training reports while it goes, and how it fails."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -13,8 +13,6 @@ ones under normal priors of their logarithms; the amplitude is profiled out (Ras
 Gaussian Processes for Machine Learning, Eq. 5.8).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

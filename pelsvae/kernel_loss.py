@@ -10,8 +10,6 @@ for every feature. What S is, is Eq. 5.9 of Rasmussen and Williams 2006, Gaussia
 Learning.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Self

@@ -1,7 +1,5 @@
 """Candidates for the kernels: likely hyperparameters for all codes, for parts of them, for single ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ without draws. As an emulator of simulation models the form is that of Higdon et
 doi:10.1198/016214507000000888.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -161,7 +159,9 @@ class LinearVae(nn.Module):
     def _members(self) -> list[_Member]:
         """Return what predictions take, made when first asked for."""
         if self._known is None:
-            self._known = [self._member(place) for place in range(len(self.hyper))]
+            # What inference mode makes could not be differentiated later.
+            with torch.inference_mode(False), torch.no_grad():
+                self._known = [self._member(place) for place in range(len(self.hyper))]
         return self._known
 
     def _member(self, place: int) -> _Member:

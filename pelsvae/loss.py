@@ -1,7 +1,5 @@
 """The objective of Eq. 3-5, one function per term; every term is a mean over the rows of the batch."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """How much each member of a mean counts in each principal coordinate, by rows that none was trained on."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

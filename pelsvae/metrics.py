@@ -1,7 +1,5 @@
 """Prediction errors in the output's unit, as every comparison in this project states them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole network: encoder, decoder and regressor, every one of them given theta (Fig. 3)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

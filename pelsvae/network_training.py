@@ -1,7 +1,5 @@
 """Trains the three networks by Eq. 5: epochs, batches, the course of the learning rate, the best weights."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

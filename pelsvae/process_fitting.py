@@ -1,7 +1,5 @@
 """Fits the linear form: principal components, and a mean of processes with likely kernels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -127,7 +125,7 @@ class _Rows:
     def __len__(self) -> int:
         return len(self.features)
 
-    def first(self, n: int) -> _Rows:
+    def first(self, n: int) -> "_Rows":
         """Return the first n rows; all are these."""
         return self if n >= len(self) else _Rows(self.kernel, self.features[:n], self.codes[:n])
 

@@ -3,8 +3,6 @@
 The only place where precision changes. Fitted on the training set alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +42,7 @@ class ThetaStandardizer:
     deviation: Array
 
     @staticmethod
-    def fit(theta: Array, log_columns: npt.NDArray[np.bool_]) -> ThetaStandardizer:
+    def fit(theta: Array, log_columns: npt.NDArray[np.bool_]) -> "ThetaStandardizer":
         """Take means and deviations from the training set.
 
         Args:
@@ -70,7 +68,7 @@ class ThetaStandardizer:
         return self.n_features - self.log_columns.size
 
     def features(self, theta: Tensor, dtype: torch.dtype) -> Tensor:
-        """Map parameters to features.
+        """Map parameters to features; differentiable.
 
         Args:
             theta: Parameters, float64. Shape (..., p). [per parameter]
@@ -103,7 +101,7 @@ class OutputStandardizer:
     deviation: Array
 
     @staticmethod
-    def fit(y: Array) -> OutputStandardizer:
+    def fit(y: Array) -> "OutputStandardizer":
         """Take mean and deviation from the training set.
 
         Args:

@@ -1,6 +1,4 @@
-"""A trained PELS-VAE as a function: parameters in, trajectories out, in float64 NumPy."""
-
-from __future__ import annotations
+"""A trained PELS-VAE as a function: parameters in, trajectories and Jacobian out, in float64 NumPy."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -78,6 +76,30 @@ class Surrogate:
             raise ValueError("this surrogate states no deviation; regressor 'gaussian-process' does")
         return self._in_chunks(theta, network.deviation, self.output_standardizer.stretched)
 
+    def jacobian(self, theta: npt.ArrayLike) -> Array:
+        """Differentiate the prediction at one parameter set.
+
+        Args:
+            theta: Parameters. Shape (p,). [per parameter]
+
+        Returns:
+            d y / d theta. Shape (t, k, p). [output's unit / parameter's unit]
+
+        Raises:
+            ValueError: As for `predict`.
+        """
+        point = self._checked(np.array(theta)[None])  # (1, p)
+        with torch.enable_grad(), n_threads_set(self.config.n_threads):
+            x = self.network.predict(self._features(point.requires_grad_()), self.eps)[0]  # (t * k,)
+            # Two reverse passes make a forward pass: v -> J'v is linear, so its derivative is J'. That is
+            # p gradients, not t * k; torch's own forward mode loads its deprecated script compiler.
+            v = torch.zeros_like(x, requires_grad=True)
+            (product,) = torch.autograd.grad(x, point, v, create_graph=True)  # J'v, (1, p)
+            unit = torch.eye(product.numel(), dtype=product.dtype, device=product.device)[:, None]
+            (transposed,) = torch.autograd.grad(product, v, unit, is_grads_batched=True)  # (p, t * k)
+        standardized = transposed.cpu().numpy().astype(np.float64)
+        return np.moveaxis(self.output_standardizer.stretched(standardized), 0, -1)
+
     def _in_chunks(
         self,
         theta: npt.ArrayLike,
@@ -86,28 +108,35 @@ class Surrogate:
         n_jobs: int = 1,
     ) -> Array:
         """Return what features (b, f) are answered with, (b, t * k) scaled to (b, t, k), for all rows."""
-        # A copy: torch shares the memory, and the caller may change its own.
-        rows = np.array(theta, dtype=np.float64, order="C")
-        p = self.theta_standardizer.n_parameters
-        if rows.ndim != 2 or rows.shape[1] != p:
-            raise ValueError(f"theta has shape {rows.shape}; this surrogate takes (n, {p})")
-        require_positive(rows, self.theta_standardizer.log_columns)
+        features = self._features(self._checked(theta))  # (n, f)
         size = self.network.rows_at_once if isinstance(self.network, LinearVae) else _CHUNK_ROWS
         size = _CHUNK_ROWS_CUDA if self.eps.is_cuda else size
-        y = np.empty((len(rows), *self.output_standardizer.mean.shape))
-        theta_on_device = torch.from_numpy(rows).to(self.eps.device)
-        features = self.theta_standardizer.features(theta_on_device, self.eps.dtype)  # (n, f)
+        y = np.empty((len(features), *self.output_standardizer.mean.shape))
 
         def answer_from(start: int) -> None:
             # Inference mode belongs to a thread.
             with torch.inference_mode():
                 y[start : start + size] = scaled(answer(features[start : start + size]).cpu().numpy())
 
-        starts = range(0, len(rows), size)
+        starts = range(0, len(features), size)
         # Threads suffice: torch computes without the interpreter's lock.
         with n_threads_set(self.config.n_threads), ThreadPoolExecutor(max(1, n_jobs)) as threads:
             list((threads.map if n_jobs > 1 and len(starts) > 1 else map)(answer_from, starts))
         return y
+
+    def _features(self, theta: Tensor) -> Tensor:
+        """Map theta (n, p), float64 -> features (n, f) in the network's precision."""
+        return self.theta_standardizer.features(theta, self.eps.dtype)
+
+    def _checked(self, theta: npt.ArrayLike) -> Tensor:
+        """Return theta (n, p) where the network is, in float64; ValueError for a wrong shape or value."""
+        # A copy: torch shares the memory, and the caller may change its own.
+        rows = np.array(theta, dtype=np.float64, order="C")
+        p = self.theta_standardizer.n_parameters
+        if rows.ndim != 2 or rows.shape[1] != p:
+            raise ValueError(f"theta has shape {rows.shape}; this surrogate takes (n, {p})")
+        require_positive(rows, self.theta_standardizer.log_columns)
+        return torch.from_numpy(rows).to(self.eps.device)
 
 
 def require_positive(theta: Array, log_columns: npt.NDArray[np.int64]) -> None:

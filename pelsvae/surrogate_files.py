@@ -1,7 +1,5 @@
 """The two files of a saved surrogate: weights.npz (arrays, no pickle) and surrogate.json (the rest)."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

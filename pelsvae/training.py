@@ -1,7 +1,5 @@
 """`fit` turns simulated trajectories into a surrogate, whatever its form."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

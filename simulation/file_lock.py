@@ -5,12 +5,11 @@ import fcntl
 import os
 import time
 from pathlib import Path
-from typing import Final
 
 from simulation.errors import MachineError
 
 # What systems report of a lock that another process holds.
-_HELD: Final = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
+_HELD = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 
 
 class FileLock:

@@ -13,19 +13,19 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from simulation.errors import InputError
 from simulation.foreign_text import quoted, shortened
 
-LIMITS_VARIABLE: Final = "STUDIES_LIMITS"
+LIMITS_VARIABLE = "STUDIES_LIMITS"
 """Variable of the environment that multiplies all limits, 1 where it is not set."""
-_MB: Final = 1_000_000
+_MB = 1_000_000
 # tomllib needs quadratic time for dotted keys; no real file nests tables so deeply.
-_DEEPEST: Final = 64
+_DEEPEST = 64
 _DOTTED = re.compile(rf"(?<![\w-])(?:(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST},}}+")
 # By the letter that `ls -l` writes for it.
-_KINDS: Final = {"d": "a folder", "p": "a pipe", "s": "a socket", "c": "a device", "b": "a device"}
+_KINDS = {"d": "a folder", "p": "a pipe", "s": "a socket", "c": "a device", "b": "a device"}
 
 
 @dataclass(frozen=True)
@@ -63,16 +63,16 @@ class Limit:
             )
 
 
-CASE: Final = Limit("a case file", 1)
-PROFILE: Final = Limit("a profile", 1)
-PROJECT: Final = Limit("a file studies.toml", 1)
-RECORDING: Final = Limit("a recording", 64)
-RECORD: Final = Limit("a record", 256)
-FMU: Final = Limit("an FMU", 500)
-UNPACKED: Final = Limit("what is unpacked of an archive", 2000)
-DESCRIPTION: Final = Limit("a modelDescription.xml", 64)
-MEMBERS: Final = Limit("an archive", 100_000, "files")
-EVENT_INDICATORS: Final = Limit("an FMU", 1_000_000, "event indicators")
+CASE = Limit("a case file", 1)
+PROFILE = Limit("a profile", 1)
+PROJECT = Limit("a file studies.toml", 1)
+RECORDING = Limit("a recording", 64)
+RECORD = Limit("a record", 256)
+FMU = Limit("an FMU", 500)
+UNPACKED = Limit("what is unpacked of an archive", 2000)
+DESCRIPTION = Limit("a modelDescription.xml", 64)
+MEMBERS = Limit("an archive", 100_000, "files")
+EVENT_INDICATORS = Limit("an FMU", 1_000_000, "event indicators")
 
 
 def quoted_amount(amount: float) -> str:

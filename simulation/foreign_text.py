@@ -1,14 +1,13 @@
 """Texts of others, as names, titles and messages: without signs that a terminal obeys, and not endless."""
 
 import re
-from typing import Final
 
-MOST_QUOTED: Final = 200
+MOST_QUOTED = 200
 """Characters of a file that a message quotes; what is longer is cut."""
 # C0, DEL, C1, separators of lines, and what turns the direction of writing.
-_OBEYED: Final = "\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
-_CONTROL: Final = re.compile(f"[{_OBEYED}]")
-_CONTROL_IN_LINES: Final = re.compile(f"(?![\\n\\t])[{_OBEYED}]")
+_OBEYED = "\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+_CONTROL = re.compile(f"[{_OBEYED}]")
+_CONTROL_IN_LINES = re.compile(f"(?![\\n\\t])[{_OBEYED}]")
 
 
 def escaped(text: str, *, keep_lines: bool = False) -> str:

@@ -8,7 +8,6 @@ import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -19,21 +18,21 @@ from simulation.foreign_text import quoted, shortened
 from simulation.time_unit import UNITS
 from simulation.timestamps import Clock, read_timestamps, zone_named
 
-TIME_COLUMN: Final = "time_s"
-STAMP_COLUMN: Final = "time"
+TIME_COLUMN = "time_s"
+STAMP_COLUMN = "time"
 # Cells that are no numbers and yet have a meaning: nothing was measured, or a switch.
-_WORDS: Final = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan) | {
+_WORDS = dict.fromkeys(("", "nan", "na", "n/a", "null", "none"), math.nan) | {
     "true": 1.0,
     "false": 0.0,
 }
 # Beyond, programs mark what was not measured; squares of it are no numbers any more.
-_MOST: Final = 1e30
+_MOST = 1e30
 # What the name of a column of durations ends with, and how long its unit is. [s]
-_DURATIONS: Final = {"_s": 1.0} | {
+_DURATIONS = {"_s": 1.0} | {
     f"{left}{unit.symbol}{right}": unit.seconds for unit in UNITS.values() for left, right in ("[]", "()")
 }
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-FIRST_LINE: Final = 2
+FIRST_LINE = 2
 
 
 @dataclass(frozen=True, eq=False)

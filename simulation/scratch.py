@@ -6,13 +6,12 @@ import shutil
 import tempfile
 import time
 from pathlib import Path
-from typing import Final
 
 from simulation.errors import MachineError
 from simulation.file_lock import FileLock
 
-_LOCK: Final = ".in-use"
-UNSEEN_S: Final = 3600.0
+_LOCK = ".in-use"
+UNSEEN_S = 3600.0
 """A folder that is unseen for longer was left by an owner killed while making it, which takes no time. [s]"""
 
 

@@ -6,27 +6,26 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import Final
 
 from simulation.errors import InputError
 
-BASE_UNITS: Final = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
-_SPELLINGS: Final = {"°C": "degC", "℃": "degC", "°": "deg", "·": ".", "*": ".", "²": "2", "³": "3", "^": ""}
+_SPELLINGS = {"°C": "degC", "℃": "degC", "°": "deg", "·": ".", "*": ".", "²": "2", "³": "3", "^": ""}
 _TOKEN = re.compile(r"(?P<sign>[./()])|(?P<name>[^\W\d_]+|%)(?P<power>-?\d{1,2})?|1")
-_MOST_POWER: Final = 100  # of a number with thousands of digits no unit is made
-_RADIAN: Final = Fraction(math.pi) / 180
+_MOST_POWER = 100  # of a number with thousands of digits no unit is made
+_RADIAN = Fraction(math.pi) / 180
 
 # Units by name, in others.
-_DEFINED: Final = {
+_DEFINED = {
     "%": "0.01 1", "ppm": "1e-6 1", "ha": "10000 m2", "l": "0.001 m3", "L": "0.001 m3", "g": "0.001 kg",
     "t": "1000 kg", "min": "60 s", "h": "3600 s", "d": "86400 s", "Hz": "1 s-1", "lm": "1 cd",
     "lx": "1 cd.m-2", "N": "1 kg.m.s-2", "Pa": "1 N.m-2", "bar": "1e5 Pa", "atm": "101325 Pa", "J": "1 N.m",
     "Wh": "3600 J", "cal": "4.184 J", "W": "1 J.s-1", "VA": "1 W", "var": "1 W", "Ah": "3600 A.s",
     "V": "1 W.A-1", "Ohm": "1 V.A-1", "S": "1 A.V-1", "F": "1 A.s.V-1", "H": "1 V.s.A-1", "T": "1 V.s.m-2",
 }  # fmt: skip
-_NO_PREFIX: Final = {"%", "ppm", "kg", "rad", "cd", "ha", "min", "h", "d", "atm"}
-_PREFIXES: Final = {
+_NO_PREFIX = {"%", "ppm", "kg", "rad", "cd", "ha", "min", "h", "d", "atm"}
+_PREFIXES = {
     "G": "1e9", "M": "1e6", "k": "1e3", "h": "100", "d": "0.1", "c": "0.01", "m": "0.001", "u": "1e-6",
     "µ": "1e-6", "μ": "1e-6", "n": "1e-9",
 }  # fmt: skip
@@ -80,7 +79,7 @@ class Conversion:
         return Conversion(1.0 / self.factor, -self.offset / self.factor)
 
 
-_DEGREES: Final = {
+_DEGREES = {
     "degC": Unit(Fraction(1), Fraction("273.15"), (("K", 1),)),
     "degF": Unit(Fraction(5, 9), Fraction("459.67") * Fraction(5, 9), (("K", 1),)),
     "deg": Unit(_RADIAN, Fraction(0), (("rad", 1),)),

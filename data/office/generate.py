@@ -7,7 +7,6 @@ the white-box FMU in fmus/office-whitebox, and a sensor with noise and bias read
 import argparse
 import shutil
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -17,17 +16,17 @@ from grid import DAY_S, RECORDED_DAYS, STEP_S, Array, hour_of_day, red_noise, ti
 from operation import Operation, make_operation
 from weather import KELVIN, Weather, make_weather
 
-ROOT: Final = Path(__file__).resolve().parents[2]
-FMU: Final = ROOT / "fmus" / "office-whitebox" / "WhiteBoxOffice.fmu"
-RECORDING: Final = "recording_1800s.csv"
-OCCUPANCY: Final = "occupancy_600s.csv"
+ROOT = Path(__file__).resolve().parents[2]
+FMU = ROOT / "fmus" / "office-whitebox" / "WhiteBoxOffice.fmu"
+RECORDING = "recording_1800s.csv"
+OCCUPANCY = "occupancy_600s.csv"
 
-SEED: Final = 20180225
-RECORDING_STEP_S: Final = 1800
-OCCUPANCY_STEP_S: Final = 600
-SENSOR_BIAS_K: Final = 0.2
-SENSOR_NOISE_K: Final = 0.05
-SENSOR_DRIFT_K: Final = 0.03
+SEED = 20180225
+RECORDING_STEP_S = 1800
+OCCUPANCY_STEP_S = 600
+SENSOR_BIAS_K = 0.2
+SENSOR_NOISE_K = 0.05
+SENSOR_DRIFT_K = 0.03
 
 
 def boundary_signals(weather: Weather, operation: Operation) -> dict[str, Array]:

@@ -1,18 +1,16 @@
 """Time grid, place and noise that weather and operation of the virtual measurement share."""
 
-from typing import Final
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FIRST_DAY: Final = pd.Timestamp("2018-02-21", tz="Etc/GMT-1")  # a Wednesday, Central European Time
-STEP_S: Final = 60
-DAY_S: Final = 86400
-WARM_UP_DAYS: Final = 12  # simulated before the first row, so that walls and slab have a history
-RECORDED_DAYS: Final = 22
+FIRST_DAY = pd.Timestamp("2018-02-21", tz="Etc/GMT-1")  # a Wednesday, Central European Time
+STEP_S = 60
+DAY_S = 86400
+WARM_UP_DAYS = 12  # simulated before the first row, so that walls and slab have a history
+RECORDED_DAYS = 22
 
 
 def time_grid() -> Array:

@@ -4,7 +4,6 @@ Only this module knows pvlib.
 """
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -12,23 +11,23 @@ import pvlib
 from grid import DAY_S, FIRST_DAY, STEP_S, Array, hour_of_day, lagged, red_noise
 from scipy.interpolate import PchipInterpolator
 
-LATITUDE: Final = 53.5
-LONGITUDE: Final = 10.0
-ALTITUDE_M: Final = 10.0
-FACADE_AZIMUTH: Final = 190.0  # degrees clockwise from north: a little west of south
-LINKE_TURBIDITY: Final = 2.6  # clear winter air; given here so that pvlib needs no map of it
-KELVIN: Final = 273.15
+LATITUDE = 53.5
+LONGITUDE = 10.0
+ALTITUDE_M = 10.0
+FACADE_AZIMUTH = 190.0  # degrees clockwise from north: a little west of south
+LINKE_TURBIDITY = 2.6  # clear winter air; given here so that pvlib needs no map of it
+KELVIN = 273.15
 
 # Trends that the noise rides on: day since the first row -> value.
-OUTDOOR_TREND: Final[dict[float, float]] = {
+OUTDOOR_TREND: dict[float, float] = {
     -12: 3.5, -6: 4.5, -2: 2.0, 0: 0.5, 2: 0.0, 4: -2.5, 6: -5.0, 7.5: -8.3, 9.5: -8.6,
     11: -6.0, 12: 0.0, 13.5: 3.5, 15: 2.0, 17: 5.0, 18.5: 8.5, 20: 7.0, 22: 3.5,
 }  # fmt: skip
-CLOUD_TREND: Final[dict[float, float]] = {
+CLOUD_TREND: dict[float, float] = {
     -12: 0.85, -3: 0.8, 0: 0.8, 1.5: 0.6, 3: 0.7, 4.5: 0.75, 5.5: 0.1, 10: 0.1, 11: 0.4, 12: 0.85,
     13: 0.6, 14.5: 0.9, 15.5: 0.5, 17: 0.9, 18.5: 0.5, 19.5: 0.95, 22: 0.75,
 }  # fmt: skip
-WIND_TREND: Final[dict[float, float]] = {
+WIND_TREND: dict[float, float] = {
     -12: 4.0, 0: 4.0, 3: 3.0, 6: 5.0, 8: 6.5, 10: 4.5, 12: 3.0, 14: 4.0, 17: 3.0, 20: 6.0, 22: 5.0,
 }  # fmt: skip
 

@@ -5,7 +5,6 @@ the FMU. A thermometer with noise and an energy meter that shows whole hundredth
 """
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +12,20 @@ from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
 
-HERE: Final = Path(__file__).parent
-SEED: Final = 1883
-TRUTH: Final = {
+HERE = Path(__file__).parent
+SEED = 1883
+TRUTH = {
     "C": 1.5e6, "CWall": 6.0e6, "G": 16.0, "GWall": 110.0, "GOut": 25.0, "PHeat": 2800.0,
     "TSet": 294.15, "band": 1.6, "TStart": 294.15, "TWallStart": 290.15,
 }  # fmt: skip
-NOISE_K: Final = 0.05
-METER_KWH: Final = 0.01
-KELVIN: Final = 273.15
-JOULE_PER_KWH: Final = 3.6e6
-DAYS: Final = 2
-STEP_S: Final = 300.0
+NOISE_K = 0.05
+METER_KWH = 0.01
+KELVIN = 273.15
+JOULE_PER_KWH = 3.6e6
+DAYS = 2
+STEP_S = 300.0
 # A crossing is looked for between points this far apart.
-_LOOK_S: Final = 30.0
+_LOOK_S = 30.0
 
 
 def answer(outside: Array, step_s: float, theta: dict[str, float]) -> tuple[Array, int]:

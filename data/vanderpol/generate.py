@@ -5,7 +5,6 @@ noise reads it.
 """
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,12 @@ from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
 
-HERE: Final = Path(__file__).parent
-SEED: Final = 1926
-TRUTH: Final = {"mu": 2.3, "period": 8640.0, "amplitude": 3.2, "xStart": -0.6}
-NOISE_V: Final = 0.15
-STEP_S: Final = 300.0
-DAYS: Final = 1
+HERE = Path(__file__).parent
+SEED = 1926
+TRUTH = {"mu": 2.3, "period": 8640.0, "amplitude": 3.2, "xStart": -0.6}
+NOISE_V = 0.15
+STEP_S = 300.0
+DAYS = 1
 
 
 def voltage(time: Array, *, mu: float, period: float, amplitude: float, xStart: float) -> Array:

@@ -5,7 +5,6 @@ noise, at times of their own and with gaps.
 """
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +12,18 @@ from scipy.linalg import expm
 
 Array = NDArray[np.float64]
 
-HERE: Final = Path(__file__).parent
-SEED: Final = 1822
-TRUTH: Final = {
+HERE = Path(__file__).parent
+SEED = 1822
+TRUTH = {
     "GIn": 60.0, "G12": 14.0, "G23": 7.5, "GOut": 200.0, "C1": 3.0e5, "C2": 2.6e6, "C3": 6.0e5,
     "T1Start": 293.15, "T2Start": 285.65, "T3Start": 278.15,
 }  # fmt: skip
-NOISE_K: Final = 0.05
-NOISE_W: Final = 2.0
-KELVIN: Final = 273.15
-DAYS: Final = 7
-INPUT_STEP_S: Final = 1800.0
-FINE_STEP_S: Final = 60.0
+NOISE_K = 0.05
+NOISE_W = 2.0
+KELVIN = 273.15
+DAYS = 7
+INPUT_STEP_S = 1800.0
+FINE_STEP_S = 60.0
 
 
 def answer(inputs: Array, step_s: float, theta: dict[str, float]) -> Array:

@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from llvmlite import ir
 from numba import njit, typeof, types
@@ -19,8 +19,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # numba's cache looks at the file of a function only, not at those of the functions compiled into it; a name
 # that carries the digest of all of them is never found with an old body.
-SOURCES: Final = ("call", "loop", "exchange_calls", "exchange_loop")
-_DIGEST: Final = hashlib.sha256(
+SOURCES = ("call", "loop", "exchange_calls", "exchange_loop")
+_DIGEST = hashlib.sha256(
     b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in SOURCES)
 ).hexdigest()[:12]
 

@@ -1,7 +1,7 @@
 """Co-simulation: the FMU brings its own solver, and is driven from one communication step to the next."""
 
 import ctypes
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from simulation.fmi.loop import EARLY, ENDED, FUNCTIONS, step_through
 from simulation.fmi.start import RunPlan, Start
 
 # fmi2StatusKind that asks whether the FMU wants to end the simulation.
-_TERMINATED: Final = 3
+_TERMINATED = 3
 
 
 class CoSimulation:

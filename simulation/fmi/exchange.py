@@ -1,7 +1,5 @@
 """Model exchange: the FMU gives derivatives and events, and the solver is ours."""
 
-from typing import Final
-
 import numpy as np
 
 from simulation.arrays import FloatArray, IntArray
@@ -14,10 +12,10 @@ from simulation.fmi.instance import FmuInstance
 from simulation.fmi.start import RunPlan, Start
 
 # OpenModelica's default, used where neither case nor FMU names a tolerance.
-DEFAULT_TOLERANCE: Final = 1e-6
+DEFAULT_TOLERANCE = 1e-6
 # CVODE bounds the error of one step, and many steps add up. With a tenth of the tolerance the office stays
 # within the tolerance of its exact solution: 3e-4 K of 300 K at 1e-6.
-SHARE_OF_TOLERANCE: Final = 0.1
+SHARE_OF_TOLERANCE = 0.1
 
 
 class ModelExchange:

@@ -5,7 +5,7 @@ last. It travels as CVODE's user data, so that right-hand side and roots run wit
 """
 
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numba import carray, cfunc, types
@@ -15,7 +15,7 @@ from simulation.fmi.call import cached, call_status, compiled
 from simulation.fmi.loop import WARNING
 
 # The FMU's functions that the loop calls; their addresses come first in the table, in this order.
-FUNCTIONS: Final = (
+FUNCTIONS = (
     "GetFloat64",
     "EnterEventMode",
     "UpdateDiscreteStates",
@@ -36,11 +36,11 @@ STATUS, STAGE, NOT_FINITE = range(14, 17)
 # CVODE's functions, and its memory, the vectors of the states, of those inside a step, and of the tolerances.
 SOLVE, RESTART, STOP_AT, INTERPOLATE, TOLERANCES = range(17, 22)
 SOLVER, X, X_BETWEEN, ABSOLUTE = range(22, 26)
-SIZE: Final = 26
+SIZE = 26
 # As a stage, this and what follows are rows of the inputs' table (see loop).
-FIRST_INPUT: Final = len(FUNCTIONS)
+FIRST_INPUT = len(FUNCTIONS)
 
-_FATAL: Final = 4  # fmi2Fatal, fmi3Fatal
+_FATAL = 4  # fmi2Fatal, fmi3Fatal
 _Pointer: Any = types.CPointer
 # N_Vector, as SUNDIALS' headers have it: its first word points to its content, whose third is the data.
 _Vector: Any = _Pointer(_Pointer(_Pointer(types.float64)))
@@ -129,5 +129,5 @@ def _callback(function: Any, result: Any) -> Any:
     return cached(function, partial(cfunc, signature, error_model="numpy"))
 
 
-derivatives: Final = _callback(_derivatives, _Vector)
-indicators: Final = _callback(_indicators, types.intp)
+derivatives = _callback(_derivatives, _Vector)
+indicators = _callback(_indicators, types.intp)

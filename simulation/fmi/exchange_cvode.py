@@ -2,7 +2,7 @@
 
 import ctypes
 import weakref
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +19,10 @@ except Exception as error:  # no libraries for this platform, or of another vers
         "export the FMU for co-simulation"
     ) from None
 
-_Pointer: Final = ctypes.c_void_p
+_Pointer = ctypes.c_void_p
 
 # What CVODE's return flags mean to someone who calibrates.
-FLAGS: Final = {
+FLAGS = {
     -1: "the integrator needed too many steps (CV_TOO_MUCH_WORK)",
     -2: "the tolerance is tighter than the numbers' precision (CV_TOO_MUCH_ACC)",
     -3: "the integrator needed too small steps (CV_ERR_FAILURE)",

@@ -5,7 +5,7 @@ model goes through an event and CVODE starts anew, for what it knows of the past
 points it runs on, stopped at the next one, and outputs in between come from its own interpolation.
 """
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -15,30 +15,30 @@ from simulation.fmi.call import call_status, compiled
 from simulation.fmi.loop import WARNING, set_inputs
 
 # How a simulation ends; what CVODE returned where it gave up is negative.
-GOOD: Final = 0
-BAD_CALL: Final = 1  # a function of the FMU returned a bad status
-TOO_MANY_STEPS: Final = 2
-TOO_MANY_EVENTS: Final = 3
-ENDED: Final = 4  # the FMU asked to end the simulation
-ENDLESS_ITERATION: Final = 5
-BAD_STATE: Final = 6  # a state is no finite number
-STUCK: Final = 7  # steps became too small to move the time
+GOOD = 0
+BAD_CALL = 1  # a function of the FMU returned a bad status
+TOO_MANY_STEPS = 2
+TOO_MANY_EVENTS = 3
+ENDED = 4  # the FMU asked to end the simulation
+ENDLESS_ITERATION = 5
+BAD_STATE = 6  # a state is no finite number
+STUCK = 7  # steps became too small to move the time
 
 # Internal steps and events in one communication step, and iterations in one event, before a simulation is
 # given up: no model hangs silently.
-MOST_STEPS: Final = 100_000
-MOST_EVENTS: Final = 10_000
-MOST_ITERATIONS: Final = 1_000
+MOST_STEPS = 100_000
+MOST_EVENTS = 10_000
+MOST_ITERATIONS = 1_000
 # Successive steps too small to move the time.
-MOST_STUCK: Final = 100
+MOST_STUCK = 100
 
 # Events in which no step's inputs are set.
-_NO_INPUTS: Final = -1
-_FIRST: Final = -2
+_NO_INPUTS = -1
+_FIRST = -2
 
-_ONE_STEP: Final = 2  # CV_ONE_STEP of CVODE
-_ROOT_RETURN: Final = 2  # CV_ROOT_RETURN
-_EPSILON: Final = 2.0**-52  # distance from 1.0 to the next double
+_ONE_STEP = 2  # CV_ONE_STEP of CVODE
+_ROOT_RETURN = 2  # CV_ROOT_RETURN
+_EPSILON = 2.0**-52  # distance from 1.0 to the next double
 
 
 @compiled

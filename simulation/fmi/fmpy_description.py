@@ -4,7 +4,7 @@ import io
 import math
 import zipfile
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 from xml.etree import ElementTree
 
 import fmpy
@@ -14,9 +14,9 @@ from simulation.fmi.variable import SETTERS, FmiVersion, FmuInterface, FmuVariab
 from simulation.foreign_text import shortened
 from simulation.units import BASE_UNITS, Unit, UnitDefinition
 
-LAST_REFERENCE: Final = 2**32 - 1  # value references are unsigned 32-bit integers
+LAST_REFERENCE = 2**32 - 1  # value references are unsigned 32-bit integers
 # Folder of this platform's binaries, by FMI version.
-PLATFORM_FOLDERS: Final = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
+PLATFORM_FOLDERS = {"2.0": str(fmpy.platform), "3.0": str(fmpy.platform_tuple)}
 
 
 def binary_member(fmi_version: str, model_identifier: str) -> str:

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Sequence
 from ctypes import c_bool, c_double, c_int, c_size_t, c_void_p
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -21,21 +21,21 @@ from simulation.fmi.variable import Interface
 from simulation.foreign_code import foreign_code
 
 # Values of fmi2Status and fmi3Status.
-OK: Final = 0
-WARNING: Final = 1
-DISCARD: Final = 2
-FATAL: Final = 4
-_STATUS: Final = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+OK = 0
+WARNING = 1
+DISCARD = 2
+FATAL = 4
+_STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
 # What FMI 2.0 calls otherwise; everything here has FMI 3.0's names.
-_IN_FMI2: Final = {
+_IN_FMI2 = {
     "GetFloat64": "GetReal",
     "UpdateDiscreteStates": "NewDiscreteStates",
     "GetContinuousStateDerivatives": "GetDerivatives",
     **{f"{verb}FMUState": f"{verb}FMUstate" for verb in ("Get", "Set", "Free")},
 }
 # Loading changes the working directory of the whole process.
-_LOADING: Final = threading.Lock()
+_LOADING = threading.Lock()
 
 
 class FmuInstance:
@@ -68,7 +68,7 @@ class FmuInstance:
         self._guid = description.guid.encode()
         self._is_co_simulation = interface == "co-simulation"
         self._folder = folder
-        self.prefix: Final = "fmi2" if description.fmi_version == "2.0" else "fmi3"
+        self.prefix = "fmi2" if description.fmi_version == "2.0" else "fmi3"
         self._functions: dict[str, Any] = {}
         self._library = self._load(binary_member(description.fmi_version, self._identifier))
         self.lost = False

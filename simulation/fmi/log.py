@@ -3,12 +3,12 @@
 import contextlib
 import ctypes
 from collections import deque
-from typing import Any, Final
+from typing import Any
 
 import fmpy
 from fmpy import fmi2, fmi3
 
-_WARNING: Final = 1  # fmi2Warning, fmi3Warning
+_WARNING = 1  # fmi2Warning, fmi3Warning
 
 # The last messages of any FMU of this process; one logger serves all, as fmpy's proxy can hold only one. Some
 # tools log an assertion that ends a simulation as a warning.
@@ -54,5 +54,5 @@ def _callbacks_2() -> Any:
     return callbacks
 
 
-CALLBACKS_2: Final = _callbacks_2()
-LOGGER_3: Final = fmi3.fmi3LogMessageCallback(_remember)
+CALLBACKS_2 = _callbacks_2()
+LOGGER_3 = fmi3.fmi3LogMessageCallback(_remember)

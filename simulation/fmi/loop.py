@@ -4,7 +4,7 @@ FMI 2.0's functions are called like FMI 3.0's, with more arguments than they hav
 the caller provides and removes arguments, so a C function does not see those beyond its own.
 """
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from simulation.arrays import FloatArray
 from simulation.fmi.call import call_status, compiled
 
 # Order of the addresses in the array handed to the loop, and of the stages it reports.
-FUNCTIONS: Final = ("DoStep", "GetFloat64")
+FUNCTIONS = ("DoStep", "GetFloat64")
 _STEP, _GET = range(2)
 # The stages from here on are rows of the inputs' table.
-FIRST_INPUT: Final = 2
-WARNING: Final = 1
+FIRST_INPUT = 2
+WARNING = 1
 # What the loop returns in place of a status when a step was good and yet not the whole step.
-ENDED: Final = 100
-EARLY: Final = 101
+ENDED = 100
+EARLY = 101
 # Columns of the inputs' table: what is called, with which references, how many, from which values on, and how
 # many bytes further for the next step.
 FUNCTION, REFERENCES, COUNT, VALUES, STRIDE = range(5)

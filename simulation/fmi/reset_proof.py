@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from simulation.fmi.runner import NeedsFreshProcess, Solver
 Way = Literal["reset", "state"]
 
 # A row as quick as this is repeated without a thought.
-_CHEAP_S: Final = 0.1
+_CHEAP_S = 0.1
 # A second instance that differs by less has rounded differently; by more, it remembers something.
-_SAME_ANSWER: Final = 1e-6
+_SAME_ANSWER = 1e-6
 
 
 class RestartingRunner:

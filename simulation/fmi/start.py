@@ -3,7 +3,7 @@
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class Setting:
         self.values: Any = np.column_stack(chosen)
         # Addresses are reckoned once: a row may take no longer than a few of these calls.
         n = len(columns)
-        self.arguments: Final = (self._references.ctypes.data, n, self.values.ctypes.data, n)
+        self.arguments = (self._references.ctypes.data, n, self.values.ctypes.data, n)
 
 
 class Start:
@@ -115,7 +115,7 @@ class Start:
         self._parameters = grouped(plan.calibrated, [np.zeros(1, one.dtype) for one in plan.calibrated])
         driven = zip(plan.input_variables, plan.inputs.T, strict=True)
         self.inputs = grouped(plan.input_variables, [values.astype(one.dtype) for one, values in driven])
-        self.input_table: Final = _table(instance, self.inputs)
+        self.input_table = _table(instance, self.inputs)
         at_edges = np.empty((plan.n_steps + 1, 0)) if plan.inputs_at_edges is None else plan.inputs_at_edges
         continuous = [
             (variable, np.concatenate([over_steps, at]).astype(variable.dtype))
@@ -124,7 +124,7 @@ class Start:
             if variable.kind in REAL_KINDS and variable.variability == "continuous"
         ]
         self.seen = grouped([one for one, _ in continuous], [values for _, values in continuous])
-        self.seen_table: Final = _table(instance, self.seen)
+        self.seen_table = _table(instance, self.seen)
         self._set_parameters = _calls(self._parameters)
         asked, tolerance = plan.tolerance is not None, plan.tolerance or 0.0
         experiment = (asked, tolerance, self._time, True, float(plan.edges[-1]))

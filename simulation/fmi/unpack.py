@@ -4,13 +4,12 @@ import stat
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
-from typing import Final
 
 from simulation.errors import InputError, MachineError
 from simulation.fmi.fmpy_description import PLATFORM_FOLDERS
 from simulation.scratch import ScratchFolder
 
-SCRATCH_PREFIX: Final = "simulation-fmus-"
+SCRATCH_PREFIX = "simulation-fmus-"
 # What zipfile raises on a member that is damaged, cut off, encrypted or of an unknown compression.
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
 

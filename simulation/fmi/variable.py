@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,9 +15,9 @@ FmiVersion = Literal["2.0", "3.0"]
 
 Value = float | int | bool | str
 
-REAL_KINDS: Final = ("Real", "Float64", "Float32")
+REAL_KINDS = ("Real", "Float64", "Float32")
 # The function that sets variables of a kind and the C type of its values, None for text; by FMI version.
-SETTERS: Final[dict[FmiVersion, dict[str, tuple[str, Any]]]] = {
+SETTERS: dict[FmiVersion, dict[str, tuple[str, Any]]] = {
     "2.0": {
         "Real": ("SetReal", np.float64),
         "Integer": ("SetInteger", np.int32),
@@ -40,7 +40,7 @@ SETTERS: Final[dict[FmiVersion, dict[str, tuple[str, Any]]]] = {
 }
 
 # What a value of a kind is, and its types; of all other kinds a whole number.
-_VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
+_VALUES: Mapping[str, tuple[str, tuple[type, ...]]] = {
     **dict.fromkeys(REAL_KINDS, ("a number", (float, int))),
     "Boolean": ("true or false", (bool,)),
     "String": ('a text in "quotes"', (str,)),

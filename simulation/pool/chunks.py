@@ -2,10 +2,9 @@
 
 import math
 from collections import deque
-from typing import Final
 
 # Towards the end chunks are shorter, so that all processes are busy, but not below this share.
-_LEAST: Final = 0.1
+_LEAST = 0.1
 
 
 class RowQueue:

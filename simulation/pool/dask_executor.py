@@ -2,7 +2,7 @@
 
 import hashlib
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from simulation.errors import InputError
 from simulation.pool.remote import FILES
@@ -17,13 +17,13 @@ except ImportError:
 
 # Dask is typed in parts.
 _connect: Any = Client
-_CONNECT_S: Final = 15.0  # half of Dask's own default: a wrong address is found out soon
+_CONNECT_S = 15.0  # half of Dask's own default: a wrong address is found out soon
 
 
 class DaskExecutor(ClientExecutor):  # type: ignore[misc, unused-ignore]
     """The workers behind a Dask scheduler; Dask itself gives a chunk whose worker dies to another."""
 
-    lost: Final = (KilledWorker,)
+    lost = (KilledWorker,)
     """What futures raise when several workers died one after the other with the same chunk."""
 
     def __init__(self, address: str) -> None:

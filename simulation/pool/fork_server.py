@@ -16,7 +16,6 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import recv_handle, send_handle
 from pathlib import Path
 from time import monotonic
-from typing import Final
 
 from simulation.pool.execution import ExecutionPolicy
 from simulation.pool.factory import Factory, packed
@@ -26,13 +25,13 @@ from simulation.pool.supervisor import Job, no_process, supervise
 from simulation.pool.warm_code import ROOM, remember
 
 # Rows are spread over processes: threads below that would only get into each other's way.
-_THREADS: Final = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-_TICK_S: Final = 1.0  # how often ended supervisors are looked for
+_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_TICK_S = 1.0  # how often ended supervisors are looked for
 # Without supervisors it ends after this time.
-_PATIENCE_S: Final = 60.0
-_ENDING_S: Final = 60.0
+_PATIENCE_S = 60.0
+_ENDING_S = 60.0
 # What `python -c` runs, given a descriptor and sys.path.
-_BOOTSTRAP: Final = (
+_BOOTSTRAP = (
     "import sys; sys.path[:] = sys.argv[2:]; "
     "from simulation.pool.fork_server import main; main(int(sys.argv[1]))"
 )
@@ -55,10 +54,10 @@ class _ForkServer:
         self.control = Connection(near.detach())
 
 
-_lock: Final = threading.Lock()
+_lock = threading.Lock()
 # By what they were given at their start, and the process that started them: a fork of it has its own.
-_servers: Final[dict[tuple[object, ...], _ForkServer]] = {}
-KNOWN: Final[set[bytes]] = set()
+_servers: dict[tuple[object, ...], _ForkServer] = {}
+KNOWN: set[bytes] = set()
 """What workers had to compile, see warm_code.learnt(), for the next ones."""
 
 

@@ -9,7 +9,7 @@ from contextlib import closing
 from math import inf
 from pathlib import Path
 from time import monotonic
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 
@@ -26,22 +26,22 @@ from simulation.trajectories import Trajectories
 
 _LOG = logging.getLogger(__name__)
 # Long enough to hide what it costs to hand out a chunk; to another machine that costs more.
-_CHUNK_S: Final = 0.05
-_REMOTE_CHUNK_S: Final = 1.0
+_CHUNK_S = 0.05
+_REMOTE_CHUNK_S = 1.0
 # A chunk that takes so much longer than expected leaves the rest of its rows to others.
-_MAX_OVERRUN: Final = 4.0
+_MAX_OVERRUN = 4.0
 # Another process must have this much to do to be worth opening the model once more.
-START_PAYS_S: Final = 0.3
+START_PAYS_S = 0.3
 # A first row that is still running may be compiling or loading something, but not for this long. [s]
-_SURELY_SLOW_S: Final = 2.0
+_SURELY_SLOW_S = 2.0
 # Answers after which the time per row is known.
-_N_SURE: Final = 3
-_TICK_S: Final = 0.2  # how often a slow row is looked for
+_N_SURE = 3
+_TICK_S = 0.2  # how often a slow row is looked for
 # The warning comes where a chunk takes so many times the usual time of a row, and a minute at least.
-_SLOW_FACTOR: Final = 20.0
-_SLOW_S: Final = 60.0
+_SLOW_FACTOR = 20.0
+_SLOW_S = 60.0
 # A row that is lost so often with its process may be the reason.
-_MAX_LOSSES: Final = 5
+_MAX_LOSSES = 5
 
 
 class PoolModel:

@@ -6,7 +6,7 @@ import weakref
 from multiprocessing.connection import Connection
 from os import getpid
 from time import monotonic
-from typing import Any, Final
+from typing import Any
 
 from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
@@ -15,7 +15,7 @@ from simulation.pool.fork_server import KNOWN, hang_up, spawn_supervisor
 from simulation.pool.worker_process import ChunkAnswer, Opened
 
 # For killing what is left and removing its files, however many they are and however slow the disk. [s]
-_ENDING_S: Final = 60.0
+_ENDING_S = 60.0
 
 
 class ProcessLostError(RuntimeError):

@@ -5,7 +5,7 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from simulation.arrays import FloatArray
 from simulation.pool.execution import ExecutionPolicy
@@ -13,12 +13,12 @@ from simulation.pool.factory import Facts
 from simulation.pool.processes import Processes
 from simulation.pool.worker_process import ChunkAnswer
 
-FILES: Final[dict[str, Path]] = {}
+FILES: dict[str, Path] = {}
 """Where models' files lie that were sent to this machine, by SHA-256 of their content."""
 # A thread keeps this many models open: each may hold a licence.
-_KEPT_MODELS: Final = 2
+_KEPT_MODELS = 2
 # Of each thread, the last one used at the end.
-_kept: Final = threading.local()
+_kept = threading.local()
 
 
 @dataclass(frozen=True)

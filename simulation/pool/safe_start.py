@@ -6,10 +6,9 @@ that multiprocessing starts.
 
 import os
 from collections.abc import Mapping
-from typing import Final
 
-_VARIABLE: Final = "PYTHONSAFEPATH"
-_OURS: Final = "studies"  # any text switches it on
+_VARIABLE = "PYTHONSAFEPATH"
+_OURS = "studies"  # any text switches it on
 
 
 def start_safely() -> None:

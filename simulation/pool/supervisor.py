@@ -16,7 +16,6 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from time import monotonic
-from typing import Final
 
 import numpy as np
 
@@ -30,23 +29,23 @@ from simulation.pool.warm_code import remember
 from simulation.pool.worker_process import LOG, ChunkAnswer, End, Opened, SharedRows, refusal, work
 from simulation.scratch import ScratchFolder
 
-SCRATCH_PREFIX: Final = "simulation-workers-"
-OPENING_S: Final = 60.0
+SCRATCH_PREFIX = "simulation-workers-"
+OPENING_S = 60.0
 """Time that a model may take to open, if its time-out is shorter. [s]"""
 # A refused licence may come free. [s]
-_PAUSES_S: Final = (0.25, 1.0)
+_PAUSES_S = (0.25, 1.0)
 # What a worker may take to close its model, and the system to write down what is left of one that crashed.
-_CLOSING_S: Final = 1.0
-_CRASHING_S: Final = 10.0
+_CLOSING_S = 1.0
+_CRASHING_S = 10.0
 # No row kills its process by SIGKILL or between two rows: it was only running when another kill came.
-_SPARE_TRIES: Final = 3
-_MAX_IN_VAIN: Final = 5  # processes in a row that answer none, each at the FMU's own wish
+_SPARE_TRIES = 3
+_MAX_IN_VAIN = 5  # processes in a row that answer none, each at the FMU's own wish
 # Memory is looked at this often; no FMU fills more in this time than it can write. [s]
-_LOOK_S: Final = 0.05
-_PAGE_MB: Final = os.sysconf("SC_PAGE_SIZE") / 1e6
+_LOOK_S = 0.05
+_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 # An FMU that prints at every step would fill the disk: its process is replaced.
-_MAX_LOG_BYTES: Final = 10_000_000
-_MAX_SAID: Final = 300  # characters of its last line that a reason quotes
+_MAX_LOG_BYTES = 10_000_000
+_MAX_SAID = 300  # characters of its last line that a reason quotes
 
 
 @dataclass(frozen=True)

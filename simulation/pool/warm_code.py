@@ -5,9 +5,9 @@ import importlib
 import pickle
 import sys
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any
 
-ROOM: Final = "simulation"
+ROOM = "simulation"
 
 
 def learnt() -> bytes:

@@ -11,7 +11,6 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
-from typing import Final
 
 import numpy as np
 
@@ -24,8 +23,8 @@ from simulation.pool.factory import Factory, Facts
 from simulation.pool.family import end_with_parent
 from simulation.pool.warm_code import learnt
 
-LOG: Final = "log"
-MAX_CHUNK_BYTES: Final = 8_000_000
+LOG = "log"
+MAX_CHUNK_BYTES = 8_000_000
 """Outputs that a chunk has at most, unless one row has more."""
 
 

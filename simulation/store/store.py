@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +23,15 @@ from simulation.file_lock import FileLock
 from simulation.foreign_text import quoted
 from simulation.trajectories import Trajectories
 
-BLOCK_BYTES: Final = 64 * 2**20
+BLOCK_BYTES = 64 * 2**20
 """Outputs that a stream holds at once."""
-_FORMAT: Final = 1
-_PATIENCE_S: Final = 60.0  # for another process that writes; a chunk is written in milliseconds
-_NEVER: Final = 2**63 - 1  # the largest row number of SQLite
-_OWN_COLUMNS: Final = ("_id", "_theta", "_failure", "_written", "_check")
-_DAMAGED: Final = "it is damaged: remove it, with -wal and -shm beside it, and its simulations run again"
-_NOT_WRITTEN: Final = "allow writing there, then type the command again"
-_REMEDIES: Final = {
+_FORMAT = 1
+_PATIENCE_S = 60.0  # for another process that writes; a chunk is written in milliseconds
+_NEVER = 2**63 - 1  # the largest row number of SQLite
+_OWN_COLUMNS = ("_id", "_theta", "_failure", "_written", "_check")
+_DAMAGED = "it is damaged: remove it, with -wal and -shm beside it, and its simulations run again"
+_NOT_WRITTEN = "allow writing there, then type the command again"
+_REMEDIES = {
     sqlite3.SQLITE_FULL: "free some space, then type the command again: what is stored is kept",
     sqlite3.SQLITE_IOERR: "see to the disk, then type the command again: what is stored is kept",
     sqlite3.SQLITE_CORRUPT: _DAMAGED,

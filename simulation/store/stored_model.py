@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Generator
 from contextlib import closing
-from typing import Final
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from simulation.store.store import SimulationStore
 from simulation.trajectories import Trajectories
 
 # Rows that a killed process may lose where the model is no pool, which hands over its own chunks.
-BLOCK_ROWS: Final = 64
+BLOCK_ROWS = 64
 
 
 class StoredModel(WrappedModel):

@@ -170,6 +170,7 @@ def test_cuda_fits_and_predicts_like_the_cpu(n: int, tmp_path: Path) -> None:
     save_surrogate(cuda, tmp_path)
     again = load_surrogate(tmp_path, device="cpu")
     assert again.predict(theta) == pytest.approx(cuda.predict(theta), rel=1e-6)
+    assert cuda.jacobian(theta[0]).shape == cpu.jacobian(theta[0]).shape
 
 
 @pytest.mark.parametrize("n", [1, 2])
