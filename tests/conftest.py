@@ -29,7 +29,7 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return what `-n auto` means: one more than processors, for many tests wait for processes of their own."""
+    """Return what `-n auto` means: one more than processors, as many tests wait for other processes."""
     return len(os.sched_getaffinity(0)) + 1
 
 
