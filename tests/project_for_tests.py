@@ -3,10 +3,12 @@
 import json
 import os
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -155,3 +157,30 @@ def finish(project: Path) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stderr
+
+
+def interrupt(
+    words: Sequence[str], project: Path, how: signal.Signals, is_moment: Callable[[Path, str], bool]
+) -> tuple[int, str]:
+    """Start a command, interrupt it at a moment, and return its exit code and what it said."""
+    log = project / "stderr.txt"
+    with log.open("w") as stderr:
+        process = subprocess.Popen(
+            words,
+            env=process_environment(project),
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            start_new_session=True,
+        )
+        deadline = time.monotonic() + LIMIT_S
+        while not is_moment(project, log.read_text()):
+            assert process.poll() is None, f"the command ended before its moment came:\n{log.read_text()}"
+            assert time.monotonic() < deadline
+            time.sleep(0.02)  # oftener would take the run's processor
+        if how is signal.SIGINT:
+            # a terminal sends Ctrl-C to the whole group, workers included
+            os.killpg(process.pid, how)
+        else:
+            process.kill()
+        code = process.wait(LIMIT_S)
+    return code, log.read_text()

@@ -1,25 +1,21 @@
 """`studies calibrate`: from the case alone, resumed after any call, refused in one line."""
 
 import json
-import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_project, stored_simulations
+from project_for_tests import REPOSITORY, Run, copy_of, interrupt, make_project, stored_simulations
 
 from studies.cli import main
 
 BEST_KNOWN = 0.01052
 RECORDED = REPOSITORY / "data" / "office"
 N_BEFORE_THE_END = 3
-LIMIT_S = 120.0
 N_SHORT = 20
 ADAPTIVE = ("calibrate", "office", "--jobs", "1")
 # State equations would take a third of these.
@@ -100,19 +96,8 @@ def test_it_calibrates_the_office_from_nothing_and_is_on_the_page(project: Path,
 def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
     project: Path, studies: Run, undisturbed: Path
 ) -> None:
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    with (project / "stderr.txt").open("w") as stderr:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "studies", *SHORT],
-            env=environment, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
-        )  # fmt: skip
-        deadline = time.monotonic() + LIMIT_S
-        while n_stored(project) < N_BEFORE_THE_END:
-            assert process.poll() is None, (project / "stderr.txt").read_text()
-            assert time.monotonic() < deadline
-            time.sleep(0.002)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait(LIMIT_S)
+    words = (sys.executable, "-m", "studies", *SHORT)
+    interrupt(words, project, signal.SIGKILL, lambda *_: n_stored(project) >= N_BEFORE_THE_END)
     n_before = n_stored(project)
     assert 1 < n_before < N_SHORT
     resumed = studies(*SHORT, "--json").stage
@@ -172,18 +157,18 @@ def test_a_large_error_repeats_what_the_check_found_of_the_step(project: Path, s
 def test_failed_simulations_are_reported(project: Path, studies: Run) -> None:
     case = project / "fmus" / "office" / "case.toml"
     case.write_text(case.read_text().replace("uncertainty = 0.5", "uncertainty = 0.5\naccepted = [20, 26]"))
-    answer = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20")
+    answer = studies(*ADAPTIVE[:-1], "2", "--max-calls", "16")
     assert answer.code == 0, answer.err
     (line,) = [line for line in answer.err.splitlines() if "failed" in line]
     stored = stored_simulations(project).values()
     reasons = [reason for rows in stored for reason in rows["_failure"] if reason]
     assert line.startswith(f"studies: {len(reasons)} simulation")
     assert "failed, the first one: output" in line
-    asked = studies(*ADAPTIVE[:-1], "2", "--max-calls", "20", "--retry-failed", "--json").stage
+    asked = studies(*ADAPTIVE[:-1], "2", "--max-calls", "16", "--retry-failed", "--json").stage
     assert not asked["finished_before"]
     # A row beyond its band is one whose states are stored: to ask it again would add nothing.
     assert (asked["n_simulated"], asked["n_failed"]) == (0, len(reasons))
-    without = (*ADAPTIVE[:-1], "2", "--max-calls", "20", "--no-state-equations")
+    without = (*ADAPTIVE[:-1], "2", "--max-calls", "16", "--no-state-equations")
     n_failed = studies(*without, "--json").stage["n_failed"]
     again = studies(*without, "--retry-failed", "--json").stage
     assert again["n_simulated"] == again["n_failed"] == n_failed

@@ -59,47 +59,21 @@ def edit(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
-def edit_line(file: Path, number: int, new: str | None) -> None:
-    """Replace a line (counted from 1), or drop it."""
-    lines = file.read_text(encoding="utf-8").splitlines()
-    lines[number - 1 : number] = [] if new is None else [new]
-    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
+# Every mistake that a case file or a recording can have: tests/simulation/test_wrong_inputs.py.
 @pytest.mark.parametrize(
-    ("old", "new", "fragments"),
+    ("command", "file", "old", "new", "fragments"),
     [
-        pytest.param('fmu = "Office.fmu"', 'fmu = "Offfice.fmu"', ["Offfice.fmu"], id="fmu-missing"),
-        pytest.param("schema = 1", "schema = 1\nsparam = 3", ["sparam"], id="unknown-key"),
-        pytest.param("schema = 1", "schema = ", ["case.toml"], id="no-toml"),
-        pytest.param('unit = "W/(m2.K)"', 'unit = "W/K"', ["UWin", "W/K", "W/(m2.K)"], id="unit"),
-        pytest.param(
-            "window_d = [0, 10]", "window_d = [0, 100]", ["[0, 100]", "ends at day"], id="window-too-long"
-        ),
+        ("check", CASE, 'fmu = "Office.fmu"', 'fmu = "Offfice.fmu"', ["Offfice.fmu"]),
+        ("check", CASE, 'unit = "W/(m2.K)"', 'unit = "W/K"', ["UWin", "W/K", "W/(m2.K)"]),
+        ("simulate", RECORDING, "TEnv_degC", "TEnv", ["recording_1800s.csv", "TEnv_degC is missing"]),
     ],
 )
-def test_a_wrong_case_file_is_refused(
-    project: Path, studies: Run, old: str, new: str, fragments: list[str]
+def test_a_wrong_case_file_or_recording_is_refused(
+    project: Path, studies: Run, command: str, file: str, old: str, new: str, fragments: list[str]
 ) -> None:
-    edit(project / CASE, old, new)
+    edit(project / file, old, new)
     before = files_of(project)
-    assert_refused(studies("check"), *fragments)
-    assert files_of(project) == before
-
-
-@pytest.mark.parametrize(
-    ("number", "new", "fragments"),
-    [
-        pytest.param(5, "5400,22,nan,28,1,20.5,0,0", ["TEnv_degC", "line 5"], id="nan"),
-        pytest.param(5, None, ["recording_1800s.csv"], id="gap"),
-    ],
-)
-def test_a_wrong_recording_is_refused(
-    project: Path, studies: Run, number: int, new: str | None, fragments: list[str]
-) -> None:
-    edit_line(project / RECORDING, number, new)
-    before = files_of(project)
-    assert_refused(studies("simulate"), *fragments)
+    assert_refused(studies(command), *fragments)
     assert files_of(project) == before
 
 
@@ -255,18 +229,6 @@ def test_a_process_of_its_own_answers_the_same(project: Path, arguments: list[st
         assert set(json.loads(done.stdout)) == {"error"}
     else:
         assert done.stdout == ""
-
-
-@pytest.mark.parametrize(
-    ("kind", "wanted"), [("sampler", "MagicSampler"), ("pruner", "MagicPruner")], ids=["sampler", "pruner"]
-)
-def test_a_sampler_or_pruner_that_optuna_does_not_have_is_refused(
-    project: Path, studies: Run, kind: str, wanted: str
-) -> None:
-    file = project / "small.toml"
-    text = SMALL_PROFILE + f'{kind} = {{ name = "{wanted}" }}\n'
-    file.write_text(text, encoding="utf-8")
-    assert_refused(studies("tune", "--quiet", "--profile", str(file)), wanted)
 
 
 @pytest.mark.parametrize("command", ["status", "best"])

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_project
-
-from studies.cli import main
+from project_for_tests import Run, copy_of, make_calibrated_wall
 
 # With state equations there is nothing left to save.
 WALL = ("calibrate", "wall", "--jobs", "1", "--no-state-equations")
@@ -18,15 +16,8 @@ N_BEFORE = 18
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project in which the wall has been calibrated, not quite to the end."""
-    root = make_project(tmp_path_factory.mktemp("calibrated") / "project")
-    shutil.copytree(REPOSITORY / "fmus" / "wall", root / "fmus" / "wall")
-    (root / "data" / "wall").mkdir()
-    for file in (REPOSITORY / "data" / "wall").glob("*.csv"):
-        shutil.copy(file, root / "data" / "wall" / file.name)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STUDIES_ROOT", str(root))
-        assert main([*WALL, "--max-calls", str(N_BEFORE), "--quiet"]) == 0
-    return root
+    root = tmp_path_factory.mktemp("calibrated") / "project"
+    return make_calibrated_wall(root, "--no-state-equations", "--max-calls", str(N_BEFORE))
 
 
 @pytest.fixture

@@ -1,11 +1,8 @@
 """A run that is interrupted in every stage, by Ctrl-C or by SIGKILL, ends where an uninterrupted one does."""
 
 import json
-import os
 import signal
 import sqlite3
-import subprocess
-import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -13,13 +10,12 @@ from typing import Any
 
 import pytest
 from project_for_tests import (
-    LIMIT_S,
     SMOKE_RUN,
     Run,
     copy_of,
     finish,
+    interrupt,
     make_validated_project,
-    process_environment,
     stored_simulations,
 )
 
@@ -28,31 +24,6 @@ from studies.tracking.quiet_mlflow import connect
 from studies.tuning.study_results import read_studies
 
 LABEL = "office-smoke"
-
-
-def interrupt(project: Path, how: signal.Signals, is_moment: Callable[[Path, str], bool]) -> tuple[int, str]:
-    """Start a run, interrupt it at a moment, and return its exit code and what it said."""
-    log = project / "stderr.txt"
-    with log.open("w") as stderr:
-        process = subprocess.Popen(
-            SMOKE_RUN,
-            env=process_environment(project),
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
-            start_new_session=True,
-        )
-        deadline = time.monotonic() + LIMIT_S
-        while not is_moment(project, log.read_text()):
-            assert process.poll() is None, f"the run ended before its moment came:\n{log.read_text()}"
-            assert time.monotonic() < deadline
-            time.sleep(0.02)  # oftener would take the run's processor
-        if how is signal.SIGINT:
-            # a terminal sends Ctrl-C to the whole group, workers included
-            os.killpg(process.pid, how)
-        else:
-            process.kill()
-        code = process.wait(LIMIT_S)
-    return code, log.read_text()
 
 
 def said(words: str) -> Callable[[Path, str], bool]:
@@ -172,7 +143,7 @@ def test_a_run_interrupted_in_every_stage_ends_the_same(tmp_path: Path, whole_ru
     for moment, is_moment in MOMENTS.items():
         how = signal.SIGINT if moment in BY_CTRL_C else signal.SIGKILL
         before = finished_work(project)
-        code, log = interrupt(project, how, is_moment)
+        code, log = interrupt(SMOKE_RUN, project, how, is_moment)
         if how is signal.SIGINT:
             # Both are 130 to a shell: CPython ends as killed by SIGINT where Ctrl-C came inside an exec().
             assert code in (130, -signal.SIGINT), f"{moment}: {log}"

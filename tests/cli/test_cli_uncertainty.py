@@ -1,20 +1,17 @@
 """`studies uncertainty`: on the terminal and the page, resumed after any call, refused in one line."""
 
 import json
-import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from project_for_tests import REPOSITORY, Run, copy_of, make_calibrated_wall, stored_simulations
+from project_for_tests import Run, copy_of, interrupt, make_calibrated_wall, stored_simulations
 
 from simulation.case import load_case
 from studies.cli import main
@@ -31,7 +28,6 @@ from studies.tracking.quiet_mlflow import connect
 JUDGE = ("uncertainty", "wall", "--max-calls", "34", "--jobs", "1")
 N_DIFFERENCES = 14
 N_CALIBRATION = 24
-LIMIT_S = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -150,20 +146,10 @@ def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(
 ) -> None:
     whole = results_of(undisturbed)["ledger"]
     n_before = n_stored(project)
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    with (project / "stderr.txt").open("w") as stderr:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "studies", *JUDGE],
-            env=environment, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True,
-        )  # fmt: skip
-        deadline = time.monotonic() + LIMIT_S
-        # Some of the sample lies in the store, some does not.
-        while n_stored(project) < n_before + N_DIFFERENCES + 8:
-            assert process.poll() is None, (project / "stderr.txt").read_text()
-            assert time.monotonic() < deadline
-            time.sleep(0.005)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait(LIMIT_S)
+    # Some of the sample lies in the store, some does not.
+    n_enough = n_before + N_DIFFERENCES + 8
+    words = (sys.executable, "-m", "studies", *JUDGE)
+    interrupt(words, project, signal.SIGKILL, lambda *_: n_stored(project) >= n_enough)
     assert not (project / "mlruns" / "results" / "wall-quick" / "uncertainty-adaptive.json").exists()
     n_kept = n_stored(project) - n_before
     resumed = studies(*JUDGE, "--json").stage

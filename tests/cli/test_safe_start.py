@@ -8,12 +8,13 @@ from pathlib import Path
 
 import psutil
 import pytest
+from mlflow_store_for_tests import give_store
 from project_for_tests import REPOSITORY
 
 from simulation.pool.safe_start import as_for_fmus, start_safely
 
 HOSTILE = ("mlflow", "multiprocessing", "numpy", "pickle", "random", "signal", "socket", "uvicorn")
-LIMIT_S = 120.0
+LIMIT_S = 300.0
 WAYS = [("-m", "studies"), ("-P", "-m", "studies"), ("script",)]
 
 
@@ -63,7 +64,9 @@ def test_no_worker_of_simulations_imports_from_the_working_folder(
 
 
 def test_no_worker_of_tuning_and_no_server_imports_from_the_working_folder(hostile: Path) -> None:
-    run(hostile, ("script",), "tune", "wall", "--profile", "smoke", "--jobs", "2")
+    give_store(hostile.parent / "project")
+    short = ("--profile", "smoke", "--n-train", "16", "--trials", "1")
+    run(hostile, ("script",), "tune", "wall", *short)
     argv, environment = command(hostile, ("script",), "ui")
     with subprocess.Popen(
         argv, cwd=hostile, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True

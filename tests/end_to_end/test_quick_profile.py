@@ -31,6 +31,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 LABEL = "office-quick"
 # All five sizes with 16 trials each take minutes; README's first command runs them.
 SIZES, N_TRIALS = (32, 64), 12
+COMMAND = (sys.executable, "-m", "studies", "run", "--json", "--trials", str(N_TRIALS))
 PAGES = (
     "how-to/load-model.md",
     "mlflow.md",
@@ -67,8 +68,7 @@ class Done:
 def run(project: Path) -> Done:
     started = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-m", "studies", "run", "--json", "--trials", str(N_TRIALS), "--n-train"]
-        + [str(n_train) for n_train in SIZES],
+        [*COMMAND, "--profile", str(project / "quick.toml"), "--n-train", *map(str, SIZES)],
         env=os.environ | {"STUDIES_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)},
         capture_output=True,
         text=True,
@@ -82,6 +82,9 @@ def run(project: Path) -> Done:
 def first(tmp_path_factory: pytest.TempPathFactory) -> Done:
     """What a newcomer gets from one command."""
     root = tmp_path_factory.mktemp("project")
+    profile = (REPOSITORY / "studies" / "profiles" / "quick.toml").read_text(encoding="utf-8")
+    assert "n_base = 256" in profile
+    (root / "quick.toml").write_text(profile.replace("n_base = 256", "n_base = 16"), encoding="utf-8")
     (root / "studies.toml").write_text("schema = 1\n", encoding="utf-8")
     shutil.copytree(REPOSITORY / "fmus" / "office", root / "fmus" / "office")
     (root / "data" / "office").mkdir(parents=True)

@@ -157,7 +157,6 @@ def test_the_installed_package_writes_into_the_project_alone(site: Path, tmp_pat
     (project / "below").mkdir()
     assert "0 failed" in studies("check", "wall", "--jobs", "2")
     assert (project / "studies.toml").is_file()
-    studies("simulate", "wall", "--profile", "smoke", "--jobs", "2", where=project / "below")
     studies("calibrate", "wall", "-q", where=project / "below")
     studies("new", REPOSITORY / "fmus" / "vanderpol" / "VanDerPol.fmu", where=project / "below")
     made = contents(project)
