@@ -6,11 +6,9 @@ from dataclasses import asdict
 from typing import Any
 
 from studies.console import Block, Column, Said, Table
-from studies.page_tables import terminal_table
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.tables import tuning_table
 from studies.report.wording import count, listed, shown_unit
-from studies.storage_url import hide_passwords
 from studies.tuning.study_results import TunedStudy, latest_studies
 
 
@@ -19,7 +17,7 @@ def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
     blocks: list[Block] = []
     for label, found in _by_label(project, sizes).items():
         table = tuning_table([one.summary(project.studies) for one in found])
-        blocks += [Said(label, "strong"), *([terminal_table(table)] if table else [])]
+        blocks += [Said(label, "bold"), *([table] if table else [])]
         blocks += [*_how_to_load(project, found), Said("")]
     for calibration in best_calibrations(project):
         blocks += _calibration(calibration)
@@ -31,8 +29,8 @@ def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, An
     best = [one.summary(project.studies) for found in _by_label(project, sizes).values() for one in found]
     return {
         "command": "best",
-        "optuna_storage": hide_passwords(project.paths.optuna_url),
-        "mlflow_tracking_uri": hide_passwords(project.paths.tracking_uri),
+        "optuna_storage": project.paths.optuna_url,
+        "mlflow_tracking_uri": project.paths.tracking_uri,
         "sizes": [asdict(one) for one in best],
         "calibrations": [one.to_dict() for one in best_calibrations(project)],
     }
@@ -51,7 +49,7 @@ def _by_label(project: Project, sizes: Sequence[int] | None) -> dict[str, list[T
 
 def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
     spec = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf).spec
-    storage, tracking = hide_passwords(project.paths.optuna_url), hide_passwords(project.paths.tracking_uri)
+    storage, tracking = project.paths.optuna_url, project.paths.tracking_uri
     lines = (
         f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
         f'  mlflow.set_tracking_uri("{tracking}")',
@@ -84,6 +82,6 @@ def _calibration(one: FinishedCalibration) -> list[Block]:
     columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     return [
         Said(f"{found.case}: best calibration: MSE {one.mse_text}, {how}"),
-        *([Said(f"made before {listed(one.changed_since)} changed", "warn")] if one.changed_since else []),
-        Table(one.name, columns, rows, is_dense=True),
+        *([Said(f"made before {listed(one.changed_since)} changed", "yellow")] if one.changed_since else []),
+        Table(one.name, columns, rows),
     ]

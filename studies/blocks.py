@@ -2,10 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
-
-Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
-"""Tone of a text: good, bad, a warning, strong, or of less weight."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +21,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Said:
-    """A text with a tone, which a terminal shows as a colour and a file does not show at all.
+    """A text with a style, which a file does not show.
 
     Args:
         text: the text.
-        tone: how it is said.
+        style: a style of rich, such as "bold", "dim", "yellow" or "red".
     """
 
     text: str
-    tone: Tone = ""
+    style: str = ""
 
     def __str__(self) -> str:
         """Return the text."""
@@ -48,13 +44,13 @@ class Table:
         title: above it.
         columns: its columns.
         rows: its cells; a cell is anything with a text, or a `Said`.
-        is_dense: two blanks between columns, not three.
+        emphasized: position of the row that the page points out; None for none.
     """
 
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[object]]
-    is_dense: bool = False
+    emphasized: int | None = None
 
 
 Block = Table | Said

@@ -47,7 +47,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
             f"{one.n_trials}/{one.n_all}",
             one.n_pruned,
-            Said(str(one.n_failed), "bad") if one.n_failed else 0,
+            Said(str(one.n_failed), "red") if one.n_failed else 0,
             one.n_running,
             *(setting(one.params.get(name)) for name in names),
             *(MISSING if error is None else significant(error) for error in (one.mae, one.p90)),
@@ -59,7 +59,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
     ]
     unit = f", in {units.pop()}" if len(units) == 1 else ""
     title = f"Studies (errors of the best trial on the test set{unit})"
-    return Table(title, columns, rows, is_dense=True)
+    return Table(title, columns, rows)
 
 
 def _total(tuned: Sequence[TunedSize]) -> str:
@@ -81,7 +81,7 @@ def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
         ]
         for study, trial in running
     ]
-    return Table("", columns, rows, is_dense=True)
+    return Table("", columns, rows)
 
 
 def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
@@ -99,12 +99,12 @@ def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
         rows.append(
             [
                 one.name,
-                Said(one.mse_text, "strong" if found.mse == least[one.label] else ""),
+                Said(one.mse_text, "bold" if found.mse == least[one.label] else ""),
                 f"{calls} + {found.n_warm_start} stored" if found.n_warm_start else calls,
                 found.n_calls,
                 found.stop_reason,
                 one.outcome.finished[:16].replace("T", " "),
-                *([Said(", ".join(one.changed_since), "warn")] if is_any_changed else []),
+                *([Said(", ".join(one.changed_since), "yellow")] if is_any_changed else []),
             ]
         )
-    return Table("", columns, rows, is_dense=True)
+    return Table("", columns, rows)

@@ -110,18 +110,13 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 def _show(shown: "Shown", files: list[str], console: Console) -> None:
     """Print the table of an item and where its files lie."""
-    from studies.report.wording import MISSING, significant
-
-    def text(cell: float | int | str | None) -> str:
-        if isinstance(cell, float):
-            return significant(cell)
-        return MISSING if cell is None else f"{cell:,}" if isinstance(cell, int) else cell
+    from studies.report.wording import cell_text
 
     columns = [
         Column(title, not any(isinstance(row[k], str) for row in shown.rows))
         for k, title in enumerate(shown.columns)
     ]
-    console.table(shown.title, columns, [[text(cell) for cell in row] for row in shown.rows])
+    console.table(shown.title, columns, [[*map(cell_text, row)] for row in shown.rows])
     for file in files:
         console.result(file)
 

@@ -12,7 +12,7 @@ from studies.doctor.declared import unit_problem
 from studies.doctor.finding import Finding, Level, finding, named
 from studies.doctor.region import commonest
 from studies.doctor.storing import MORE_TIME, STOPPED
-from studies.report.captions import enclosed_fraction
+from studies.report.figures_model import enclosed_fraction
 from studies.report.wording import difference_unit, quantity, squared
 
 N_CORNERS, N_COVERAGE = 32, 64

@@ -1,12 +1,11 @@
 """The picture of tuning: every trial's error over the training-set size (Fig. 6)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 
+from simulation.arrays import FloatArray, IntArray
 from studies.report.drawing import (
     BEST_SURROGATE,
     INK,
@@ -20,7 +19,6 @@ from studies.report.drawing import (
     Panel,
     Series,
 )
-from studies.report.records import Floats, Integers
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.wording import axis_label, count, significant
 
@@ -60,7 +58,7 @@ def mae_over_n_figure(
     return Figure(title, tuple(panels), columns=2, shows_names=True)
 
 
-def _trials(trials: TrialsRecord, values: Floats, *, is_mae: bool) -> list[Series]:
+def _trials(trials: TrialsRecord, values: FloatArray, *, is_mae: bool) -> list[Series]:
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
@@ -81,7 +79,7 @@ def _trials(trials: TrialsRecord, values: Floats, *, is_mae: bool) -> list[Serie
     ]
 
 
-def _beside_each_other(trials: TrialsRecord) -> Floats:
+def _beside_each_other(trials: TrialsRecord) -> FloatArray:
     """Spread trials of one size over a tenth of an octave each way, in their order. Shape (m,)."""
     x = trials.n_train.astype(np.float64)
     for size in np.unique(trials.n_train):
@@ -91,7 +89,7 @@ def _beside_each_other(trials: TrialsRecord) -> Floats:
     return x
 
 
-def _best(trials: TrialsRecord) -> Integers:
+def _best(trials: TrialsRecord) -> IntArray:
     """Return the positions of the chosen trials with a known test error, smallest training set first."""
     best = np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae))
     return best[np.argsort(trials.n_train[best], kind="stable")].astype(np.int64)

@@ -22,10 +22,9 @@ def noun_of(n: int, noun: str, several: str = "") -> str:
     return noun if n == 1 else several or f"{noun}s"
 
 
-def significant(value: float, digits: int = 3) -> str:
+def significant(value: float | None, digits: int = 3) -> str:
     """Write a number with so many significant digits, without an exponent where it stays readable."""
-    value = float(value)
-    if math.isnan(value):
+    if value is None or math.isnan(value):
         return MISSING
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
@@ -45,6 +44,13 @@ def setting(value: Any, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
+def cell_text(value: object) -> str:
+    """Write a value of a table whose kind is not known beforehand."""
+    if isinstance(value, float):
+        return significant(value)
+    return MISSING if value is None else f"{value:,}" if type(value) is int else str(value)
+
+
 def digits_between(low: float, high: float, least: int = 3) -> int:
     """Return with how many digits the ends of an interval differ, two of its width among them."""
     width, largest = abs(high - low), max(abs(low), abs(high))
@@ -53,9 +59,9 @@ def digits_between(low: float, high: float, least: int = 3) -> int:
     return min(max(least, math.ceil(math.log10(largest / width)) + 1), 12)
 
 
-def declared(value: float) -> str:
+def declared(value: float | None) -> str:
     """Write a number as it was declared, without rounding and without the noise of floating point."""
-    return MISSING if math.isnan(value) else f"{value:,.10g}"
+    return MISSING if value is None else f"{value:,.10g}"
 
 
 def count(value: float, noun: str = "", plural: str = "") -> str:
@@ -66,9 +72,9 @@ def count(value: float, noun: str = "", plural: str = "") -> str:
     return f"{number} {noun_of(round(value), noun, plural)}"
 
 
-def percent(fraction: float) -> str:
+def percent(fraction: float | None) -> str:
     """Write a fraction as a percentage; a nearly-all or nearly-none is not rounded to all or none."""
-    if math.isnan(fraction):
+    if fraction is None or math.isnan(fraction):
         return MISSING
     size, sign = abs(fraction), "-" if fraction < 0 else ""
     if 0 < size < 0.001 or 0.999 < size < 1:
@@ -106,18 +112,18 @@ def squared(unit: str) -> str:
     return f"({unit})²" if any(sign in unit for sign in " ./*²") else f"{unit}²"
 
 
+def square_of(unit: str) -> str:
+    """Return the unit of the mean squared error of an output in `unit`."""
+    return squared(difference_unit(unit))
+
+
 def quantity(value: float, unit: str, digits: int = 3) -> str:
     """Write a number with its unit."""
     return f"{significant(value, digits)} {unit}".strip()
 
 
-def mse_text(value: float | None) -> str:
-    """Write a mean squared error without its unit; None is that of a simulation that failed."""
-    return "failed" if value is None else significant(value, 4)
-
-
 def axis_label(what: str, unit: str) -> str:
-    """Write an axis label, e.g. "TAir [°C]"."""
+    """Write the label of an axis or a column, e.g. "TAir [°C]"."""
     return f"{what} [{unit}]" if unit else what
 
 

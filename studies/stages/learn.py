@@ -11,7 +11,6 @@ from optuna.trial import FrozenTrial
 from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
-from studies.page_tables import terminal_table
 from studies.provenance import provenance_of
 from studies.report.tables import tuning_table
 from studies.report.wording import count, difference_unit, quantity
@@ -188,4 +187,4 @@ def _outcome(
 def show_tuning(study: Study, found: Tuned) -> None:
     """Print the best surrogate of each size."""
     if (table := tuning_table(found.studies)) is not None:
-        study.console.show([terminal_table(table)])
+        study.console.show([table])

@@ -15,7 +15,7 @@ from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.provenance import provenance_of
-from studies.report.uncertainty_record import FITS_BETTER
+from studies.report.sentences import FITS_BETTER
 from studies.report.wording import count, listed
 from studies.stages.equations_found import learned_ode_of
 from studies.stages.finished import stored_calibrations

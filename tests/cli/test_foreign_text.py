@@ -47,9 +47,9 @@ def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture
         write(f"{HOSTILE} umlaut ä, K², 日本")
     console.show(
         [
-            Said(HOSTILE, "bad"),
+            Said(HOSTILE, "red"),
             Table(
-                HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [Said(HOSTILE, "warn"), None]]
+                HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [Said(HOSTILE, "yellow"), None]]
             ),
         ]
     )
