@@ -127,11 +127,11 @@ class CalibrationResult:
 
     def __repr__(self) -> str:
         """Return the error, the cost, and the parameters as a table."""
-        return "\n".join([*self._sentences(), self.theta.to_string(float_format=_number)])
+        return "\n".join([*self._sentences(), self.theta.to_string(float_format="{:.6g}".format)])
 
     def _repr_html_(self) -> str:
         said = "<br>".join(map(escape, self._sentences()))
-        return f"<p>{said}</p>{self.theta.to_html(float_format=_number)}"
+        return f"<p>{said}</p>{self.theta.to_html(float_format='{:.6g}'.format)}"
 
     def _sentences(self) -> Iterator[str]:
         unit = square_of(next(iter(self.units.values())))
@@ -307,10 +307,6 @@ class _Listener(Console):
             yield draw
         finally:
             shown.update(display.HTML(""))
-
-
-def _number(value: float) -> str:
-    return f"{value:.6g}"
 
 
 def _is_notebook() -> bool:

@@ -12,10 +12,10 @@ from studies.report.wording import count, listed, shown_unit
 from studies.tuning.study_results import TunedStudy, latest_studies
 
 
-def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
+def best_blocks(project: Project) -> list[Block]:
     """Return what a person sees."""
     blocks: list[Block] = []
-    for label, found in _by_label(project, sizes).items():
+    for label, found in _by_label(project).items():
         table = tuning_table([one.summary(project.studies) for one in found])
         blocks += [Said(label, "bold"), *([table] if table else [])]
         blocks += [*_how_to_load(project, found), Said("")]
@@ -24,9 +24,9 @@ def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
     return blocks or [Said(f"No completed trial and no calibration yet; {FIRST_WORDS}")]
 
 
-def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, Any]:
+def best_document(project: Project) -> dict[str, Any]:
     """Return what a program reads: where Optuna and MLflow keep everything, and the best of each size."""
-    best = [one.summary(project.studies) for found in _by_label(project, sizes).values() for one in found]
+    best = [one.summary(project.studies) for found in _by_label(project).values() for one in found]
     return {
         "command": "best",
         "optuna_storage": project.paths.optuna_url,
@@ -36,14 +36,13 @@ def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, An
     }
 
 
-def _by_label(project: Project, sizes: Sequence[int] | None) -> dict[str, list[TunedStudy]]:
+def _by_label(project: Project) -> dict[str, list[TunedStudy]]:
     """Return the study begun last of each size that has a best trial; the label used last comes first."""
     tuned = [one for one in project.studies if not one.spec.is_baseline and one.best is not None]
     found = {}
     for label in dict.fromkeys(one.spec.label for one in sorted(tuned, key=lambda one: -one.began_s)):
         latest = latest_studies([one for one in tuned if one.spec.label == label])
-        if chosen := [latest[key] for key in sorted(latest) if not sizes or key[0] in sizes]:
-            found[label] = chosen
+        found[label] = [latest[key] for key in sorted(latest)]
     return found
 
 

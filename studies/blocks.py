@@ -31,10 +31,6 @@ class Said:
     text: str
     style: str = ""
 
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.text
-
 
 @dataclass(frozen=True)
 class Table:
@@ -43,7 +39,7 @@ class Table:
     Args:
         title: above it.
         columns: its columns.
-        rows: its cells; a cell is anything with a text, or a `Said`.
+        rows: its cells; a cell is anything with a text.
         emphasized: position of the row that the page points out; None for none.
     """
 

@@ -81,16 +81,6 @@ class ProjectPaths:
         """Folder of tables and figures."""
         return self.mlruns / "reports" / folder_name(label)
 
-    def relative(self, file: Path) -> str:
-        """Return the place of a file below the root, which holds wherever the project is moved.
-
-        Links are not followed: a folder of the project may lie on another disk.
-
-        Raises:
-            ValueError: the file is not below the root.
-        """
-        return file.relative_to(self.root).as_posix()
-
     def recorded(self, path: Path) -> str:
         """Return the name by which results remember a file, which holds wherever the project is moved.
 

@@ -41,7 +41,7 @@ def _drawn(block: Block, width: int) -> RenderableType:
         return Text(escaped(block.text, keep_lines=True), style=block.style)
     table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     titles = [escaped(column.title) for column in block.columns]
-    rows = [[_cell(cell) for cell in row] for row in block.rows]
+    rows = [[Text(escaped(str(cell))) for cell in row] for row in block.rows]
     widths = [
         2 + max(cell_len(title), *(row[i].cell_len for row in rows), 0) for i, title in enumerate(titles)
     ]
@@ -60,7 +60,3 @@ def _drawn(block: Block, width: int) -> RenderableType:
     for row in rows:
         table.add_row(*(row[i] for i in kept))
     return Group(Text(escaped(block.title), style="bold"), table) if block.title else table
-
-
-def _cell(content: object) -> Text:
-    return Text(escaped(str(content)), style=content.style if isinstance(content, Said) else "")

@@ -47,7 +47,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
             f"{one.n_trials}/{one.n_all}",
             one.n_pruned,
-            Said(str(one.n_failed), "red") if one.n_failed else 0,
+            one.n_failed,
             one.n_running,
             *(setting(one.params.get(name)) for name in names),
             *(MISSING if error is None else significant(error) for error in (one.mae, one.p90)),
@@ -85,26 +85,23 @@ def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
 
 
 def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
-    """Return a line per calibration, the best of each label standing out."""
+    """Return a line per calibration."""
     columns = [Column("calibration"), Column("final MSE", True), Column("calls (paper)", True)]
     columns += [Column("calls (all)", True, 2), Column("ended because", spare=3), Column("finished", True, 1)]
     is_any_changed = any(one.changed_since for one in calibrations)
     columns += [Column("changed since")] * is_any_changed
-    least = {
-        one.label: min(o.found.mse for o in calibrations if o.label == one.label) for one in calibrations
-    }
     rows = []
     for one in calibrations:
         found, calls = one.found, str(one.found.n_calls_paper)
         rows.append(
             [
                 one.name,
-                Said(one.mse_text, "bold" if found.mse == least[one.label] else ""),
+                one.mse_text,
                 f"{calls} + {found.n_warm_start} stored" if found.n_warm_start else calls,
                 found.n_calls,
                 found.stop_reason,
                 one.outcome.finished[:16].replace("T", " "),
-                *([Said(", ".join(one.changed_since), "yellow")] if is_any_changed else []),
+                *([", ".join(one.changed_since)] if is_any_changed else []),
             ]
         )
     return Table("", columns, rows)

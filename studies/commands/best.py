@@ -8,14 +8,12 @@ each case on its latest measurement. The command changes nothing.
 
 Examples:
   studies best                             all labels and sizes
-  studies best office --n-train 64         one case, one size
+  studies best office                      one case
   studies best office-quick --json         one label, for programs
 """
 
 import argparse
 
-from simulation.errors import InputError
-from studies.commands import options
 from studies.console import Console
 
 
@@ -24,7 +22,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
     )
-    options.add_sizes(command, "training-set sizes; default: all")
 
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
@@ -33,15 +30,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.paths import find_project
     from studies.project import read_project
 
-    paths = find_project(chosen.storage)
-    project = read_project(paths, chosen.which)
-    known = sorted({one.spec.n_train for one in project.studies})
-    for n_train in chosen.n_train or ():
-        if n_train not in known:
-            there = ", ".join(map(str, known)) or "none"
-            raise InputError(
-                f"nothing was tuned with n_train = {n_train}, there are {there}; correct --n-train"
-            )
-    console.show(best_blocks(project, chosen.n_train))
-    console.document(best_document(project, chosen.n_train))
+    project = read_project(find_project(chosen.storage), chosen.which)
+    console.show(best_blocks(project))
+    console.document(best_document(project))
     return 0

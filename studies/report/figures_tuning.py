@@ -5,7 +5,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simulation.arrays import FloatArray, IntArray
+from simulation.arrays import FloatArray
 from studies.report.drawing import (
     BEST_SURROGATE,
     INK,
@@ -62,7 +62,11 @@ def _trials(trials: TrialsRecord, values: FloatArray, *, is_mae: bool) -> list[S
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
-    best, n_failed = _best(trials), trials.state.count("failed")
+    best, n_failed = (
+        np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae)),
+        trials.state.count("failed"),
+    )
+    best = best[np.argsort(trials.n_train[best], kind="stable")]
     name = count(complete.sum(), "complete trial") + (f" ({count(n_failed)} failed)" if n_failed else "")
     series = [
         Series(name, SURROGATE, x[complete], values[complete], "point", {"filled": True, "opacity": 0.6})
@@ -87,9 +91,3 @@ def _beside_each_other(trials: TrialsRecord) -> FloatArray:
         if len(rows) > 1:
             x[rows] *= 2.0 ** np.linspace(-0.22, 0.22, len(rows))
     return x
-
-
-def _best(trials: TrialsRecord) -> IntArray:
-    """Return the positions of the chosen trials with a known test error, smallest training set first."""
-    best = np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae))
-    return best[np.argsort(trials.n_train[best], kind="stable")].astype(np.int64)

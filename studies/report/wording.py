@@ -11,17 +11,6 @@ AT_BOUND = 0.01
 """Closer to a bound than this share of the range is at the bound."""
 
 
-def noun_of(n: int, noun: str, several: str = "") -> str:
-    """Return the noun in singular or plural: call, calls.
-
-    Args:
-        n: How many there are.
-        noun: What one of them is called.
-        several: What several are called where an s is not enough.
-    """
-    return noun if n == 1 else several or f"{noun}s"
-
-
 def significant(value: float | None, digits: int = 3) -> str:
     """Write a number with so many significant digits, without an exponent where it stays readable."""
     if value is None or math.isnan(value):
@@ -66,10 +55,8 @@ def declared(value: float | None) -> str:
 
 def count(value: float, noun: str = "", plural: str = "") -> str:
     """Write a count with its noun, e.g. "1 call", "4,096 calls"."""
-    number = f"{round(value):,}"
-    if not noun:
-        return number
-    return f"{number} {noun_of(round(value), noun, plural)}"
+    n = round(value)
+    return f"{n:,} {noun if n == 1 else plural or f'{noun}s'}" if noun else f"{n:,}"
 
 
 def percent(fraction: float | None) -> str:

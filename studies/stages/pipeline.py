@@ -271,7 +271,7 @@ class Work(Generic[R]):
             "digest": stage.digest,
             "case_file": study.paths.recorded(study.case.path),
             "inputs": stage.inputs,
-            "files": {study.paths.relative(made): made.stat().st_size for made in files},
+            "files": {study.paths.recorded(made): made.stat().st_size for made in files},
             "seed": study.profile.seed,
             "wall_s": outcome.wall_s,
             "finished": outcome.finished,

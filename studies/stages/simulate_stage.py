@@ -85,9 +85,9 @@ def simulate_stage(study: Study) -> Outcome[SimulatedSets]:
             n=sizes,
             n_failed={name: len(reasons) for name, reasons in failed.items()},
             first_failures=first,
-            files={name: study.paths.relative(rows.file) for name, rows in sets.items()},
+            files={name: study.paths.recorded(rows.file) for name, rows in sets.items()},
             digests=digests,
-            store=study.paths.relative(store_file(study.paths, study.case)),
+            store=study.paths.recorded(store_file(study.paths, study.case)),
             n_reused=model.n_reused,
         )
         return work.keep(found, [rows.file for rows in sets.values()])

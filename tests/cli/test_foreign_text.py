@@ -48,9 +48,7 @@ def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture
     console.show(
         [
             Said(HOSTILE, "red"),
-            Table(
-                HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [Said(HOSTILE, "yellow"), None]]
-            ),
+            Table(HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [HOSTILE, None]]),
         ]
     )
     said = capsys.readouterr()
