@@ -153,8 +153,7 @@ def uncertainty() -> Uncertainty:
         ledger=Cost(2 * p, 2, 20, 2 * p + 22, 14, False), n_failed=0, first_failure=None, n_simulated=0,
         time=time_axis(), sample_theta=rng.uniform(low, high, (20, p)), weights=np.full(20, 0.05),
         particles_theta=rng.uniform(low, high, (200, p)), simulated=band,
-        predictive=np.stack([band[0] - 0.5, band[1] + 0.5]), start_theta=np.empty((0, p)),
-        start_watched=np.empty(0, dtype=bool),
+        predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
     )  # fmt: skip
 
 

@@ -204,12 +204,8 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         }
         return open_study(argparse.Namespace(**words), console)
 
-    words = [chosen.case]
-    words += ["--profile", asked] if own_profile else []
-    words += ["--budget", chosen.budget] if chosen.budget not in (None, BUDGET) else []
-    words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
-    words += ["--seeds", str(chosen.seeds)] if chosen.seeds is not None else []
-    words += ["--seed", str(seed)] if seed is not None else []
-    if chosen.hyperparameters is not None:
-        words += ["--hyperparameters", str(chosen.hyperparameters)]
+    words = [str(chosen.case)]
+    for name in ("profile", "budget", "trials", "seeds", "seed", "hyperparameters"):
+        value = getattr(chosen, name)
+        words += [] if value is None else [f"--{name}", str(value)]
     return Plan(opener=opener, budget=budget, words=" ".join(words), trials=chosen.hyperparameters)

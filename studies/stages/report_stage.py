@@ -34,11 +34,7 @@ def report_stage(study: Study) -> Outcome[Reported]:
     stages += [one.stage for one in uncertainties]
     files = [study.results / f"{stage}.json" for stage in stages]
     inputs = {
-        "case": study.case.digest,
-        "title": study.case.title,
-        "note": study.case.note,
-        "references": [vars(known) for known in study.case.references],
-        "parameters": [vars(parameter) for parameter in study.case.parameter_space.parameters],
+        "case": [study.case.digest, file_digest(study.case.path)],
         "results": {file.name: file_digest(file) for file in files if file.is_file()},
         "trials": [
             [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials]]

@@ -547,8 +547,6 @@ class Uncertainty:
         particles_theta: Points of equal weight by the surrogate. Shape (c, p). [per parameter]
         simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
         predictive: Band of a measurement. Shape (2, t, k). [per output]
-        start_theta: Stored simulations that it started from. Shape (n, p). [per parameter]
-        start_watched: Which of them are stored with the model's states. Shape (n,).
     """
 
     __pydantic_config__ = WITH_ARRAYS
@@ -576,8 +574,6 @@ class Uncertainty:
     particles_theta: FloatArray
     simulated: FloatArray
     predictive: FloatArray
-    start_theta: FloatArray
-    start_watched: BoolArray
 
     @property
     def news(self) -> str:
