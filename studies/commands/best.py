@@ -15,6 +15,7 @@ Examples:
 import argparse
 
 from studies.console import Console
+from studies.paths import find_project
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -27,7 +28,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.best_models import best_blocks, best_document
-    from studies.paths import find_project
     from studies.project import read_project
 
     project = read_project(find_project(chosen.storage), chosen.which)

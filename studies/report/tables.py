@@ -174,17 +174,22 @@ def parameters_table(case: "Case", found: Calibration) -> Table:
         [
             one.name,
             shown_unit(one.unit),
-            declared(one.estimate),
-            *([] if screened is None else [significant(screened.theta[one.name], 6)]),
-            significant(found.theta[one.name], 6),
-            declared(one.lower),
-            declared(one.upper),
+            _six(one.estimate),
+            *([] if screened is None else [_six(screened.theta[one.name])]),
+            _six(found.theta[one.name]),
+            _six(one.lower),
+            _six(one.upper),
             _note(found, one.name, float(u)),
         ]
         for one, u in zip(space.parameters, places, strict=True)
     ]
     how = "adaptively" if found.is_adaptive else f"from {count(found.n_train, 'training simulation')}"
     return Table(f"Parameters, calibrated {how}", columns, rows)
+
+
+def _six(value: float | None) -> str:
+    """Write a number as it can be typed into a case file."""
+    return MISSING if value is None else f"{value:.6g}"
 
 
 def _note(found: Calibration, name: str, u: float) -> str:

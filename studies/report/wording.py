@@ -48,9 +48,9 @@ def digits_between(low: float, high: float, least: int = 3) -> int:
     return min(max(least, math.ceil(math.log10(largest / width)) + 1), 12)
 
 
-def declared(value: float | None) -> str:
+def declared(value: float) -> str:
     """Write a number as it was declared, without rounding and without the noise of floating point."""
-    return MISSING if value is None else f"{value:,.10g}"
+    return f"{value:,.10g}"
 
 
 def count(value: float, noun: str = "", plural: str = "") -> str:

@@ -233,7 +233,7 @@ def test_parameters_table_flags_the_bounds() -> None:
     lower, upper = "at the lower bound: widen it?", "at the upper bound: widen it?"
     assert flagged == {"cInt": upper, "rExt1": lower, "VSUP": upper}
     assert column(table, "estimate")[0] == "0.7"
-    assert column(table, "polished") == [significant(value, 6) for value in c.theta.values()]
+    assert column(table, "polished") == [f"{value:.6g}" for value in c.theta.values()]
     assert [column(table, f"{end} bound")[1] for end in ("lower", "upper")] == ["293.15", "306.15"]
     # The share counts in the logarithm where there is one.
     for share, said in ((0.009, lower), (0.011, ""), (0.989, ""), (0.991, upper)):
