@@ -19,10 +19,10 @@ def show_calibrations(study: Study, outcomes: Sequence[Outcome[Calibration]]) ->
     best = best_of(tuple(outcomes))
     assert best is not None, "at least one"
     found = best.result
-    if found.is_adaptive:
-        console.result(f"{study.label}: {headline(case, best)}")
-    else:
+    if not found.is_adaptive:
         console.show([calibrations_table(case, tuple(outcomes))])
+    which = "" if found.is_adaptive else f", {found.shown_name}"
+    console.result(f"{study.label}{which}: {headline(case, best)}")
     for one in outcomes:
         _warn_failed(study, one.result)
     if found.left:
@@ -36,7 +36,10 @@ def show_calibrations(study: Study, outcomes: Sequence[Outcome[Calibration]]) ->
             console.show([table])
     if math.isfinite(found.mse):
         console.show([parameters_table(case, found)])
-    _show_next(study)
+    if case.note:
+        console.result(f"Note: {case.note}")
+    if found.is_adaptive:
+        console.result(f"Pictures: studies report {study.command}")
     which = "" if found.is_adaptive else f" --n-train {found.n_train}"
     console.result(f"How sure it is: studies uncertainty {study.command}{which}")
 
@@ -79,12 +82,8 @@ def show_uncertainty(study: Study, found: Uncertainty) -> None:
     _warn_failed(study, found)
     for sentence in uncertainty_sentences(found, difference_unit(case.outputs[0].unit)):
         study.console.result(sentence)
-    _show_next(study)
-
-
-def _show_next(study: Study) -> None:
-    if study.case.note:
-        study.console.result(f"Note: {study.case.note}")
+    if case.note:
+        study.console.result(f"Note: {case.note}")
     study.console.result(f"Pictures: studies report {study.command}")
 
 
