@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from studies.console import Block, Column, Said, Table
+from studies.console import Block, Column, Table
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.tables import tuning_table
 from studies.report.wording import count, listed, shown_unit
@@ -17,11 +17,11 @@ def best_blocks(project: Project) -> list[Block]:
     blocks: list[Block] = []
     for label, found in _by_label(project).items():
         table = tuning_table([one.summary(project.studies) for one in found])
-        blocks += [Said(label, "bold"), *([table] if table else [])]
-        blocks += [*_how_to_load(project, found), Said("")]
+        blocks += [label, *([table] if table else [])]
+        blocks += [*_how_to_load(project, found), ""]
     for calibration in best_calibrations(project):
         blocks += _calibration(calibration)
-    return blocks or [Said(f"No completed trial and no calibration yet; {FIRST_WORDS}")]
+    return blocks or [f"No completed trial and no calibration yet; {FIRST_WORDS}"]
 
 
 def best_document(project: Project) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
         f'  mlflow.set_tracking_uri("{tracking}")',
         f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
     )
-    return [Said("In Python:"), Said("\n".join(lines), "dim")]
+    return ["In Python:", *lines]
 
 
 def best_calibrations(project: Project) -> list[FinishedCalibration]:
@@ -80,7 +80,7 @@ def _calibration(one: FinishedCalibration) -> list[Block]:
     rows = [[k, shown_unit(found.units.get(k, "")), f"{value:.6g}"] for k, value in found.theta.items()]
     columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     return [
-        Said(f"{found.case}: best calibration: MSE {one.mse_text}, {how}"),
-        *([Said(f"made before {listed(one.changed_since)} changed", "yellow")] if one.changed_since else []),
+        f"{found.case}: best calibration: MSE {one.mse_text}, {how}",
+        *([f"made before {listed(one.changed_since)} changed"] if one.changed_since else []),
         Table(one.name, columns, rows),
     ]

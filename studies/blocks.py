@@ -20,19 +20,6 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Said:
-    """A text with a style, which a file does not show.
-
-    Args:
-        text: the text.
-        style: a style of rich, such as "bold", "dim", "yellow" or "red".
-    """
-
-    text: str
-    style: str = ""
-
-
-@dataclass(frozen=True)
 class Table:
     """A table with a title.
 
@@ -49,5 +36,5 @@ class Table:
     emphasized: int | None = None
 
 
-Block = Table | Said
+Block = Table | str
 """A table, or a text of one or several lines."""

@@ -14,7 +14,6 @@ from typing import Any, Protocol
 from simulation.foreign_text import escaped
 from studies.blocks import Block as Block
 from studies.blocks import Column as Column
-from studies.blocks import Said as Said
 from studies.blocks import Table as Table
 
 # Columns of a progress line for its times, its percentage and a short bar.

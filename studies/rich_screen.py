@@ -12,7 +12,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from simulation.foreign_text import escaped
-from studies.blocks import Block, Said
+from studies.blocks import Block
 
 PLAIN_WIDTH = 160
 """Columns of a table that is written to a file or a pipe."""
@@ -29,7 +29,7 @@ def print_blocks(blocks: Sequence[Block]) -> None:
     screen = rich_console(sys.stdout)
     with screen.capture() as drawn:
         for block in blocks:
-            is_whole = isinstance(block, Said) and not sys.stdout.isatty()
+            is_whole = isinstance(block, str) and not sys.stdout.isatty()
             screen.print(_drawn(block, screen.width), soft_wrap=is_whole)
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in drawn.get().splitlines()))
     sys.stdout.flush()
@@ -37,8 +37,8 @@ def print_blocks(blocks: Sequence[Block]) -> None:
 
 def _drawn(block: Block, width: int) -> RenderableType:
     """Return what rich prints for a block, without signs that a terminal obeys; names may be a stranger's."""
-    if isinstance(block, Said):
-        return Text(escaped(block.text, keep_lines=True), style=block.style)
+    if isinstance(block, str):
+        return Text(escaped(block, keep_lines=True))
     table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     titles = [escaped(column.title) for column in block.columns]
     rows = [[Text(escaped(str(cell))) for cell in row] for row in block.rows]

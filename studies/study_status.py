@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from studies.console import Block, Column, Said, Table, format_seconds
+from studies.console import Block, Column, Table, format_seconds
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import MISSING, count, setting, significant
@@ -17,12 +17,12 @@ def status_blocks(project: Project) -> list[Block]:
     blocks: list[Block] = []
     tuned = [one for one in project.sizes if not one.is_baseline]
     if tuned:
-        blocks += [_studies(tuned), Said(_total(tuned))]
+        blocks += [_studies(tuned), _total(tuned)]
     if running := [(one, t) for one in project.studies for t in one.trials if t.state == "running"]:
         blocks.append(_running(running))
     if project.calibrations:
         blocks.append(_calibrations(project.calibrations))
-    return blocks or [Said(f"Nothing in {project.paths.root} yet; {FIRST_WORDS}")]
+    return blocks or [f"Nothing in {project.paths.root} yet; {FIRST_WORDS}"]
 
 
 def status_document(project: Project) -> dict[str, Any]:
