@@ -25,7 +25,6 @@ from studies import profile, search_space  # noqa: E402
 from studies.calibration.ledger import Ledger  # noqa: E402
 from studies.cli import COMMANDS, EPILOG, build_parser, help_of  # noqa: E402
 from studies.report.records_tuning import TunedSize  # noqa: E402
-from studies.report.validation import OutputFit, ValidatedPoint  # noqa: E402
 from studies.stages import stage_results  # noqa: E402
 
 MADE = "<!-- Written by docs/make_reference.py; change the docstrings it reads, not this page. -->\n"
@@ -64,8 +63,8 @@ DOCUMENTS = {
     "prior of a calibration": stage_results.PriorFound,
     "An entry of parameters of a prior": stage_results.Held,
     "validation of a calibration": stage_results.Validated,
-    "An entry of points of a validation": ValidatedPoint,
-    "An entry of outputs of a point": OutputFit,
+    "An entry of points of a validation": stage_results.ValidatedPoint,
+    "An entry of outputs of a point": stage_results.OutputFit,
     "An entry of stages (uncertainty)": stage_results.Uncertainty,
     "An entry of parameters of an uncertainty": stage_results.Known,
     "sample of an uncertainty": stage_results.SampleFound,

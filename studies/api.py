@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -26,9 +26,9 @@ from studies.console import Console, OnBar
 from studies.environment import check_surroundings
 from studies.interrupts import interrupts_kept
 from studies.paths import find_case, find_project
-from studies.report.wording import axis_label, difference_unit, quantity, squared
-from studies.stages.pipeline import StageError
-from studies.stages.saved import read_arrays
+from studies.report.wording import axis_label, quantity, square_of
+from studies.stages.pipeline import Outcome, StageError, Study
+from studies.stages.stage_results import Calibration
 
 Size = int | Sequence[int]
 _REDRAW_EVERY_S = 0.2
@@ -127,14 +127,14 @@ class CalibrationResult:
 
     def __repr__(self) -> str:
         """Return the error, the cost, and the parameters as a table."""
-        return "\n".join([*self._sentences(), self.theta.to_string(float_format=_number)])
+        return "\n".join([*self._sentences(), self.theta.to_string(float_format="{:.6g}".format)])
 
     def _repr_html_(self) -> str:
         said = "<br>".join(map(escape, self._sentences()))
-        return f"<p>{said}</p>{self.theta.to_html(float_format=_number)}"
+        return f"<p>{said}</p>{self.theta.to_html(float_format='{:.6g}'.format)}"
 
     def _sentences(self) -> Iterator[str]:
-        unit = squared(difference_unit(next(iter(self.units.values()))))
+        unit = square_of(next(iter(self.units.values())))
         error = quantity(self.mse, unit, 4)
         yield f"{self.name}: MSE {error} after {self.calls} model calls; it ended because {self.reason}"
         if self.note:
@@ -174,9 +174,8 @@ def tune(case: str | Path = "office", **options: Unpack[TuneOptions]) -> pd.Data
         InputError: The case, an option or a file is wrong.
         StageError: A stage failed.
     """
-    _, document = _done("tune", case, options)
-    (tuned,) = (stage for stage in document["stages"] if stage["stage"] == "tune")
-    return pd.DataFrame(tuned["studies"]).set_index("n_train")
+    _, outcomes = _done("tune", case, options)
+    return pd.DataFrame(map(asdict, outcomes[-1].result.studies)).set_index("n_train")
 
 
 def calibrate(case: str | Path = "office", **options: Unpack[CalibrateOptions]) -> CalibrationResult:
@@ -208,8 +207,8 @@ def load_case(case: str | Path = "office") -> Case:
     return load_case_file(find_case(find_project(None), str(case)))
 
 
-def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[Case, dict[str, Any]]:
-    """Do a command in this process and return the case that it had and its JSON document."""
+def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[Study, list[Outcome[Any]]]:
+    """Do a command in this process and return its study and what its stages came to."""
     words = [command, str(case), *_words(command, options)]
     chosen = build_parser().parse_args(words)
     chosen.typed = shlex.join(["studies", *words])
@@ -217,11 +216,10 @@ def _done(command: str, case: str | Path, options: Mapping[str, Any]) -> tuple[C
     with interrupts_kept():
         check_surroundings()
         code = command_module(command).run(chosen, console)
-    (document,) = console.documents
     if code:
-        raise StageError(f"{document['label']}: studies check {case} found errors; type it, it says which")
-    file = find_case(find_project(chosen.storage), str(case))
-    return load_case_file(file, window_d=chosen.window and chosen.window.days), document
+        raise StageError(f"studies check {case} found errors; type it, it says which")
+    ((study, outcomes),) = console.done
+    return study, outcomes
 
 
 def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
@@ -241,58 +239,53 @@ def _words(command: str, options: Mapping[str, Any]) -> Iterator[str]:
             yield f"--{option}={value}"
 
 
-def _best_of(case: Case, document: Mapping[str, Any]) -> CalibrationResult:
+def _best_of(study: Study, outcomes: Sequence[Outcome[Any]]) -> CalibrationResult:
     """Return the calibration of least error among those that a command left."""
-    stages = [stage for stage in document["stages"] if stage["stage"].startswith("calibrate-")]
-    return min((_result(case, document["label"], stage) for stage in stages), key=lambda one: one.mse)
+    found = [one for one in outcomes if isinstance(one.result, Calibration)]
+    return _result(study, min(found, key=lambda one: one.result.mse))
 
 
-def _result(case: Case, label: str, stage: Mapping[str, Any]) -> CalibrationResult:
-    """Read a calibration from its part of the document and from the file of arrays beside its own."""
-    y = read_arrays(Path(stage["file"]).with_suffix(".npz"))["y"]
-    at, series = case.measurement.time, dict[tuple[str, str], "pd.Series[float]"]()
+def _result(study: Study, outcome: Outcome[Calibration]) -> CalibrationResult:
+    case, found, series = study.case, outcome.result, dict[tuple[str, str], "pd.Series[float]"]()
+    at, judged = case.measurement.time, found.determined_by_data
     every = np.unique(np.concatenate([at, *(one.time for one in case.measurement.samples)]))
     for k, (output, samples) in enumerate(zip(case.outputs, case.measurement.samples, strict=True)):
         series[output.name, "measured"] = pd.Series(samples.values, samples.time)
-        series[output.name, "calibrated"] = pd.Series(np.interp(every, at, y[:, k]), every)
-    return CalibrationResult(
-        name=f"{label}/{stage['stage'].removeprefix('calibrate-')}",
-        theta=_theta(case, stage),
-        mse=np.inf if stage["mse"] is None else float(stage["mse"]),
-        calls=stage["ledger"]["total_calls"],
-        trajectories=pd.DataFrame(series).rename_axis("time_s"),
-        units={output.name: output.unit for output in case.outputs},
-        reason=stage["stop_reason"],
-        note=case.note,
-        numbers=stage,
-    )
-
-
-def _theta(case: Case, found: Mapping[str, Any]) -> pd.DataFrame:
-    left_open = (found.get("determined_by_data") or {}).get("open")
+        series[output.name, "calibrated"] = pd.Series(np.interp(every, at, found.y[:, k]), every)
     rows = {
         one.name: (
-            found["theta"][one.name],
+            found.theta[one.name],
             one.unit,
             one.lower,
             one.upper,
-            None if left_open is None else one.name not in left_open,
+            None if judged is None else one.name not in judged.open,
         )
         for one in case.parameter_space.parameters
     }
     columns = ["value", "unit", "lower", "upper", "determined"]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("parameter")
+    theta = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+    return CalibrationResult(
+        name=f"{study.label}/{outcome.name}",
+        theta=theta.rename_axis("parameter"),
+        mse=found.mse,
+        calls=found.n_calls,
+        trajectories=pd.DataFrame(series).rename_axis("time_s"),
+        units={output.name: output.unit for output in case.outputs},
+        reason=found.stop_reason,
+        note=case.note,
+        numbers=outcome.to_dict(study.paths),
+    )
 
 
 @dataclass(frozen=True)
 class _Listener(Console):
-    """Keeps the JSON document of a command, and draws its progress in a notebook as on a terminal."""
+    """Keeps what a command came to, and draws its progress in a notebook as on a terminal."""
 
     as_json: bool = True
-    documents: list[dict[str, Any]] = field(default_factory=list)
+    done: list[Any] = field(default_factory=list)
 
-    def document(self, content: dict[str, Any]) -> None:
-        self.documents.append(content)
+    def document(self, content: dict[str, Any], of: Any = None) -> None:
+        self.done.append(of)
 
     @contextmanager
     def bars(self) -> Iterator[OnBar]:
@@ -314,10 +307,6 @@ class _Listener(Console):
             yield draw
         finally:
             shown.update(display.HTML(""))
-
-
-def _number(value: float) -> str:
-    return f"{value:.6g}"
 
 
 def _is_notebook() -> bool:

@@ -5,59 +5,56 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from studies.console import Block, Column, Said, Table
-from studies.page_tables import terminal_table
+from studies.console import Block, Column, Table
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.tables import tuning_table
 from studies.report.wording import count, listed, shown_unit
-from studies.storage_url import hide_passwords
 from studies.tuning.study_results import TunedStudy, latest_studies
 
 
-def best_blocks(project: Project, sizes: Sequence[int] | None) -> list[Block]:
+def best_blocks(project: Project) -> list[Block]:
     """Return what a person sees."""
     blocks: list[Block] = []
-    for label, found in best_by_label(project, sizes).items():
+    for label, found in best_by_label(project).items():
         table = tuning_table([one.summary(project.studies) for one in found])
-        blocks += [Said(label, "strong"), *([terminal_table(table)] if table else [])]
-        blocks += [*_how_to_load(project, found), Said("")]
+        blocks += [label, *([table] if table else [])]
+        blocks += [*_how_to_load(project, found), ""]
     for calibration in best_calibrations(project):
         blocks += _calibration(calibration)
-    return blocks or [Said(f"No completed trial and no calibration yet; {FIRST_WORDS}")]
+    return blocks or [f"No completed trial and no calibration yet; {FIRST_WORDS}"]
 
 
-def best_document(project: Project, sizes: Sequence[int] | None) -> dict[str, Any]:
+def best_document(project: Project) -> dict[str, Any]:
     """Return what a program reads: where Optuna and MLflow keep everything, and the best of each size."""
-    best = [one.summary(project.studies) for found in best_by_label(project, sizes).values() for one in found]
+    best = [one.summary(project.studies) for found in best_by_label(project).values() for one in found]
     return {
         "command": "best",
-        "optuna_storage": hide_passwords(project.paths.optuna_url),
-        "mlflow_tracking_uri": hide_passwords(project.paths.tracking_uri),
+        "optuna_storage": project.paths.optuna_url,
+        "mlflow_tracking_uri": project.paths.tracking_uri,
         "sizes": [asdict(one) for one in best],
         "calibrations": [one.to_dict() for one in best_calibrations(project)],
     }
 
 
-def best_by_label(project: Project, sizes: Sequence[int] | None) -> dict[str, list[TunedStudy]]:
+def best_by_label(project: Project) -> dict[str, list[TunedStudy]]:
     """Return the study begun last of each size that has a best trial; the label used last comes first."""
     tuned = [one for one in project.studies if not one.spec.is_baseline and one.best is not None]
     found = {}
     for label in dict.fromkeys(one.spec.label for one in sorted(tuned, key=lambda one: -one.began_s)):
         latest = latest_studies([one for one in tuned if one.spec.label == label])
-        if chosen := [latest[key] for key in sorted(latest) if not sizes or key[0] in sizes]:
-            found[label] = chosen
+        found[label] = [latest[key] for key in sorted(latest)]
     return found
 
 
 def _how_to_load(project: Project, found: Sequence[TunedStudy]) -> list[Block]:
     spec = min(found, key=lambda study: study.best.value or math.inf if study.best else math.inf).spec
-    storage, tracking = hide_passwords(project.paths.optuna_url), hide_passwords(project.paths.tracking_uri)
+    storage, tracking = project.paths.optuna_url, project.paths.tracking_uri
     lines = (
         f'  optuna.load_study(study_name="{spec.name}", storage="{storage}")',
         f'  mlflow.set_tracking_uri("{tracking}")',
         f'  mlflow.pyfunc.load_model("{spec.model_uri}").predict(theta)',
     )
-    return [Said("In Python:"), Said("\n".join(lines), "dim")]
+    return ["In Python:", *lines]
 
 
 def best_calibrations(project: Project) -> list[FinishedCalibration]:
@@ -83,7 +80,7 @@ def _calibration(one: FinishedCalibration) -> list[Block]:
     rows = [[k, shown_unit(found.units.get(k, "")), f"{value:.6g}"] for k, value in found.theta.items()]
     columns = [Column("parameter"), Column("unit"), Column("calibrated", True)]
     return [
-        Said(f"{found.case}: best calibration: MSE {one.mse_text}, {how}"),
-        *([Said(f"made before {listed(one.changed_since)} changed", "warn")] if one.changed_since else []),
-        Table(one.name, columns, rows, is_dense=True),
+        f"{found.case}: best calibration: MSE {one.mse_text}, {how}",
+        *([f"made before {listed(one.changed_since)} changed"] if one.changed_since else []),
+        Table(one.name, columns, rows),
     ]

@@ -2,10 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
-
-Tone = Literal["", "strong", "dim", "good", "warn", "bad"]
-"""Tone of a text: good, bad, a warning, strong, or of less weight."""
 
 
 @dataclass(frozen=True)
@@ -24,38 +20,21 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Said:
-    """A text with a tone, which a terminal shows as a colour and a file does not show at all.
-
-    Args:
-        text: the text.
-        tone: how it is said.
-    """
-
-    text: str
-    tone: Tone = ""
-
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.text
-
-
-@dataclass(frozen=True)
 class Table:
     """A table with a title.
 
     Args:
         title: above it.
         columns: its columns.
-        rows: its cells; a cell is anything with a text, or a `Said`.
-        is_dense: two blanks between columns, not three.
+        rows: its cells; a cell is anything with a text.
+        emphasized: position of the row that the page points out; None for none.
     """
 
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[object]]
-    is_dense: bool = False
+    emphasized: int | None = None
 
 
-Block = Table | Said
+Block = Table | str
 """A table, or a text of one or several lines."""

@@ -1,6 +1,7 @@
 """Rows in different circumstances: other inputs, another step, as the first of a process."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -9,6 +10,9 @@ from simulation.fmi.fmu import FmuSettings
 from simulation.fmi.runner import NeedsFreshProcess
 from simulation.parameters import Parameter, ParameterSpace
 from simulation.trajectories import Trajectories
+
+WAYS = ("undecided", "reset", "state", "new instance", "new process")
+"""How rows may be started over, by the number that RestartModel answers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +42,7 @@ class CircumstanceModel:
         """Output times. Shape (t,). [s]."""
         return self.settings[0].scenario.time
 
-    def open(self) -> "CircumstanceModel":
+    def open(self) -> Self:
         """Return the model: the factory that worker processes are given."""
         return self
 
@@ -51,70 +55,42 @@ class CircumstanceModel:
         Returns:
             The trajectories.
         """
-        answers = []
-        for number in theta[:, 0]:
-            with self.settings[round(number)].open() as model:
-                answers.append(model.simulate(self.row[None]))
+        answers = [self._asked(round(number)) for number in theta[:, 0]]
         return Trajectories.checked(
             theta,
-            np.concatenate([answer.y for answer in answers]),
+            np.concatenate([y for y, _ in answers]),
             time=self.time,
             parameter_names=self.parameter_space.names,
             output_names=self.output_names,
-            failures=[answer.failures[0] for answer in answers],
+            failures=[failure for _, failure in answers],
         )
 
-
-WAYS = ("undecided", "reset", "state", "new instance", "new process")
-"""How rows may be started over, by the number that RestartModel answers."""
+    def _asked(self, number: int) -> tuple[FloatArray, str]:
+        """Return the outputs of the row and why it failed. Shape (1, t, k). [per output]."""
+        with self.settings[number].open() as model:
+            answer = model.simulate(self.row[None])
+        return answer.y, answer.failures[0]
 
 
 @dataclass(frozen=True, eq=False)
-class RestartModel:
+class RestartModel(CircumstanceModel):
     """The answer to a row that is a process's first one, and how the process starts rows over after it.
 
-    The question (the only parameter) has no influence. Beside the outputs it answers the number of the way in
-    WAYS as one more.
+    Beside the outputs it answers the number of the way in WAYS as one more.
 
     Attributes:
-        settings: The model.
-        row: The row that is asked first. Shape (p,). [per parameter]
         other: A row that is asked after it, and before it is asked again. Shape (p,). [per parameter]
     """
 
-    settings: FmuSettings
-    row: FloatArray
     other: FloatArray
-
-    @property
-    def parameter_space(self) -> ParameterSpace:
-        """The question."""
-        return ParameterSpace((Parameter("question", -1.0, 1.0),))
 
     @property
     def output_names(self) -> tuple[str, ...]:
         """The outputs, and the way."""
-        return (*self.settings.output_names, "way")
+        return (*super().output_names, "way")
 
-    @property
-    def time(self) -> FloatArray:
-        """Output times. Shape (t,). [s]."""
-        return self.settings.scenario.time
-
-    def open(self) -> "RestartModel":
-        """Return the model: the factory that worker processes are given."""
-        return self
-
-    def simulate(self, theta: FloatArray) -> Trajectories:
-        """Simulate the row as the first one, then the other and the row again.
-
-        Args:
-            theta: The question. Shape (1, 1). [1]
-
-        Returns:
-            The first answer and the way.
-        """
-        with self.settings.open() as model:
+    def _asked(self, number: int) -> tuple[FloatArray, str]:
+        with self.settings[number].open() as model:
             first = model.simulate(self.row[None])
             try:
                 model.simulate(np.stack([self.other, self.row]))
@@ -122,11 +98,4 @@ class RestartModel:
             except NeedsFreshProcess:
                 way = "new process"
         ways = np.full((1, len(self.time), 1), float(WAYS.index(way)))
-        return Trajectories.checked(
-            theta,
-            np.concatenate([first.y, ways], axis=2),
-            time=self.time,
-            parameter_names=self.parameter_space.names,
-            output_names=self.output_names,
-            failures=list(first.failures),
-        )
+        return np.concatenate([first.y, ways], axis=2), first.failures[0]

@@ -13,10 +13,11 @@ import textwrap
 import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
+from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn, TextIO
+from typing import NoReturn, TextIO
 
 import studies.commands
 from simulation.errors import InputError, MachineError
@@ -26,7 +27,6 @@ from studies.commands import options
 from studies.console import Console
 from studies.environment import check_surroundings, explain
 from studies.interrupts import interrupt_handled, interrupts_kept, is_interrupt
-from studies.storage_url import hide_passwords
 
 OK, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 MOST_SAID = 2000
@@ -74,11 +74,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         chosen = _understand(arguments)
     except _UsageError as error:
-        return _bad_input(console, str(error))
+        return _ended(console, str(error), BAD_INPUT)
     except SystemExit as done:
         return int(done.code or 0)
     console = Console(as_json=chosen.json, quiet=chosen.quiet)
-    chosen.typed = _typed([word for word in arguments if word not in OF_THE_MOMENT])
+    chosen.typed = shlex.join(["studies", *(word for word in arguments if word not in OF_THE_MOMENT)])
     with interrupts_kept():
         try:
             check_surroundings()
@@ -90,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return answer
         except (Exception, KeyboardInterrupt) as error:
             if is_interrupt(error):
-                return _interrupted(console, _typed(arguments))
+                return _interrupted(console, shlex.join(["studies", *arguments]))
             try:
                 return _report(console, error)
             except OSError:
@@ -113,7 +113,7 @@ def _nowhere() -> TextIO:
 def _report(console: Console, error: BaseException) -> int:
     """Report the error that ended a command, and return its exit code."""
     if isinstance(error, InputError) and not isinstance(error, MachineError):
-        return _bad_input(console, " ".join(str(error).split()))
+        return _ended(console, " ".join(str(error).split()), BAD_INPUT)
     if isinstance(error, BrokenPipeError):
         # The reader of the output closed it: nothing has failed, and nothing can be reported.
         sys.stdout = None
@@ -148,7 +148,7 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=_Paragraphs,
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action=_Version, help="print the version and exit")
+    parser.add_argument("--version", action="version", version=_version(), help="print the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
     for name in COMMANDS:
         summary, more = help_of(name)
@@ -193,30 +193,19 @@ class _Paragraphs(argparse.HelpFormatter):
         return "\n".join(filled)
 
 
-class _Version(argparse.Action):
-    def __init__(self, option_strings: Sequence[str], dest: str, **settings: Any) -> None:
-        super().__init__(option_strings, dest, nargs=0, **settings)
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            found = version("pelsvae-studies")
-        except PackageNotFoundError:
-            found = "(not installed)"
-        print(f"studies {found}")
-        parser.exit()
+def _version() -> str:
+    try:
+        return f"studies {version('pelsvae-studies')}"
+    except PackageNotFoundError:
+        return "studies (not installed)"
 
 
-def _bad_input(console: Console, line: str) -> int:
-    line = shortened(hide_passwords(line), MOST_SAID)
+def _ended(console: Console, line: str, code: int) -> int:
+    """Say in one line what ended a command, and return its exit code."""
+    line = shortened(line, MOST_SAID)
     console.warn(f"error: {line}")
     console.document({"error": line})
-    return BAD_INPUT
-
-
-def _typed(words: Sequence[str]) -> str:
-    return hide_passwords(shlex.join(["studies", *words]))
+    return code
 
 
 def _interrupted(console: Console, again: str) -> int:
@@ -232,10 +221,5 @@ def _failed(console: Console, error: BaseException) -> int:
 
     explained = explain(error)
     if explained is None and not isinstance(error, StageError | MachineError):
-        text = hide_passwords("".join(traceback.format_exception(error)))
-        sys.stderr.write(escaped(text, keep_lines=True))
-    line = hide_passwords(explained or " ".join(f"{error}".split()) or type(error).__name__)
-    line = shortened(line, MOST_SAID)
-    console.warn(f"error: {line}")
-    console.document({"error": line})
-    return FAILED
+        sys.stderr.write(escaped("".join(traceback.format_exception(error)), keep_lines=True))
+    return _ended(console, explained or " ".join(f"{error}".split()) or type(error).__name__, FAILED)

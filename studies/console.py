@@ -8,13 +8,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from simulation.foreign_text import escaped
 from studies.blocks import Block as Block
 from studies.blocks import Column as Column
-from studies.blocks import Said as Said
 from studies.blocks import Table as Table
 
 # Columns of a progress line for its times, its percentage and a short bar.
@@ -131,15 +130,20 @@ class Console:
         if not self.as_json:
             from studies.rich_screen import print_blocks
 
-            print_blocks([_without_control(block) for block in blocks])
+            print_blocks(blocks)
 
     def result(self, line: str) -> None:
         """Write one line of the result to stdout, or nothing where the result is a JSON document."""
         if not self.as_json:
             _write(sys.stdout, escaped(line, keep_lines=True))
 
-    def document(self, content: dict[str, Any]) -> None:
-        """Write the one JSON document to stdout, or nothing where the result is for people."""
+    def document(self, content: dict[str, Any], of: Any = None) -> None:
+        """Write the one JSON document to stdout, or nothing where the result is for people.
+
+        Args:
+            content: the document.
+            of: the study and its outcomes, for those who call from Python.
+        """
         if self.as_json:
             _write(sys.stdout, json.dumps(content, indent=2, allow_nan=False, default=str))
 
@@ -153,20 +157,6 @@ def format_seconds(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.1f} min"
     return f"{seconds / 3600:.1f} h"
-
-
-def _without_control(block: Block) -> Block:
-    """Return a block without signs that a terminal obeys; names in it may be a stranger's."""
-    if isinstance(block, Said):
-        return replace(block, text=escaped(block.text, keep_lines=True))
-    columns = [replace(column, title=escaped(column.title)) for column in block.columns]
-    rows = [[_safe_cell(cell) for cell in row] for row in block.rows]
-    return replace(block, title=escaped(block.title), columns=columns, rows=rows)
-
-
-def _safe_cell(cell: object) -> object:
-    text = escaped(str(cell))
-    return replace(cell, text=text) if isinstance(cell, Said) else text
 
 
 def _write(stream: Any, line: str) -> None:

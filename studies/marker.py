@@ -4,18 +4,12 @@ import os
 from pathlib import Path
 
 from simulation.errors import InputError, MachineError
-from simulation.foreign_file import PROJECT, parse_toml, read_text
-from simulation.foreign_text import quoted
 from simulation.whole_file import whole_file
 from studies.console import Console
 
 MARKER = "studies.toml"
-SCHEMA = 1
 ROOT_VARIABLE = "STUDIES_ROOT"
-TEXT = f"""\
-# This file makes its folder a project of `studies`: results go to mlruns/ and data/, own cases to fmus/.
-schema = {SCHEMA}
-"""
+TEXT = "# This folder is a project of `studies`: results go to mlruns/ and data/, own cases to fmus/.\n"
 
 
 def find_root() -> Path:
@@ -24,7 +18,7 @@ def find_root() -> Path:
     Where there is none, it is the working folder. `$STUDIES_ROOT` names another folder to begin at.
 
     Raises:
-        InputError: `$STUDIES_ROOT` is set and is no folder, or the marker is damaged or of another version.
+        InputError: `$STUDIES_ROOT` is set and is no folder.
     """
     declared = os.environ.get(ROOT_VARIABLE)
     begin = Path(declared).expanduser() if declared else Path.cwd()
@@ -33,7 +27,6 @@ def find_root() -> Path:
     begin = begin.resolve()
     for folder in (begin, *begin.parents):
         if (folder / MARKER).is_file():
-            _check(folder / MARKER)
             return folder
     return begin
 
@@ -55,13 +48,3 @@ def mark_project(root: Path, console: Console) -> None:
             f"{root}: the project's folder cannot be written ({error.strerror}); go to another folder"
         ) from None
     console.say(f"project: {root} ({MARKER} made)")
-
-
-def _check(file: Path) -> None:
-    schema = parse_toml(read_text(file, PROJECT), str(file)).get("schema")
-    if schema is None:
-        raise InputError(f"{file}: schema is missing; write this line into it: schema = {SCHEMA}")
-    if schema != SCHEMA:
-        raise InputError(
-            f"{file}: schema is {quoted(schema)}, this version reads {SCHEMA}; use the version that made it"
-        )

@@ -2,7 +2,7 @@
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from simulation.errors import InputError, MachineError
 from simulation.foreign_text import has_control, quoted, shortened
 from studies.embedded import EMBEDDED, case_files, embedded_file, embedded_place
 from studies.marker import find_root
-from studies.storage_url import STORAGE_VARIABLE, hide_passwords, in_schema, read_storage
+from studies.storage_url import STORAGE_VARIABLE, in_schema, read_storage
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class ProjectPaths:
     """
 
     root: Path
-    storage: str | None = field(default=None, repr=False)
+    storage: str | None = None
 
     @property
     def fmus(self) -> Path:
@@ -47,7 +47,7 @@ class ProjectPaths:
 
     @property
     def tracking_uri(self) -> str:
-        """MLflow's URI; on a server it holds the user's password and is not for showing."""
+        """MLflow's URI."""
         if self.storage is not None:
             return in_schema(self.storage, "mlflow")
         return f"sqlite:///{self.tracking_database.resolve().as_posix()}"
@@ -59,7 +59,7 @@ class ProjectPaths:
 
     @property
     def optuna_url(self) -> str:
-        """URL by which `optuna.load_study` finds the studies; on a server it holds the user's password."""
+        """URL by which `optuna.load_study` finds the studies."""
         if self.storage is not None:
             return in_schema(self.storage, "optuna")
         return f"sqlite:///{self.optuna_database.resolve().as_posix()}"
@@ -80,16 +80,6 @@ class ProjectPaths:
     def report(self, label: str) -> Path:
         """Folder of tables and figures."""
         return self.mlruns / "reports" / folder_name(label)
-
-    def relative(self, file: Path) -> str:
-        """Return the place of a file below the root, which holds wherever the project is moved.
-
-        Links are not followed: a folder of the project may lie on another disk.
-
-        Raises:
-            ValueError: the file is not below the root.
-        """
-        return file.relative_to(self.root).as_posix()
 
     def recorded(self, path: Path) -> str:
         """Return the name by which results remember a file, which holds wherever the project is moved.
@@ -206,7 +196,7 @@ def cannot_open(paths: ProjectPaths, program: str, file: Path, error: Exception)
         error: what the program raised.
     """
     cause = error.__cause__ or error
-    said = next(iter(hide_passwords(str(cause)).splitlines()), type(cause).__name__)
-    where = paths.show(file) if paths.storage is None else hide_passwords(paths.storage)
+    said = next(iter(str(cause).splitlines()), type(cause).__name__)
+    where = paths.show(file) if paths.storage is None else paths.storage
     kind = MachineError if "Operational" in f"{type(cause).__name__} {said}" else InputError
     return kind(f"{program} cannot open {where} ({said}); check that it can be reached and written")

@@ -1,7 +1,7 @@
 """The physical model of a study as its stages ask it: supervised, spread over processes, and never twice."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from simulation.case import Case
@@ -95,15 +95,14 @@ def say_reused(study: Study, stage: str, model: StoredModel, *, n_repeated: int 
 def _supervised(study: Study, case: Case, policy: ExecutionPolicy) -> Iterator[ForwardModel]:
     """Open the model in processes of this machine, or of the cluster that was asked for."""
     warn = study.console.warn
-    if study.dask is None:
-        with PoolModel(case.make_model, study.n_jobs, policy=policy, on_warning=warn) as model:
-            yield model
-        return
-    # Dask takes a second to import.
-    from simulation.pool.dask_executor import DaskExecutor
+    with ExitStack() as opened:
+        executor = None
+        if study.dask is not None:
+            # Dask takes a second to import.
+            from simulation.pool.dask_executor import DaskExecutor
 
-    with (
-        DaskExecutor(study.dask) as executor,
-        PoolModel(case.make_model, policy=policy, executor=executor, on_warning=warn) as cluster,
-    ):
-        yield cluster
+            executor = opened.enter_context(DaskExecutor(study.dask))
+        n_jobs = study.n_jobs if executor is None else None
+        yield opened.enter_context(
+            PoolModel(case.make_model, n_jobs, policy=policy, executor=executor, on_warning=warn)
+        )

@@ -11,7 +11,7 @@ from simulation.errors import InputError
 from studies.paths import ProjectPaths
 from studies.provenance import file_digest
 from studies.report.records_tuning import TunedSize
-from studies.report.wording import difference_unit, quantity, squared
+from studies.report.wording import quantity, square_of
 from studies.stages.pipeline import Outcome, read_outcome
 from studies.stages.saved import plain
 from studies.stages.stage_results import Calibration
@@ -49,7 +49,7 @@ class FinishedCalibration:
         """Its error with the unit; "failed" where the last simulation failed."""
         if not math.isfinite(self.found.mse):
             return "failed"
-        return quantity(self.found.mse, squared(difference_unit(self.found.output_unit)), 4)
+        return quantity(self.found.mse, square_of(self.found.output_unit), 4)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what programs read."""

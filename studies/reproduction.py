@@ -212,31 +212,21 @@ def _trial(run: "Run", runs: RunStore, study: Study, made: Provenance) -> tuple[
     config = spec.config(made.params)
     simulate_stage(study)  # what is stored is not simulated again
     data = load_data(spec, study.paths)
-    history = {
-        name: {point.step: point.value for point in runs.client.get_metric_history(run.info.run_id, name)}
-        for name in run.data.metrics
-        if name.startswith(CURVE)
-    }
-    last = max((step for curve in history.values() for step in curve), default=0)
-    is_pruned = run.data.tags.get("pruned") == "True"
-    seen: dict[str, dict[int, float]] = {name: {} for name in history}
+    curve = f"{CURVE}validation_mae"  # which is as sensitive as any other
+    history = {point.step: point.value for point in runs.client.get_metric_history(run.info.run_id, curve)}
+    is_pruned, seen = run.data.tags.get("pruned") == "True", dict[int, float]()
 
     def on_epoch(report: Any) -> None:
-        now = {"validation_mae": report.validation_mae, "loss": report.train_loss, **report.terms}
-        for name, value in now.items():
-            seen.setdefault(f"{CURVE}{name}", {})[report.epoch] = value
-        if is_pruned and report.epoch >= last:
+        seen[report.epoch] = report.validation_mae
+        if is_pruned and report.epoch >= max(history, default=0):
             raise _LastEpochError
 
     numbers: dict[str, float] = {}
     with suppress(_LastEpochError):
         _, numbers = train(spec, config, made.seed, data, on_epoch=on_epoch, on_report=lambda *_: None)
     was = {name: run.data.metrics[name] for name in numbers if name in run.data.metrics}
-
-    def curves(of: Mapping[str, Mapping[int, float]]) -> Numbers:
-        return {name: np.array([of[name].get(step) for step in sorted(history[name])]) for name in history}
-
-    return {**was, **curves(history)}, {**numbers, **curves(seen)}
+    again = [seen.get(step) for step in history]
+    return {**was, curve: [*history.values()]}, {**numbers, curve: again}
 
 
 def _calibration(study: Study, made: Provenance, before: Calibration, runs: RunStore) -> Calibration:

@@ -2,20 +2,20 @@
 
 import sys
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console as RichConsole
-from rich.console import Group, RenderableType
+from rich.console import Group, JustifyMethod, RenderableType
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from studies.blocks import Block, Said, Table
+from simulation.foreign_text import escaped
+from studies.blocks import Block
 
 PLAIN_WIDTH = 160
 """Columns of a table that is written to a file or a pipe."""
-_STYLES = {"": "", "strong": "bold", "dim": "dim", "good": "green", "warn": "yellow", "bad": "red"}
 
 
 def rich_console(stream: Any) -> RichConsole:
@@ -29,50 +29,34 @@ def print_blocks(blocks: Sequence[Block]) -> None:
     screen = rich_console(sys.stdout)
     with screen.capture() as drawn:
         for block in blocks:
-            is_whole = isinstance(block, Said) and not sys.stdout.isatty()
+            is_whole = isinstance(block, str) and not sys.stdout.isatty()
             screen.print(_drawn(block, screen.width), soft_wrap=is_whole)
     sys.stdout.write("".join(f"{line.rstrip()}\n" for line in drawn.get().splitlines()))
     sys.stdout.flush()
 
 
 def _drawn(block: Block, width: int) -> RenderableType:
-    """Return what rich prints for a block."""
-    if isinstance(block, Said):
-        return Text(block.text, style=_STYLES[block.tone])
-    table = RichTable(
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1, 0, 0) if block.is_dense else (0, 1),
-    )
-    kept, fits = _fitting(block, width)
-    for index in kept:
-        column = block.columns[index]
-        justify: Literal["right", "left"] = "right" if column.is_number else "left"
-        # A number on two lines would be another one: where it is narrow, titles and texts are folded.
-        words = (*column.title.split(), *(str(row[index]) for row in block.rows))
-        whole = max(map(cell_len, words)) if column.is_number and not fits else None
-        # A unit in brackets is no markup.
-        table.add_column(Text(column.title), justify=justify, overflow="fold", width=whole)
-    for row in block.rows:
-        table.add_row(*(_cell(row[index]) for index in kept))
-    return _titled(block.title, table)
-
-
-def _titled(title: str, content: RenderableType) -> RenderableType:
-    return Group(Text(title, style=_STYLES["strong"]), content) if title else content
-
-
-def _cell(content: object) -> Text:
-    return Text(str(content), style=_STYLES[content.tone] if isinstance(content, Said) else "")
-
-
-def _fitting(table: Table, width: int) -> tuple[list[int], bool]:
-    """Return the columns to show, the most spare ones left out first, and whether they fit unfolded."""
-    gap, kept = 2 if table.is_dense else 3, list(range(len(table.columns)))
+    """Return what rich prints for a block, without signs that a terminal obeys; names may be a stranger's."""
+    if isinstance(block, str):
+        return Text(escaped(block, keep_lines=True))
+    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    titles = [escaped(column.title) for column in block.columns]
+    rows = [[Text(escaped(str(cell))) for cell in row] for row in block.rows]
     widths = [
-        gap + max(cell_len(text) for text in (column.title, *(str(row[i]) for row in table.rows)))
-        for i, column in enumerate(table.columns)
+        2 + max(cell_len(title), *(row[i].cell_len for row in rows), 0) for i, title in enumerate(titles)
     ]
-    while sum(widths[i] for i in kept) > width and any(table.columns[i].spare for i in kept):
-        kept.remove(max(kept, key=lambda i: table.columns[i].spare))
-    return kept, sum(widths[i] for i in kept) <= width
+    kept = list(range(len(titles)))
+    while sum(widths[i] for i in kept) > width and any(block.columns[i].spare for i in kept):
+        kept.remove(max(kept, key=lambda i: block.columns[i].spare))
+    fits = sum(widths[i] for i in kept) <= width
+    for i in kept:
+        is_number = block.columns[i].is_number
+        # A number on two lines would be another one: where it is narrow, titles and texts are folded.
+        words = [*map(cell_len, titles[i].split()), *(row[i].cell_len for row in rows)]
+        whole = max(words, default=0) if is_number and not fits else None
+        # A unit in brackets is no markup.
+        justify: JustifyMethod = "right" if is_number else "left"
+        table.add_column(Text(titles[i]), justify=justify, overflow="fold", width=whole)
+    for row in rows:
+        table.add_row(*(row[i] for i in kept))
+    return Group(Text(escaped(block.title), style="bold"), table) if block.title else table

@@ -72,24 +72,14 @@ class RowSet:
                 raise InputError(f"{self.file}: {error}; type: studies simulate") from None
 
 
-@dataclass(frozen=True)
-class SetContent:
-    """What the rows of a set come to.
-
-    Attributes:
-        digest: SHA-256 of parameters, outputs and reasons, in hexadecimal.
-        failures: Why each row failed; "" where it is good. Length n.
-    """
-
-    digest: str
-    failures: tuple[str, ...]
-
-
-def content_of(blocks: Iterator[Trajectories]) -> SetContent:
+def content_of(blocks: Iterator[Trajectories]) -> tuple[str, list[str]]:
     """Go once through rows, in bounded memory.
 
     Args:
         blocks: Consecutive rows; the digest does not depend on where a block ends.
+
+    Returns:
+        SHA-256 of parameters, outputs and reasons, in hexadecimal; why each row failed, "" where it is good.
     """
     theta, y = hashlib.sha256(), hashlib.sha256()
     failures: list[str] = []
@@ -98,4 +88,4 @@ def content_of(blocks: Iterator[Trajectories]) -> SetContent:
         y.update(np.ascontiguousarray(block.y, dtype="<f8").data)
         failures.extend(block.failures)
     whole = hashlib.sha256(theta.digest() + y.digest() + repr(failures).encode())
-    return SetContent(whole.hexdigest(), tuple(failures))
+    return whole.hexdigest(), failures

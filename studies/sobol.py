@@ -1,11 +1,11 @@
 """Sobol indices of every output at every time step."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from simulation.arrays import BoolArray, FloatArray, IntArray
+from simulation.arrays import FloatArray, IntArray
 from simulation.errors import InputError
 from simulation.forward_model import ForwardModel
 from simulation.parameters import ParameterSpace
@@ -14,8 +14,6 @@ from studies.stages.saved import WITH_ARRAYS
 
 # An output that varies by less than this fraction of its size does not vary: float32 networks repeat to 1e-6.
 CONSTANT = 1e-6
-# Rows per question: memory does not grow with the size of the design.
-CHUNK = 2048
 CONFIDENCE_LEVEL = 0.95
 
 OnProgress = Callable[[int, int], None]
@@ -55,28 +53,15 @@ class SobolIndices:
     n_dropped: int
     n_calls: int
 
-    @property
-    def undefined(self) -> BoolArray:
-        """Steps at which an output does not vary. Shape (t, k)."""
-        return np.isnan(self.total_order[:, :, 0])
-
-    def mean_first_order(self) -> FloatArray:
-        """Average the first-order indices over the steps where they are defined. Shape (k, p). [1]."""
-        return mean_over_time(self.first_order)
-
-    def mean_total_order(self) -> FloatArray:
-        """Average the total-order indices over the steps where they are defined. Shape (k, p). [1]."""
-        return mean_over_time(self.total_order)
-
     def order(self, output: int = 0) -> tuple[int, ...]:
         """Return the parameters' positions, most influential first by mean first order, as in Fig. 5."""
-        mean = np.nan_to_num(self.mean_first_order()[output], nan=-np.inf)
+        mean = np.nan_to_num(mean_over_time(self.first_order)[output], nan=-np.inf)
         return tuple(int(i) for i in np.argsort(-mean, kind="stable"))
 
     @property
     def mean(self) -> dict[str, tuple[float | None, float | None]]:
         """First and total order of the first output, averaged over time; None where undefined. [1]."""
-        orders = np.stack([self.mean_first_order()[0], self.mean_total_order()[0]]).tolist()
+        orders = np.stack([mean_over_time(self.first_order)[0], mean_over_time(self.total_order)[0]]).tolist()
         first, total = ([None if np.isnan(one) else one for one in order] for order in orders)
         return {self.names[i]: (first[i], total[i]) for i in self.order()}
 
@@ -122,13 +107,14 @@ def sobol_indices(
     if n_resamples < 2:
         raise InputError(f"n_resamples is {n_resamples}; give at least 2")
     space = model.parameter_space
-    p = space.n_parameters
     theta = saltelli_design(space, n_base, seed)
-    shape = (len(model.time), len(model.output_names))
-    sums = _Sums(_weights(np.random.default_rng(seed), n_base, n_resamples), shape[0] * shape[1], p)
-    for blocks in _saltelli_blocks(model, theta, on_progress):
-        sums.add(blocks)
-    first, total, first_ci, total_ci = (estimate.reshape(*shape, p) for estimate in sums.estimates())
+    y = _asked(model, theta, on_progress)
+    blocks = y.reshape(n_base, space.n_parameters + 2, -1)
+    # A failed block takes its own draws with it and shifts no others.
+    good = np.isfinite(blocks).all(axis=(1, 2))
+    weights = _weights(np.random.default_rng(seed), n_base, n_resamples)[:, good]
+    variance, estimates = _estimates(blocks[good], weights)
+    first, total, first_ci, total_ci = estimates.reshape(4, *y.shape[1:], -1)
     return SobolIndices(
         time=np.asarray(model.time, dtype=np.float64),
         names=space.names,
@@ -137,9 +123,9 @@ def sobol_indices(
         total_order=total,
         first_order_ci=first_ci,
         total_order_ci=total_ci,
-        variance=sums.variance()[0].reshape(shape),
+        variance=variance.reshape(y.shape[1:]),
         n_base=n_base,
-        n_dropped=n_base - sums.n_good,
+        n_dropped=n_base - int(good.sum()),
         n_calls=len(theta),
     )
 
@@ -164,119 +150,59 @@ def saltelli_design(space: ParameterSpace, n_base: int, seed: int) -> FloatArray
     return np.asarray(sobol.sample(declared, n_base, calc_second_order=False, seed=seed))
 
 
-def _saltelli_blocks(
-    model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None
-) -> Iterator[FloatArray]:
-    """Ask the model and yield whole Saltelli blocks. Shape (m, p + 2, t*k). [output's unit]."""
+def _asked(model: ForwardModel, theta: FloatArray, on_progress: OnProgress | None) -> FloatArray:
+    """Return the outputs of the rows. Shape (n, t, k). [output's unit]."""
 
     def advance(n_done: int) -> None:
         if on_progress is not None:
             on_progress(n_done, len(theta))
 
-    size = theta.shape[1] + 2
-    rest = np.empty((0, len(model.time) * len(model.output_names)))
-    ask = model.simulate
     if isinstance(model, StoredModel):
-        # No process waits for the next block.
         model.complete(theta, on_progress=advance)
-        ask = model.store.read
-    for start in range(0, len(theta), CHUNK):
-        answer = ask(theta[start : start + CHUNK])
-        if isinstance(model, StoredModel):
-            model.failures += filter(None, answer.failures)
-        else:
-            advance(start + answer.n)
-        rows = np.concatenate([rest, answer.y.reshape(answer.n, -1)])
-        # A chunk may end within a block, whose rows belong together.
-        whole = len(rows) // size * size
-        rest = rows[whole:].copy()
-        yield rows[:whole].reshape(-1, size, rows.shape[1])
+        answer = model.store.read(theta)
+        model.failures += filter(None, answer.failures)
+    else:
+        answer = model.simulate(theta)
+        advance(len(theta))
+    return answer.y
 
 
-class _Sums:
-    """All that the indices of d columns follow from, over the Saltelli blocks so far.
+def _estimates(blocks: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Estimate the indices of d columns.
 
-    Every sum is there once per row of weights: the first counts each block once, the others are bootstrap
-    samples. No output is kept, so that memory does not grow with the number of blocks.
+    Args:
+        blocks: Rows A, AB_1 ... AB_p, B of every block that has not failed. Shape (m, p + 2, d).
+            [output's unit]
+        weights: How often each block counts: once, then as the bootstrap has drawn it. Shape (r + 1, m). [1]
+
+    Returns:
+        The variance, shape (d,), [output's unit squared]; first and total order and their confidence half
+        widths, NaN where a column does not vary, shape (4, d, p). [1]
     """
+    from scipy.stats import norm
 
-    def __init__(self, weights: FloatArray, d: int, p: int) -> None:
-        self._weights, self._p = weights, p
-        self._n_seen = self.n_good = 0
-        self._n = np.zeros((len(weights), 1))
-        self._low, self._high = np.full(d, np.inf), np.full(d, -np.inf)
-        # Of a first guess at the mean, so that nothing large is subtracted from something large.
-        self._shift: FloatArray | None = None
-        self._all = np.zeros(d)
-        self._ends, self._squares = np.zeros((2, len(weights), d))
-        self._steps, self._steps_by_b, self._squared_steps = np.zeros((3, p, len(weights), d))
-
-    def add(self, blocks: FloatArray) -> None:
-        """Add blocks, except those with a failed row.
-
-        Args:
-            blocks: Rows A, AB_1 ... AB_p, B of every block. Shape (m, p + 2, d). [output's unit]
-        """
-        good = np.isfinite(blocks).all(axis=(1, 2))
-        # By the place of a block, so a failed one takes its own draws with it and shifts no others.
-        weights = self._weights[:, self._n_seen : self._n_seen + len(blocks)][:, good]
-        self._n_seen += len(blocks)
-        if not good.any():
-            return
-        self.n_good += int(good.sum())
-        self._n += weights.sum(axis=1, keepdims=True)
-        blocks = blocks[good]
-        self._low = np.minimum(self._low, blocks.min(axis=(0, 1)))
-        self._high = np.maximum(self._high, blocks.max(axis=(0, 1)))
-        if self._shift is None:
-            self._shift = blocks.mean(axis=(0, 1))
-        z = blocks - self._shift
-        self._all += z.sum(axis=(0, 1))
-        a, b = z[:, 0], z[:, -1]
-        self._ends += weights @ (a + b)
-        self._squares += weights @ (a**2 + b**2)
-        for j in range(self._p):
-            step = z[:, j + 1] - a
-            self._steps[j] += weights @ step
-            self._steps_by_b[j] += weights @ (b * step)
-            self._squared_steps[j] += weights @ step**2
-
-    def variance(self) -> FloatArray:
-        """Return the variance per row of weights. Shape (r + 1, d). [output's unit squared]."""
-        if not self.n_good:
-            return np.full_like(self._ends, np.nan)
-        # Over A and B, 2 n rows: those of AB share values with both.
-        n = 2.0 * np.maximum(self._n, 1.0)
-        # Rounding alone must not make it negative.
-        variance: FloatArray = np.maximum(self._squares / n - (self._ends / n) ** 2, 0.0)
-        return variance
-
-    def estimates(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return first and total order and their confidence half widths.
-
-        Returns:
-            Four arrays of shape (d, p); NaN where a column does not vary. [1]
-        """
-        from scipy.stats import norm
-
-        result = np.full((4, len(self._all), self._p), np.nan)
-        size = np.maximum(np.abs(self._low), np.abs(self._high))
-        if self.n_good >= 2:
-            varies = self._high - self._low > CONSTANT * size
-            n, variance = np.maximum(self._n, 1.0), self.variance()
-            # The first-order estimator is biased for outputs that are not centered, so SALib standardizes:
-            # only the mean makes a difference.
-            mean = self._all / (self.n_good * (self._p + 2))
-            # Normal intervals of the bootstrap's deviation, as SALib reports them.
-            half_width = norm.ppf(0.5 + CONFIDENCE_LEVEL / 2.0)
-            for j in range(self._p):
-                # First order: Saltelli et al. 2010, Table 2 (b). Total order: Jansen, Table 2 (f).
-                first = _share((self._steps_by_b[j] - mean * self._steps[j]) / n, variance)
-                total = _share(self._squared_steps[j] / (2.0 * n), variance)
-                for i, share in enumerate((first, total)):
-                    result[i, varies, j] = share[0, varies]
-                    result[2 + i, varies, j] = half_width * share[1:, varies].std(axis=0, ddof=1)
-        return result[0], result[1], result[2], result[3]
+    m, p, d = len(blocks), blocks.shape[1] - 2, blocks.shape[2]
+    result = np.full((4, d, p), np.nan)
+    if not m:
+        return np.full(d, np.nan), result
+    varies = np.ptp(blocks, axis=(0, 1)) > CONSTANT * np.abs(blocks).max(axis=(0, 1))
+    # The first-order estimator is biased for outputs that are not centered, so SALib standardizes: only the
+    # mean makes a difference.
+    z = blocks - blocks.mean(axis=(0, 1))
+    a, b, n = z[:, 0], z[:, -1], np.maximum(weights.sum(axis=1, keepdims=True), 1.0)
+    # Over A and B, 2 n rows: those of AB share values with both. Rounding alone must not make it negative.
+    mean = weights @ (a + b) / (2.0 * n)
+    variance = np.maximum(weights @ (a**2 + b**2) / (2.0 * n) - mean**2, 0.0)
+    # Normal intervals of the bootstrap's deviation, as SALib reports them.
+    half_width = norm.ppf(0.5 + CONFIDENCE_LEVEL / 2.0)
+    for j in range(p if m >= 2 else 0):
+        step = z[:, j + 1] - a
+        # First order: Saltelli et al. 2010, Table 2 (b). Total order: Jansen, Table 2 (f).
+        for i, part in enumerate((weights @ (b * step) / n, weights @ step**2 / (2.0 * n))):
+            share = _share(part, variance)
+            result[i, varies, j] = share[0, varies]
+            result[2 + i, varies, j] = half_width * share[1:, varies].std(axis=0, ddof=1)
+    return variance[0], result
 
 
 def _share(part: FloatArray, variance: FloatArray) -> FloatArray:

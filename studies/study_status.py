@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from studies.console import Block, Column, Said, Table, format_seconds
+from studies.console import Block, Column, Table, format_seconds
 from studies.project import FIRST_WORDS, FinishedCalibration, Project
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import MISSING, count, setting, significant
@@ -17,12 +17,12 @@ def status_blocks(project: Project) -> list[Block]:
     blocks: list[Block] = []
     tuned = [one for one in project.sizes if not one.is_baseline]
     if tuned:
-        blocks += [_studies(tuned), Said(_total(tuned))]
+        blocks += [_studies(tuned), _total(tuned)]
     if running := [(one, t) for one in project.studies for t in one.trials if t.state == "running"]:
         blocks.append(_running(running))
     if project.calibrations:
         blocks.append(_calibrations(project.calibrations))
-    return blocks or [Said(f"Nothing in {project.paths.root} yet; {FIRST_WORDS}")]
+    return blocks or [f"Nothing in {project.paths.root} yet; {FIRST_WORDS}"]
 
 
 def status_document(project: Project) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
             one.study if alike.count((one.label, one.n_train)) > 1 else one.study.rsplit("/", 1)[0],
             f"{one.n_trials}/{one.n_all}",
             one.n_pruned,
-            Said(str(one.n_failed), "bad") if one.n_failed else 0,
+            one.n_failed,
             one.n_running,
             *(setting(one.params.get(name)) for name in names),
             *(MISSING if error is None else significant(error) for error in (one.mae, one.p90)),
@@ -59,7 +59,7 @@ def _studies(tuned: Sequence[TunedSize]) -> Table:
     ]
     unit = f", in {units.pop()}" if len(units) == 1 else ""
     title = f"Studies (errors of the best trial on the test set{unit})"
-    return Table(title, columns, rows, is_dense=True)
+    return Table(title, columns, rows)
 
 
 def _total(tuned: Sequence[TunedSize]) -> str:
@@ -81,30 +81,27 @@ def _running(running: Sequence[tuple[TunedStudy, TrialView]]) -> Table:
         ]
         for study, trial in running
     ]
-    return Table("", columns, rows, is_dense=True)
+    return Table("", columns, rows)
 
 
 def _calibrations(calibrations: Sequence[FinishedCalibration]) -> Table:
-    """Return a line per calibration, the best of each label standing out."""
+    """Return a line per calibration."""
     columns = [Column("calibration"), Column("final MSE", True), Column("calls (paper)", True)]
     columns += [Column("calls (all)", True, 2), Column("ended because", spare=3), Column("finished", True, 1)]
     is_any_changed = any(one.changed_since for one in calibrations)
     columns += [Column("changed since")] * is_any_changed
-    least = {
-        one.label: min(o.found.mse for o in calibrations if o.label == one.label) for one in calibrations
-    }
     rows = []
     for one in calibrations:
         found, calls = one.found, str(one.found.n_calls_paper)
         rows.append(
             [
                 one.name,
-                Said(one.mse_text, "strong" if found.mse == least[one.label] else ""),
+                one.mse_text,
                 f"{calls} + {found.n_warm_start} stored" if found.n_warm_start else calls,
                 found.n_calls,
                 found.stop_reason,
                 one.outcome.finished[:16].replace("T", " "),
-                *([Said(", ".join(one.changed_since), "warn")] if is_any_changed else []),
+                *([", ".join(one.changed_since)] if is_any_changed else []),
             ]
         )
-    return Table("", columns, rows, is_dense=True)
+    return Table("", columns, rows)

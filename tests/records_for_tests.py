@@ -1,23 +1,30 @@
 """Synthetic records of the shape that real studies have: an office of fourteen parameters, ten days."""
 
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from simulation.case import KnownError
+from simulation.case import Case, KnownError, load_case
 from simulation.measurement import Measurement
 from simulation.parameters import Parameter, ParameterSpace
-from studies.report import (
-    CalibrationRecord,
-    CoverageSet,
-    MeasuredSeries,
-    Provenance,
-    ReportData,
-    TrialsRecord,
-)
-from studies.report.records_tuning import TunedSize
-from studies.report.uncertainty_record import UncertaintyRecord
+from studies.calibration.ledger import Ledger
+from studies.report.data import ReportData
+from studies.report.records_tuning import TrialsRecord, TunedSize
 from studies.sobol import SobolIndices
+from studies.stages.pipeline import Outcome
+from studies.stages.stage_results import (
+    Calibration,
+    Cost,
+    Covered,
+    Fit,
+    Known,
+    SampleFound,
+    Screened,
+    Uncertainty,
+)
+from studies.uncertainty.noise import Noise
 
 NAMES = ("UWin", "TTABSInit", "rInt", "cInt", "b", "rExt1", "rExt2",
          "cExt1", "cTABS", "rPipe", "rZone", "VSUP", "fSol", "qIntOcc")  # fmt: skip
@@ -30,7 +37,29 @@ def time_axis(n_steps: int = 480) -> np.ndarray:
     return np.arange(n_steps) * 1800.0
 
 
-def measured(n_outputs: int = 1, n_steps: int = 480) -> MeasuredSeries:
+OUTPUTS = ("TAir", "TWall", "TSlab")
+REFERENCES = (KnownError("best known", 0.0103, is_target=False), KnownError("target", 0.0125, is_target=True))
+
+
+@cache
+def office() -> Case:
+    """Return the embedded office."""
+    return load_case(Path(__file__).resolve().parents[1] / "fmus" / "office")
+
+
+def case(n_outputs: int = 1, n_steps: int = 480, p: int = 14) -> Case:
+    """Return the office with made-up outputs."""
+    measurement = measured(n_outputs, n_steps)
+    output = office().outputs[0]
+    return replace(
+        office(), title="Office room, virtual measurement", measurement=measurement, references=REFERENCES,
+        note="A virtual measurement: a white-box office was simulated, no building was measured.",
+        parameter_space=parameter_box(p),
+        outputs=tuple(replace(output, name=name) for name in measurement.output_names),
+    )  # fmt: skip
+
+
+def measured(n_outputs: int = 1, n_steps: int = 480) -> Measurement:
     time = time_axis(n_steps)
     days = time / 86400.0
     y = np.stack(
@@ -41,9 +70,7 @@ def measured(n_outputs: int = 1, n_steps: int = 480) -> MeasuredSeries:
         1,
     )
     y += np.random.default_rng(1).normal(0, 0.04, y.shape)
-    names = ("TAir", "TWall", "TSlab")[:n_outputs]
-    measurement = Measurement.on_grid(time, y, names, np.full(n_outputs, 0.5))
-    return MeasuredSeries(measurement, ("degC",) * n_outputs)
+    return Measurement.on_grid(time, y, OUTPUTS[:n_outputs], np.full(n_outputs, 0.5))
 
 
 def parameter_box(p: int = 14) -> ParameterSpace:
@@ -59,10 +86,16 @@ def parameter_box(p: int = 14) -> ParameterSpace:
     )
 
 
+def outcome(found: Calibration) -> Outcome[Calibration]:
+    """Return a calibration as its stage leaves it."""
+    name = "adaptive" if found.is_adaptive else f"n{found.n_train:04d}"
+    return Outcome(f"calibrate-{name}", found, "0" * 64, wall_s=31.7)
+
+
 def calibration(
     n_train: int = 64, *, n_outputs: int = 1, n_polish: int = 124, n_steps: int = 480
-) -> CalibrationRecord:
-    measurement, parameters = measured(n_outputs, n_steps).measurement, parameter_box()
+) -> Calibration:
+    measurement, parameters = measured(n_outputs, n_steps), parameter_box()
     rng = np.random.default_rng(n_train)
     days = measurement.time[:, None] / 86400.0
     y_screened = measurement.y + 0.8 * np.cos(1.3 * days + 1) * np.exp(-n_train / 300) + 0.1
@@ -76,47 +109,56 @@ def calibration(
     theta = parameters.lower + span * rng.uniform(0, 1, 14)
     polished = theta.copy()
     polished[3], polished[5] = parameters.upper[3], parameters.lower[5]
-    return CalibrationRecord(
-        n_train=n_train, theta_screened=theta, theta_polished=polished, mse_surrogate=0.0121 + 1e-5 * n_train,
-        mse_screened=mse_screened, mse_polished=mse_polished, y_screened=y_screened, y_polished=y_polished,
-        history_calls=steps, history_mse=history, n_validation=320, n_test=320, n_screen_checks=1,
-        n_polish=n_polish, wall_s=31.7, test_mae=6.0 / n_train**0.5, test_p90=11.0 / n_train**0.5,
-        stop_reason="the cost changes by less than ftol",
+    errors = {"test/mae": 6.0 / n_train**0.5, "test/p90": 11.0 / n_train**0.5}
+    screening = Screened(named(theta), 0.0121 + 1e-5 * n_train, mse_screened, "small", errors=errors)
+    ledger = Ledger(n_train=n_train, n_validation=320, n_test=320, n_screen_checks=1, n_polish=n_polish)
+    return Calibration(
+        case="office", method="paper", n_train=n_train, seed=0, settings={}, theta=named(polished),
+        units=dict(zip(NAMES, UNITS, strict=True)), output_unit="degC", mse=mse_polished, converged=True,
+        stop_reason="the cost changes by less than ftol", ledger=ledger.to_dict(), n_failed=0,
+        outputs={name: Fit(0.1, 0.5, 0.9) for name in OUTPUTS[:n_outputs]}, first_failure=None,
+        n_simulated=0, time=measurement.time, y=y_polished, y_screened=y_screened, history_calls=steps,
+        history_mse=history, screening=screening,
     )  # fmt: skip
 
 
-def adaptive(*, n_outputs: int = 1) -> CalibrationRecord:
+def named(theta: np.ndarray) -> dict[str, float]:
+    return dict(zip(NAMES, theta.tolist(), strict=True))
+
+
+def adaptive(*, n_outputs: int = 1) -> Calibration:
     """Return an adaptive calibration: no training set, no screened point."""
     other = calibration(64, n_outputs=n_outputs)
     calls = np.concatenate([[14], np.arange(15, 72)])
     return replace(
-        other, method="adaptive", n_train=0, theta_screened=np.full(14, np.nan), mse_surrogate=np.nan,
-        mse_screened=np.nan, y_screened=np.full_like(other.y_screened, np.nan), history_calls=calls,
-        history_mse=np.geomspace(0.08, other.mse_polished, len(calls)), n_validation=0, n_test=0,
-        n_screen_checks=0, n_polish=0, n_adaptive=71, test_mae=np.nan, test_p90=np.nan,
+        other, method="adaptive", n_train=0, screening=None, y_screened=None, history_calls=calls,
+        history_mse=np.geomspace(0.08, other.mse, len(calls)), ledger=Ledger(n_adaptive=71).to_dict(),
     )  # fmt: skip
 
 
-def uncertainty() -> UncertaintyRecord:
+def uncertainty() -> Uncertainty:
     """Return how sure the adaptive calibration is."""
     box, rng = parameter_box(), np.random.default_rng(5)
     p, t = len(NAMES), len(time_axis())
     low, high = box.lower + 0.3 * (box.upper - box.lower), box.lower + 0.6 * (box.upper - box.lower)
-    ends = np.stack([low, high])
-    particles = rng.uniform(low, high, (200, p))
     band = 21.5 + np.stack([-0.2 * np.ones((t, 1)), 0.2 * np.ones((t, 1))])
-    noise = {"kind": "white", "deviation": 0.1, "n_samples": t, "n_independent": t}
-    ledger = {"total": 2 * p + 22, "n_differences": 2 * p, "n_taught": 2, "n_sample": 20, "n_known": 14}
-    return UncertaintyRecord(
-        calibration="adaptive", level=0.9, noise=noise, names=NAMES, linear=ends,
-        calibrated=ends.mean(axis=0), interval=ends, known=("narrowed",) * p, pairs=(), null_directions=(),
-        sensor=0.5, has_prior=False, particles=particles, weights=np.full(20, 0.05),
-        simulated=band, predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
-        n_effective=20.0, is_trusted=True, mse=0.01, best_mse=0.01, ledger=ledger,
+    known = {
+        name: Known(0.5 * (a + b), (a, b), (a, b), 0.5 * (a + b), "narrowed")
+        for name, a, b in zip(NAMES, low.tolist(), high.tolist(), strict=True)
+    }
+    return Uncertainty(
+        calibration="adaptive", seed=0, max_calls=100, mse=0.01, level=0.9, noise=Noise("white", 0.1, t, t),
+        sensor=0.5, has_prior=False, parameters=known, pairs=(), null_directions=(),
+        sample=SampleFound(20, 20.0, True, 0.01, {}), outputs={"TAir": Covered(0.5, 0.9)},
+        ledger=Cost(2 * p, 2, 20, 2 * p + 22, 14, False), n_failed=0, first_failure=None, n_simulated=0,
+        time=time_axis(), sample_theta=rng.uniform(low, high, (20, p)), weights=np.full(20, 0.05),
+        particles_theta=rng.uniform(low, high, (200, p)), simulated=band,
+        predictive=np.stack([band[0] - 0.5, band[1] + 0.5]),
     )  # fmt: skip
 
 
-def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> CoverageSet:
+def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> np.ndarray:
+    """Return trajectories of a training set. Shape (n, t, k)."""
     rng = np.random.default_rng(2)
     days = time_axis(n_steps)[None, :, None] / 86400.0
     level, swing, drift = (
@@ -130,7 +172,7 @@ def coverage(n: int = 64, *, n_outputs: int = 1, n_steps: int = 480) -> Coverage
         + swing * np.sin(2 * np.pi * days)
         + 0.2 * drift * days
     )
-    return CoverageSet("training", np.repeat(y, n_outputs, axis=2))
+    return np.repeat(y, n_outputs, axis=2)
 
 
 def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> SobolIndices:
@@ -146,7 +188,7 @@ def sensitivity(p: int = 14, *, n_outputs: int = 1, n_undefined: int = 1) -> Sob
     total = first * 1.2 + 0.01
     ci = np.full_like(first, 0.012) + 0.05 * first
     return SobolIndices(
-        time_axis(), NAMES[:p], ("TAir", "TWall", "TSlab")[:n_outputs], first, total, ci, ci,
+        time_axis(), NAMES[:p], OUTPUTS[:n_outputs], first, total, ci, ci,
         np.ones(first.shape[:2]), n_base=1024, n_dropped=0, n_calls=16_384,
     )  # fmt: skip
 
@@ -196,27 +238,17 @@ def tuned(every: TrialsRecord) -> tuple[TunedSize, ...]:
     return tuple(found)
 
 
-def report_data(**changes: object) -> ReportData:
+def report_data(*calibrations: Calibration, **changes: object) -> ReportData:
+    """Return a whole report, of three calibrations by the paper's method unless others are given."""
+    found = calibrations or tuple(calibration(n) for n in (32, 64, 256))
     fields: dict[str, object] = {
         "label": "office-quick",
-        "title": "Office room, virtual measurement",
-        "note": "A virtual measurement: a white-box office was simulated, no building was measured.",
-        "measurement": measured(),
-        "parameters": parameter_box(),
-        "calibrations": tuple(calibration(n) for n in (256, 32, 64)),
+        "case": case(),
+        "calibrations": tuple(map(outcome, found)),
         "coverage": coverage(),
         "sensitivity": sensitivity(),
         "trials": trials(),
         "tuned": tuned(trials()),
-        "references": (
-            KnownError("best known", 0.0103, is_target=False),
-            KnownError("target", 0.0125, is_target=True),
-        ),
-        "provenance": Provenance(
-            commands=("studies run office --profile quick", "studies calibrate office --n-train 64"),
-            settings=(("profile", "quick"), ("seed", "0")),
-            digests=(("case", "5a" * 32), ("FMU", "c3" * 32)),
-            versions=(("Python", "3.11.9"), ("torch", "2.9.1")),
-        ),
+        "commands": ("studies run office --profile quick", "studies calibrate office --n-train 64"),
     }
     return ReportData(**{**fields, **changes})  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ error.
 
 Examples:
   studies best                             all labels and sizes
-  studies best office --n-train 64         one case, one size
+  studies best office                      one case
   studies best office-quick --json         one label, for programs
   studies best office --write ssv          the calibrated parameters, for a simulator
   studies best office --n-train 64 --write onnx office.onnx
@@ -22,9 +22,8 @@ Examples:
 
 import argparse
 
-from simulation.errors import InputError
-from studies.commands import options
 from studies.console import Console
+from studies.paths import find_project
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -32,7 +31,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "which", nargs="?", metavar="CASE", help="a case, a label, or a pattern of labels; default: all"
     )
-    options.add_sizes(command, "training-set sizes; default: all")
+    command.add_argument("--n-train", type=int, metavar="N", help="with --write onnx: its training-set size")
     command.add_argument(
         "--write",
         nargs="+",
@@ -45,25 +44,16 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from studies.best_models import best_blocks, best_document
-    from studies.paths import find_project
     from studies.project import read_project
 
-    paths = find_project(chosen.storage)
-    project = read_project(paths, chosen.which)
-    known = sorted({one.spec.n_train for one in project.studies})
-    for n_train in chosen.n_train or ():
-        if n_train not in known:
-            there = ", ".join(map(str, known)) or "none"
-            raise InputError(
-                f"nothing was tuned with n_train = {n_train}, there are {there}; correct --n-train"
-            )
-    document = best_document(project, chosen.n_train)
+    project = read_project(find_project(chosen.storage), chosen.which)
+    document = best_document(project)
     if chosen.write:
         from studies.exports.written_file import write_best
 
         document["written"] = str(write_best(project, chosen.write, chosen.n_train))
         console.result(f"written: {document['written']}")
     else:
-        console.show(best_blocks(project, chosen.n_train))
+        console.show(best_blocks(project))
     console.document(document)
     return 0

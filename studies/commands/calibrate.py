@@ -39,11 +39,16 @@ Examples:
 """
 
 import argparse
+from typing import TYPE_CHECKING, Any
 
 from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import hand_over, open_study
 from studies.console import Console
+
+if TYPE_CHECKING:
+    from studies.stages.pipeline import Study
+    from studies.stages.stage_results import Calibration
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -88,33 +93,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
         raise InputError(
             "--n-train belongs to --method paper; the adaptive method has no training set, remove --n-train"
         )
-    if chosen.method != "paper" and not chosen.n_train:
-        return _adaptively(chosen, console)
-    for name in ("parallel", "from_stored", "state_equations", "target"):
-        if (value := getattr(chosen, name)) is not None:
-            option = f"--{'no-' if value is False else ''}{name.replace('_', '-')}"
-            raise InputError(
-                f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
-            )
-    return _from_surrogates(chosen, console)
-
-
-def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
-    from studies.stages.calibrate_stage import calibrate_stage, tuned_sizes
-    from studies.stages.shown import guideline_numbers, show_polished
-
-    study = open_study(chosen, console)
-    sizes = tuned_sizes(study, chosen.n_train)
-    outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
-    show_polished(study, outcomes)
-    judged = {one.result.n_train: guideline_numbers(study, one.result) for one in outcomes}
-    return hand_over(study, "calibrate", outcomes, guideline14=judged)
-
-
-def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
+    if chosen.method == "paper" or chosen.n_train:
+        return _from_surrogates(chosen, console)
     from studies.stages.adaptive_stage import adaptive_settings, adaptive_stage
     from studies.stages.equations_found import are_state_equations_learnt
-    from studies.stages.shown import guideline_numbers, show_adaptive
+    from studies.stages.shown import show_calibrations
 
     study = open_study(chosen, console)
     state_equations = are_state_equations_learnt(study.case, chosen.state_equations)
@@ -133,7 +116,7 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         state_equations=state_equations,
         again=chosen.again,
     )
-    show_adaptive(study, outcome)
+    show_calibrations(study, [outcome])
     targets = {known.mse for known in study.case.references if known.is_target} | {chosen.target} - {None}
     history = outcome.result.history
     return hand_over(
@@ -141,6 +124,31 @@ def _adaptively(chosen: argparse.Namespace, console: Console) -> int:
         "calibrate",
         [outcome],
         method="adaptive",
-        guideline14=guideline_numbers(study, outcome.result),
+        guideline14=_guideline(study, outcome.result),
         calls_to_target={f"{target:g}": history.calls_to(target) for target in sorted(targets)},
     )
+
+
+def _from_surrogates(chosen: argparse.Namespace, console: Console) -> int:
+    for name in ("parallel", "from_stored", "state_equations", "target"):
+        if (value := getattr(chosen, name)) is not None:
+            option = f"--{'no-' if value is False else ''}{name.replace('_', '-')}"
+            raise InputError(
+                f"{option} belongs to --method adaptive; remove it, or remove --n-train and --method"
+            )
+    from studies.stages.calibrate_stage import calibrate_stage, tuned_sizes
+    from studies.stages.shown import show_calibrations
+
+    study = open_study(chosen, console)
+    sizes = tuned_sizes(study, chosen.n_train)
+    outcomes = [calibrate_stage(study, n_train, again=chosen.again) for n_train in sizes]
+    show_calibrations(study, outcomes)
+    judged = {one.result.n_train: _guideline(study, one.result) for one in outcomes}
+    return hand_over(study, "calibrate", outcomes, guideline14=judged)
+
+
+def _guideline(study: "Study", found: "Calibration") -> dict[str, Any]:
+    """Return the verdicts of ASHRAE guideline 14 by period, as plain values."""
+    from studies.report.sentences import judged_periods
+
+    return {name: [one.to_dict() for one in all_] for name, all_ in judged_periods(study.case, found).items()}

@@ -13,9 +13,12 @@ Examples:
 """
 
 import argparse
+from pathlib import Path
 
 from studies.commands.study import OK
 from studies.console import Column, Console
+from studies.embedded import adopt_cases
+from studies.marker import mark_project
 from studies.paths import find_project
 
 
@@ -28,10 +31,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from pathlib import Path
-
-    from studies.embedded import adopt_cases
-    from studies.marker import mark_project
     from studies.recording_import import import_recording
 
     paths = find_project(chosen.storage)

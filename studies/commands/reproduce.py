@@ -19,7 +19,9 @@ import argparse
 from dataclasses import asdict
 
 from studies.commands import options
+from studies.commands.study import FAILED, OK
 from studies.console import Console
+from studies.paths import find_project
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -31,8 +33,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
     from simulation.pool.pool_model import available_cores
-    from studies.commands.study import FAILED, OK
-    from studies.paths import find_project
     from studies.reproduction import reproduce, show_reproduction
 
     jobs = chosen.jobs or available_cores()

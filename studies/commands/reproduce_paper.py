@@ -35,6 +35,9 @@ from simulation.errors import InputError
 from studies.commands import options, values
 from studies.commands.study import OK, open_study
 from studies.console import Column, Console
+from studies.paper.items import ALIASES, DRAWN, ITEMS, NEEDS_FIG6, chosen_items, make, module_of
+from studies.paths import find_project
+from studies.report.wording import cell_text, listed
 
 if TYPE_CHECKING:
     from studies.paper.items import Shown
@@ -47,8 +50,6 @@ BUDGET = "small"
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Say what may be typed after the command."""
-    from studies.paper.items import ALIASES, ITEMS
-
     names = ", ".join((*ITEMS, *ALIASES))
     options.add_name(command)
     options.add_trials(command)
@@ -78,8 +79,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.paper.items import ITEMS, NEEDS_FIG6, chosen_items, make
-
     items = chosen_items(chosen.only)
     source = chosen.source or _committed(chosen, items, console)
     if source is not None:
@@ -110,18 +109,11 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
 
 def _show(shown: "Shown", files: list[str], console: Console) -> None:
     """Print the table of an item and where its files lie."""
-    from studies.report.wording import MISSING, significant
-
-    def text(cell: float | int | str | None) -> str:
-        if isinstance(cell, float):
-            return significant(cell)
-        return MISSING if cell is None else f"{cell:,}" if isinstance(cell, int) else cell
-
     columns = [
         Column(title, not any(isinstance(row[k], str) for row in shown.rows))
         for k, title in enumerate(shown.columns)
     ]
-    console.table(shown.title, columns, [[text(cell) for cell in row] for row in shown.rows])
+    console.table(shown.title, columns, [[*map(cell_text, row)] for row in shown.rows])
     for file in files:
         console.result(file)
 
@@ -131,9 +123,6 @@ def _committed(chosen: argparse.Namespace, items: tuple[str, ...], console: Cons
 
     It is made where a word says how, where the files are of another case, or where it was made here before.
     """
-    from studies.paper.items import DRAWN
-    from studies.paths import find_project
-
     how = ("budget", "profile", "trials", "seed", "seeds", "hyperparameters")
     is_plain = not chosen.dry_run and all(getattr(chosen, word) is None for word in how)
     if not is_plain or len(items) != 1 or items[0] not in DRAWN:
@@ -157,10 +146,6 @@ def _drawn(chosen: argparse.Namespace, items: tuple[str, ...], source: Path, con
     Raises:
         InputError: a word would be ignored, or the files are not those of the item and the case.
     """
-    from studies.paper.items import DRAWN, module_of
-    from studies.paths import find_project
-    from studies.report.wording import listed
-
     if len(items) != 1 or items[0] not in DRAWN:
         raise InputError(f"--from draws one item alone; add --only with one of {listed(DRAWN)}")
     beside = (("--dry-run", chosen.dry_run), ("--hyperparameters", chosen.hyperparameters))
@@ -209,12 +194,8 @@ def _plan(chosen: argparse.Namespace, console: Console) -> "Plan":
         }
         return open_study(argparse.Namespace(**words), console)
 
-    words = [chosen.case]
-    words += ["--profile", asked] if own_profile else []
-    words += ["--budget", chosen.budget] if chosen.budget not in (None, BUDGET) else []
-    words += ["--trials", str(chosen.trials)] if chosen.trials is not None else []
-    words += ["--seeds", str(chosen.seeds)] if chosen.seeds is not None else []
-    words += ["--seed", str(seed)] if seed is not None else []
-    if chosen.hyperparameters is not None:
-        words += ["--hyperparameters", str(chosen.hyperparameters)]
+    words = [str(chosen.case)]
+    for name in ("profile", "budget", "trials", "seeds", "seed", "hyperparameters"):
+        value = getattr(chosen, name)
+        words += [] if value is None else [f"--{name}", str(value)]
     return Plan(opener=opener, budget=budget, words=" ".join(words), trials=chosen.hyperparameters)

@@ -41,7 +41,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     from studies.stages.check_stage import check_stage
     from studies.stages.learn import require_tuning, show_tuning, tune_stage
     from studies.stages.report_stage import report_stage, show_report
-    from studies.stages.shown import show_polished
+    from studies.stages.shown import show_calibrations
     from studies.stages.simulate_stage import sensitivity_stage, simulate_stage
 
     require_tuning(study)
@@ -60,7 +60,7 @@ def run(chosen: argparse.Namespace, console: Console) -> int:
     ]
     reported = report_stage(study)
     show_tuning(study, tuned.result)
-    show_polished(study, calibrated)
+    show_calibrations(study, calibrated)
     show_report(study, reported.result)
     outcomes: list[Outcome[Any]] = [checked, simulated, sensitivity, tuned, *calibrated, reported]
     return hand_over(study, "run", outcomes)

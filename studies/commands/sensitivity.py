@@ -24,14 +24,11 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.page_tables import terminal_table
     from studies.report.tables import sensitivity_table
-    from studies.stages.shown import report_of
     from studies.stages.simulate_stage import sensitivity_stage
 
     study = open_study(chosen, console)
     outcome = sensitivity_stage(study)
-    table = sensitivity_table(report_of(study, sensitivity=outcome.result))
-    console.show([terminal_table(table)] if table else [])
+    console.show([sensitivity_table(outcome.result)])
     mean = {name: {"first": first, "total": total} for name, (first, total) in outcome.result.mean.items()}
     return hand_over(study, "sensitivity", [outcome], mean_indices=mean)

@@ -15,6 +15,7 @@ Examples:
 import argparse
 
 from studies.console import Console
+from studies.paths import find_project
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -26,7 +27,6 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace, console: Console) -> int:
     """Do it and return the exit code."""
-    from studies.paths import find_project
     from studies.project import read_project
     from studies.study_status import status_blocks, status_document
 

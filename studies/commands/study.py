@@ -36,19 +36,16 @@ def open_study(chosen: argparse.Namespace, console: Console) -> "Study":
     if not is_dry:
         _keep_compiled_loops(paths)
     # Heavy imports wait until the words of the command line are known to be good.
-    from simulation.case_reading import read_case_file
     from simulation.pool.pool_model import available_cores
     from studies.stages.one_case import refuse_other_case
     from studies.stages.pipeline import Study
 
-    declared, window = read_case_file(file), chosen.window
-    if window is not None and window.days == declared.time.window:
-        window = None  # the case's own needs no name
-    label = f"{declared.name}-{profile.name}" + ("" if window is None else f"-{window.label}")
+    case, window = _load_case(file, chosen.window)
+    label = f"{case.name}-{profile.name}" + ("" if window is None else f"-{window.label}")
     label += f"-seed{changed.seed}" if changed.seed != profile.seed else ""
     is_other = changed.tuning.surrogate != profile.tuning.surrogate
     study = Study(
-        case=_load_case(file, window),
+        case=case,
         profile=changed,
         paths=paths,
         console=console,
@@ -100,22 +97,22 @@ def _keep_compiled_loops(paths: ProjectPaths) -> None:
         os.environ.setdefault("NUMBA_CACHE_DIR", str(paths.mlruns / "compiled"))
 
 
-def _load_case(file: Path, window: "Window | None") -> "Case":
-    """Read a case.
+def _load_case(file: Path, window: "Window | None") -> "tuple[Case, Window | None]":
+    """Read a case, compared over a window; its own window has no name and is returned as None.
 
     Raises:
         InputError: the case is wrong; an error that only the window causes names the window.
     """
     from simulation.case import load_case
 
-    if window is None:
-        return load_case(file)
+    case = load_case(file)
+    if window is None or window.days == case.window_d:
+        return case, None
     try:
-        return load_case(file, window_d=window.days)
+        return load_case(file, window_d=window.days), window
     except MachineError:
         raise
     except InputError as error:
-        load_case(file)
         raise InputError(f"--window {window}: {error}") from error
 
 
@@ -160,6 +157,7 @@ def hand_over(study: "Study", command: str, outcomes: "Sequence[Outcome[Any]]", 
             "note": study.case.note,
             "stages": [outcome.to_dict(study.paths) for outcome in outcomes],
             **extra,
-        }
+        },
+        of=(study, outcomes),
     )
     return OK

@@ -13,7 +13,7 @@ from simulation.trajectories import Trajectories
 from studies.doctor.declared import unit_problem
 from studies.doctor.finding import Finding, Level, finding, named
 from studies.doctor.storing import MORE_TIME, STOPPED
-from studies.report.captions import enclosed_fraction
+from studies.report.figures_model import enclosed_fraction
 from studies.report.wording import difference_unit, percent, quantity, shown_unit, squared
 
 N_CORNERS, N_COVERAGE = 32, 64

@@ -91,7 +91,7 @@ class _Examination:
 
     def _restart(self, later: Trajectories) -> list[Finding]:
         """Ask a row as the first of a process that was answered after others in another."""
-        model = RestartModel(self._case.settings, later.theta[0], self._base)
+        model = RestartModel((self._case.settings,), later.theta[0], self._base)
         policy = self._policy(self.budget.with_opening(self.budget.first_timeout_s))
         with PoolModel(model.open, 1, policy=policy) as alone:
             answer = alone.simulate(np.zeros((1, 1)))

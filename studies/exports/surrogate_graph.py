@@ -2,7 +2,6 @@
 
 import json
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from simulation.errors import InputError
@@ -16,19 +15,23 @@ from studies.tracking.registry import load_surrogate
 from studies.tracking.stage_run import run_store
 
 
-def as_onnx(project: Project, sizes: Sequence[int] | None) -> tuple[str, bytes]:
+def as_onnx(project: Project, n_train: int | None) -> tuple[str, bytes]:
     """Return the name and the graph of the surrogate with the least validation error.
 
     Args:
         project: What the project holds of a case.
-        sizes: Training-set sizes to choose from; None for all.
+        n_train: Its training-set size; None for all.
 
     Raises:
         InputError: There is none, there are several cases, the case or the weights are not as they were, or
             a package is missing.
     """
-    tuned = [one for found in best_by_label(project, sizes).values() for one in found]
+    found = [one for of_label in best_by_label(project).values() for one in of_label]
+    tuned = [one for one in found if n_train in (None, one.spec.n_train)]
     cases = sorted({one.spec.case_name for one in tuned})
+    if not tuned and found:
+        there = ", ".join(str(one) for one in sorted({one.spec.n_train for one in found}))
+        raise InputError(f"nothing was tuned with n_train = {n_train}, there are {there}; correct --n-train")
     if len(cases) != 1:
         remedy = f"name one of: {', '.join(cases)}" if cases else "type studies tune first"
         raise InputError(f"--write onnx needs one case with a surrogate; {remedy}")

@@ -25,13 +25,13 @@ OF_VALUES: Final[dict[str, tuple[str, Callable[[CalibratedValues], bytes]]]] = {
 FORMATS: Final = (*OF_VALUES, "onnx")
 
 
-def write_best(project: Project, words: Sequence[str], sizes: Sequence[int] | None) -> Path:
+def write_best(project: Project, words: Sequence[str], n_train: int | None) -> Path:
     """Write the best calibration, or the best surrogate, to a new file.
 
     Args:
         project: What the project holds of a case.
         words: The format and, if it is said, the file; otherwise the case names it, in the working folder.
-        sizes: Training-set sizes of which the surrogate is chosen; None for all.
+        n_train: Training-set size of the surrogate; None for all.
 
     Returns:
         The file.
@@ -48,7 +48,7 @@ def write_best(project: Project, words: Sequence[str], sizes: Sequence[int] | No
     if files:
         _refuse_existing(Path(files[0]))
     if kind == "onnx":
-        name, content = as_onnx(project, sizes)
+        name, content = as_onnx(project, n_train)
         ending = kind
     else:
         found = calibrated_values(project)

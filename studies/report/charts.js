@@ -15,6 +15,8 @@
     if (!room || (room === figure.drawnFor && margin === MARGIN)) return;
     figure.drawnFor = room;
     const spec = await unpacked(figure.querySelector(".specification").textContent);
+    const values = figure.querySelector("a.values");
+    values.href ||= URL.createObjectURL(new Blob([spec.data.values], { type: "text/csv" }));
     if (room < NARROW) {
       spec.columns = 1;
       Object.assign(spec.config.legend, { columns: 1, labelLimit: room - 120 });

@@ -1,84 +1,53 @@
-"""What a whole report is made of: the records of one study, their references and how to get them again."""
-
-from __future__ import annotations
+"""What a whole report is made of: a case, what its stages came to, and how to get it again."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from simulation.parameters import ParameterSpace
-from studies.report.records import CalibrationRecord, CoverageSet, MeasuredSeries
+from simulation.arrays import FloatArray
 from studies.report.records_tuning import TrialsRecord, TunedSize
-from studies.report.uncertainty_record import UncertaintyRecord
-from studies.report.validation import ValidationRecord
+from studies.sobol import SobolIndices
+from studies.stages.pipeline import Outcome
+from studies.stages.stage_results import Calibration, Uncertainty
 
-if TYPE_CHECKING:  # heavy, and only named here
-    from simulation.case import KnownError
-    from studies.sobol import SobolIndices
+if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
+    from simulation.case import Case
 
-
-@dataclass(frozen=True)
-class Provenance:
-    """What it takes to get these numbers again; each entry is a pair of a name and a value, shown as given.
-
-    Attributes:
-        commands: Shell commands, in order.
-        settings: Profile, budgets and seeds.
-        digests: Digests of the case, the FMU, the sets, the surrogates.
-        versions: Python, packages, platform.
-    """
-
-    commands: tuple[str, ...] = ()
-    settings: tuple[tuple[str, str], ...] = ()
-    digests: tuple[tuple[str, str], ...] = ()
-    versions: tuple[tuple[str, str], ...] = ()
+Calibrations = tuple[Outcome[Calibration], ...]
 
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a report shows. Only the measurement and the parameters are required.
+    """Everything a report shows.
 
     Attributes:
         label: The study's label, e.g. "office-quick".
-        title: The case's title.
-        note: The case's note (what must be known before reading a number), shown first; may be empty.
-        measurement: What was calibrated against.
-        parameters: What was calibrated.
-        calibrations: One per training-set size, an adaptive one of size 0; any order.
-        coverage: The training set to draw.
+        case: What was calibrated, against what.
+        calibrations: One per training-set size, the adaptive one first.
+        coverage: Trajectories of the training set, NaN in failed rows; None without. Shape (n, t, k).
+            [per output]
         sensitivity: Sobol indices, if they were asked for.
         tuned: The best surrogate of each training-set size.
         trials: Every trial of the studies.
-        validations: The calibrations on the validation period, one per training-set size; empty without one.
         uncertainties: How sure the calibrations are, as far as that was asked.
-        references: Known MSEs.
-        provenance: How to do it again.
+        commands: What made the results.
     """
 
     label: str
-    title: str
-    note: str
-    measurement: MeasuredSeries
-    parameters: ParameterSpace
-    calibrations: tuple[CalibrationRecord, ...] = ()
-    coverage: CoverageSet | None = None
+    case: "Case"
+    calibrations: Calibrations = ()
+    coverage: FloatArray | None = None
     sensitivity: SobolIndices | None = None
     tuned: tuple[TunedSize, ...] = ()
     trials: TrialsRecord | None = None
-    validations: tuple[ValidationRecord, ...] = ()
-    uncertainties: tuple[UncertaintyRecord, ...] = ()
-    references: tuple[KnownError, ...] = ()
-    provenance: Provenance = Provenance()
+    uncertainties: tuple[Uncertainty, ...] = ()
+    commands: tuple[str, ...] = ()
 
     @property
-    def headline(self) -> CalibrationRecord | None:
+    def headline(self) -> Outcome[Calibration] | None:
         """The calibration put first: the one of lowest MSE, of equals the cheapest; None without any."""
-        return min(self.calibrations, key=lambda c: (c.mse_polished, c.calls_paper), default=None)
+        return best_of(self.calibrations)
 
-    def validation_of(self, calibration: CalibrationRecord) -> ValidationRecord | None:
-        """Return how a calibration did on the validation period, None where there is none."""
-        return next((v for v in self.validations if v.n_train == calibration.n_train), None)
 
-    @property
-    def by_size(self) -> tuple[CalibrationRecord, ...]:
-        """The calibrations, the adaptive one first, then by training set."""
-        return tuple(sorted(self.calibrations, key=lambda c: c.n_train))
+def best_of(calibrations: Calibrations) -> Outcome[Calibration] | None:
+    """Return the calibration of lowest MSE, of equals the cheapest; None without any."""
+    return min(calibrations, key=lambda one: (one.result.mse, one.result.n_calls_paper), default=None)

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from simulation.arrays import FloatArray
 from simulation.case import KnownError
 from simulation.time_unit import TimeUnit, unit_for
 from simulation.whole_file import whole_file
-from studies.report.records import Floats
 from studies.report.wording import significant
 
 # Blue and orange differ in every common kind of color vision; a color means the same in all pictures.
@@ -348,7 +348,7 @@ def shortened(text: str, n_characters: int = 24) -> str:
     return text if len(text) <= n_characters else text[: n_characters - 1] + "…"
 
 
-def with_gaps(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+def with_gaps(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return samples with NaN where they lie further apart than usual, so that a line breaks there.
 
     Args:
@@ -362,7 +362,7 @@ def with_gaps(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.insert(time, gaps, time[gaps - 1]), np.insert(values, gaps, np.nan)
 
 
-def time_axis(time: Floats) -> tuple[Axis, TimeUnit]:
+def time_axis(time: FloatArray) -> tuple[Axis, TimeUnit]:
     """Return an axis in the unit that suits the end of the times, and the unit.
 
     Args:

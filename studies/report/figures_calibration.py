@@ -1,13 +1,13 @@
 """Pictures of calibrations: outputs over time, and MSE over model calls."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from simulation.case import KnownError
+from simulation.arrays import FloatArray
+from simulation.case import Case
 from studies.report.drawing import (
     DIAMOND,
     FAINT,
@@ -28,49 +28,61 @@ from studies.report.drawing import (
     time_axis,
     with_gaps,
 )
-from studies.report.records import CalibrationRecord, MeasuredSeries
-from studies.report.wording import axis_label, count, difference_unit, quantity, shown_unit
+from studies.report.wording import axis_label, count, difference_unit, quantity, shown_unit, square_of
+from studies.stages.stage_results import Calibration
 
 MOST_BAND = 3.0
 """The axis of a residual reaches the end of the sensor's band where that is at most so many times as far."""
 
 
-def output_axis(measurement: MeasuredSeries, output: int) -> Axis:
+def output_axis(case: Case, output: int) -> Axis:
     """Return the vertical axis of an output in its unit."""
-    name, unit = measurement.output_names[output], shown_unit(measurement.units[output])
-    return Axis(axis_label(shortened(name), shortened(unit)))
+    one = case.outputs[output]
+    return Axis(axis_label(shortened(one.name), shortened(shown_unit(one.unit))))
 
 
-def calibration_figure(measurement: MeasuredSeries, calibration: CalibrationRecord) -> Figure:
+def calibration_figure(case: Case, found: Calibration) -> Figure:
     """Show measured, screened and final outputs over time, and the residual of the final below.
 
     Args:
-        measurement: What it is compared with.
-        calibration: The calibration to show.
+        case: What it is compared with.
+        found: The calibration to show.
     """
-    mse = quantity(calibration.mse_polished, measurement.mse_unit)
-    return Figure(
-        f"Measured and {calibration.final}: MSE {mse}",
-        tuple(
-            panel
-            for output in range(len(measurement.output_names))
-            for panel in (
-                _outputs(measurement, calibration, output),
-                _residuals(measurement, calibration, output),
-            )
-        ),
-    )
+    mse = quantity(found.mse, square_of(case.outputs[0].unit))
+    title = f"Measured and {found.final}: MSE {mse}"
+    return _outputs_over_time(title, case, found.final, found.y, found.y_screened)
 
 
-def _outputs(measurement: MeasuredSeries, calibration: CalibrationRecord, output: int) -> Panel:
-    axis, unit = time_axis(measurement.time)
-    time, samples = unit.of_seconds(measurement.time), measurement.samples[output]
+def validation_figure(case: Case, found: Calibration) -> Figure | None:
+    """Show the same on the validation period; None without one."""
+    period, validated, y = case.validation, found.validation, found.validation_y
+    if period is None or validated is None or y is None:
+        return None
+    mse = validated.final.mse
+    said = "failed" if mse is None else f"MSE {quantity(mse, square_of(case.outputs[0].unit))}"
+    title = f"The part that was not calibrated: {said}"
+    shown = replace(period, measurement=period.measurement.from_first_sample)
+    return _outputs_over_time(title, shown, found.final, y, found.validation_y_screened)
+
+
+def _outputs_over_time(
+    title: str, case: Case, final: str, y: FloatArray, y_screened: FloatArray | None
+) -> Figure:
+    lines = [] if y_screened is None else [("screened", SCREENED, y_screened)]
+    lines.append((final, POLISHED, y))
+    panels = []
+    for k in range(len(case.outputs)):
+        panels += [_outputs(case, k, lines), _residuals(case, k, y)]
+    return Figure(title, tuple(panels))
+
+
+def _outputs(case: Case, k: int, lines: Sequence[tuple[str, str, FloatArray]]) -> Panel:
+    axis, unit = time_axis(case.measurement.time)
+    time, samples = unit.of_seconds(case.measurement.time), case.measurement.samples[k]
     dots = {"filled": True, "size": 14}
     series = [Series("measured", MEASURED, unit.of_seconds(samples.time), samples.values, "point", dots)]
-    if not calibration.is_adaptive:
-        series.append(Series("screened", SCREENED, time, calibration.y_screened[:, output]))
-    series.append(Series(calibration.final, POLISHED, time, calibration.y_polished[:, output]))
-    return Panel(measurement.output_names[output], axis, output_axis(measurement, output), series, 220)
+    series += [Series(name, color, time, y[:, k]) for name, color, y in lines]
+    return Panel(case.outputs[k].name, axis, output_axis(case, k), series, 220)
 
 
 def residual_reach(largest: float, uncertainty: float) -> float:
@@ -87,14 +99,14 @@ def residual_reach(largest: float, uncertainty: float) -> float:
     return max(1.12 * largest, band if not largest or band <= MOST_BAND * largest else 0.0) or 1.0
 
 
-def _residuals(measurement: MeasuredSeries, calibration: CalibrationRecord, output: int) -> Panel:
-    axis, time_unit = time_axis(measurement.time)
-    unit = shortened(difference_unit(measurement.units[output]), 10)
-    residual = measurement.residual(calibration.y_polished, output)
-    uncertainty = float(measurement.uncertainty[output])
+def _residuals(case: Case, k: int, y: FloatArray) -> Panel:
+    axis, time_unit = time_axis(case.measurement.time)
+    unit = shortened(difference_unit(case.outputs[k].unit), 10)
+    residual: FloatArray = case.measurement.differences(y[None], k)[0]
+    uncertainty = float(case.measurement.uncertainty[k])
     largest = float(np.nanmax(np.abs(residual))) if np.isfinite(residual).any() else 0.0
     reach = residual_reach(largest, uncertainty)
-    time, values = with_gaps(time_unit.of_seconds(measurement.samples[output].time), residual)
+    time, values = with_gaps(time_unit.of_seconds(case.measurement.samples[k].time), residual)
     series = [
         Series("zero", INK, y=[0.0], mark="rule", is_named=False),
         Series("residual", POLISHED, time, values, style={"strokeWidth": 1.3}, is_named=False),
@@ -103,51 +115,55 @@ def _residuals(measurement: MeasuredSeries, calibration: CalibrationRecord, outp
         sensor = f"sensor ±{uncertainty:g} {unit}"
         series.insert(0, Series(sensor, TRAINING, low=[-uncertainty], high=[uncertainty], mark="rect"))
     scale = {"domain": [-reach, reach], "nice": False}
-    name = f"residual of {measurement.output_names[output]}"
+    name = f"residual of {case.outputs[k].name}"
     return Panel(name, axis, Axis(axis_label("residual", unit), scale), series, 120)
 
 
-def calls_figure(
-    calibration: CalibrationRecord, references: Sequence[KnownError], *, mse_unit: str
-) -> Figure:
-    """Show the best MSE over counted model calls, those before the search shaded.
+def calls_figure(case: Case, found: Calibration) -> Figure:
+    """Show the best MSE over counted model calls, those before the search shaded, and known MSEs as lines.
 
-    These are the training set, of an adaptive one its first rows.
+    Those before are the training set, of an adaptive one its first rows.
 
     Args:
-        calibration: The calibration to show.
-        references: Known MSEs, drawn as lines; may be empty.
-        mse_unit: Unit of the MSE, e.g. "K²".
+        case: The case.
+        found: The calibration to show.
     """
-    c, final = calibration, calibration.mse_polished
-    calls, best = c.history_calls, c.history_mse
-    n_before, what = c.n_train, "training set"
-    if c.is_adaptive:
-        n_before, what = int(calls[0]), "stored rows" if c.n_known else "first rows"
-    last = max(c.calls_paper, int(calls.max(initial=0)), c.calls_to_polish + 1)
-    first = 0.0 if c.is_adaptive else max(0.0, n_before - 0.6 * (last - n_before))
+    unit, final = square_of(case.outputs[0].unit), found.mse
+    calls, best = found.history_calls, found.history_mse
+    n_before, what = found.n_train, "training set"
+    if found.is_adaptive:
+        n_before, what = int(calls[0]), "stored rows" if found.n_warm_start else "first rows"
+    last = max(found.n_calls_paper, int(calls.max(initial=0)), _calls_to_polish(found) + 1)
+    first = 0.0 if found.is_adaptive else max(0.0, n_before - 0.6 * (last - n_before))
     before = f"{'← ' if first > 0 else ''}{what} ({count(n_before, 'call')})"
     series = [
         Series(before, TRAINING, [first], x_end=[n_before], mark="rect"),
-        *reference_lines(references),
-        *([] if c.is_adaptive else _gap(c)),
+        *reference_lines(case.references),
+        *_gap(found),
         Series(
-            f"{quantity(final, mse_unit)} {c.final}", POLISHED, np.append(calls, last),
+            f"{quantity(final, unit)} {found.final}", POLISHED, np.append(calls, last),
             np.append(best, np.fmin.reduce(best, initial=final)), style={"interpolate": "step-after"},
         ),
     ]  # fmt: skip
     x = Axis("model calls", {"domain": [first, last + 0.01 * (last - first)], "nice": False})
-    panel = Panel("MSE", x, Axis(axis_label("best MSE", mse_unit), LOG), series, 260)
-    total = count(c.calls_paper, "model call")
-    return Figure(f"Best MSE over model calls: {quantity(final, mse_unit)} after {total}", (panel,))
+    panel = Panel("MSE", x, Axis(axis_label("best MSE", unit), LOG), series, 260)
+    total = count(found.n_calls_paper, "model call")
+    return Figure(f"Best MSE over model calls: {quantity(final, unit)} after {total}", (panel,))
 
 
-def _gap(c: CalibrationRecord) -> list[Series]:
+def _calls_to_polish(found: Calibration) -> int:
+    """Return the model calls before the polish began."""
+    return found.n_train + found.ledger["n_screen_checks"]
+
+
+def _gap(found: Calibration) -> list[Series]:
     """Return the MSE by the surrogate and by the model, both at the screened point, and the gap between."""
-    ends, both = [c.n_train, c.calls_to_polish], [c.mse_surrogate, c.mse_screened]
+    if (screened := found.screening) is None:
+        return []
+    ends, both = [found.n_train, _calls_to_polish(found)], [screened.mse_surrogate, screened.mse]
     gap = Series("gap", FAINT, ends, both, style={"strokeWidth": 3}, is_named=False)
     return [
-        *([gap] if math.isfinite(c.mse_screened) else []),
+        *([gap] if math.isfinite(screened.mse) else []),
         Series("by the surrogate", SURROGATE, ends[:1], both[:1], "point", HOLLOW),
         Series("by the model, as screened", SCREENED, ends[1:], both[1:], "point", DIAMOND),
     ]

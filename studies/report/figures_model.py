@@ -1,9 +1,12 @@
 """Pictures of the model: does a simulated set cover the measurement (Fig. 4), Sobol indices (Fig. 5)."""
 
-from __future__ import annotations
+import math
 
 import numpy as np
 
+from simulation.arrays import FloatArray
+from simulation.case import Case
+from simulation.measurement import Measurement
 from studies.report.drawing import (
     INK,
     SERIES,
@@ -18,22 +21,21 @@ from studies.report.drawing import (
     with_gaps,
 )
 from studies.report.figures_calibration import output_axis
-from studies.report.records import CoverageSet, MeasuredSeries
-from studies.report.wording import count
+from studies.report.wording import count, percent
 from studies.sobol import SobolIndices
 
 N_SHOWN = 6
 """Parameters whose indices over time are shown, the largest; the table has all."""
 
 
-def coverage_figure(measurement: MeasuredSeries, coverage: CoverageSet) -> Figure:
-    """Show where the trajectories of a set lie, with the measurement over them (Fig. 4 of the paper).
+def coverage_figure(case: Case, y: FloatArray) -> Figure:
+    """Show where the trajectories of the training set lie, with the measurement over them (Fig. 4).
 
     Args:
-        measurement: What is to be covered.
-        coverage: The simulated set; failed rows are left out.
+        case: What is to be covered.
+        y: The trajectories; failed rows, which are NaN, are left out. Shape (n, t, k). [per output]
     """
-    good = coverage.good
+    good, measurement = without_failed(y), case.measurement
     axis, unit = time_axis(measurement.time)
     time, panels = unit.of_seconds(measurement.time), []
     for k, name in enumerate(measurement.output_names):
@@ -47,9 +49,37 @@ def coverage_figure(measurement: MeasuredSeries, coverage: CoverageSet) -> Figur
                 Series("half of the simulations", SIMULATED, time, low=quarter, high=three_quarters),
                 *series,
             ]
-        panels.append(Panel(name, axis, output_axis(measurement, k), series, 240))
-    title = f"The measurement and {count(len(good), 'simulation')} of the {coverage.name} set"
+        panels.append(Panel(name, axis, output_axis(case, k), series, 240))
+    title = f"The measurement and {count(len(good), 'simulation')} of the training set"
     return Figure(title, tuple(panels))
+
+
+def coverage_caption(case: Case, y: FloatArray) -> str:
+    """Say whether the trajectories of `coverage_figure` could have produced the measurement."""
+    good = without_failed(y)
+    n_failed = len(y) - len(good)
+    failed = f" {count(n_failed, 'simulation')} failed." if n_failed else ""
+    share = percent(enclosed_fraction(case.measurement, good))
+    return f"{share} of the measured values lie between the lowest and the highest simulated one.{failed}"
+
+
+def without_failed(y: FloatArray) -> FloatArray:
+    """Return the trajectories that hold no NaN. Shape (n_good, t, k). [per output]."""
+    return y[np.isfinite(y).all(axis=(1, 2))]
+
+
+def enclosed_fraction(measurement: Measurement, y: FloatArray) -> float:
+    """Return the fraction of measured values between the lowest and the highest simulated at their time. [1].
+
+    Args:
+        measurement: What was measured.
+        y: Trajectories without failed ones. Shape (n, t, k). [units]
+    """
+    if not len(y):
+        return math.nan
+    differences = [measurement.differences(y, k) for k in range(len(measurement.output_names))]
+    inside = [(above.min(axis=0) <= 0.0) & (above.max(axis=0) >= 0.0) for above in differences]
+    return float(np.mean(np.concatenate(inside)))
 
 
 def sensitivity_figure(sensitivity: SobolIndices) -> Figure:

@@ -1,12 +1,11 @@
 """The picture of tuning: every trial's error over the training-set size (Fig. 6)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 
+from simulation.arrays import FloatArray
 from studies.report.drawing import (
     BEST_SURROGATE,
     INK,
@@ -20,7 +19,6 @@ from studies.report.drawing import (
     Panel,
     Series,
 )
-from studies.report.records import Floats, Integers
 from studies.report.records_tuning import ErrorLine, TrialsRecord
 from studies.report.wording import axis_label, count, significant
 
@@ -60,11 +58,15 @@ def mae_over_n_figure(
     return Figure(title, tuple(panels), columns=2, shows_names=True)
 
 
-def _trials(trials: TrialsRecord, values: Floats, *, is_mae: bool) -> list[Series]:
+def _trials(trials: TrialsRecord, values: FloatArray, *, is_mae: bool) -> list[Series]:
     x, state = _beside_each_other(trials), np.array(trials.state, dtype=object)
     complete = (state == "complete") & np.isfinite(values)
     pruned = (state == "pruned") & np.isfinite(trials.validation_mae)
-    best, n_failed = _best(trials), trials.state.count("failed")
+    best, n_failed = (
+        np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae)),
+        trials.state.count("failed"),
+    )
+    best = best[np.argsort(trials.n_train[best], kind="stable")]
     name = count(complete.sum(), "complete trial") + (f" ({count(n_failed)} failed)" if n_failed else "")
     series = [
         Series(name, SURROGATE, x[complete], values[complete], "point", {"filled": True, "opacity": 0.6})
@@ -81,7 +83,7 @@ def _trials(trials: TrialsRecord, values: Floats, *, is_mae: bool) -> list[Serie
     ]
 
 
-def _beside_each_other(trials: TrialsRecord) -> Floats:
+def _beside_each_other(trials: TrialsRecord) -> FloatArray:
     """Spread trials of one size over a tenth of an octave each way, in their order. Shape (m,)."""
     x = trials.n_train.astype(np.float64)
     for size in np.unique(trials.n_train):
@@ -89,9 +91,3 @@ def _beside_each_other(trials: TrialsRecord) -> Floats:
         if len(rows) > 1:
             x[rows] *= 2.0 ** np.linspace(-0.22, 0.22, len(rows))
     return x
-
-
-def _best(trials: TrialsRecord) -> Integers:
-    """Return the positions of the chosen trials with a known test error, smallest training set first."""
-    best = np.flatnonzero(trials.is_best & np.isfinite(trials.test_mae))
-    return best[np.argsort(trials.n_train[best], kind="stable")].astype(np.int64)

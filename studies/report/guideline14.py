@@ -6,8 +6,6 @@ are divided by n - 1. Samples closer than an hour are judged by the hourly limit
 their hourly means differ less, and by the same in the mean.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -15,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from simulation.arrays import FloatArray
 from simulation.measurement import Measurement
 from simulation.units import in_si
-from studies.report.records import Floats
 from studies.report.wording import difference_unit, percent
+from studies.stages.stage_results import OutputFit
 
 HOUR_S, DAY_S = 3600.0, 86400.0
 ENERGY_OR_POWER = (
@@ -89,7 +88,7 @@ class Judged:
         return {**asdict(self), "is_met": self.is_met}
 
 
-def judge(measurement: Measurement, units: Iterable[str], y: Floats) -> tuple[Judged, ...]:
+def judge(measurement: Measurement, units: Iterable[str], y: FloatArray) -> tuple[Judged, ...]:
     """Judge every output of a trajectory.
 
     Args:
@@ -97,13 +96,9 @@ def judge(measurement: Measurement, units: Iterable[str], y: Floats) -> tuple[Ju
         units: Unit of each output.
         y: The trajectory, finite. Shape (t, k). [units]
     """
-    found = []
-    for k, unit in enumerate(units):
-        difference = measurement.differences(y[None], k)[0]
-        rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
-        cv_rmse, nmbe = relative(rmse, bias, measurement, k, unit)
-        found.append(judged(measurement, k, unit, cv_rmse, nmbe))
-    return tuple(found)
+    return tuple(
+        judged(measurement, k, unit, output_fit(measurement, k, unit, y)) for k, unit in enumerate(units)
+    )
 
 
 def guideline_sentence(found: Iterable[Judged]) -> str:
@@ -112,38 +107,35 @@ def guideline_sentence(found: Iterable[Judged]) -> str:
     return f"ASHRAE guideline 14: {said}." if said else ""
 
 
-def relative(
-    rmse: float, bias: float, measurement: Measurement, output: int, unit: str
-) -> tuple[float | None, float | None]:
-    """Return CV(RMSE) and NMBE, None where a share of the mean measured value says nothing. [1].
+def output_fit(measurement: Measurement, output: int, unit: str, y: FloatArray) -> OutputFit:
+    """Return how one output of a trajectory differs from its measurement.
 
     Args:
-        rmse: Root mean square difference. [unit]
-        bias: Mean of simulated minus measured. [unit]
         measurement: What was measured.
         output: Position of the output.
         unit: Unit of the output.
+        y: The trajectory, finite. Shape (t, k). [units]
     """
+    difference = measurement.differences(y[None], output)[0]
+    rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
     values = measurement.samples[output].values
     # Of what is negative where it is taken out, as cooling is, the size counts.
     n, mean = len(values), abs(float(np.mean(values)))
     if _is_temperature(unit) or mean == 0.0 or n == 1:
-        return None, None
-    return rmse / mean * math.sqrt(n / (n - 1)), bias / mean * n / (n - 1)
+        return OutputFit(n, rmse, bias, None, None)
+    return OutputFit(n, rmse, bias, rmse / mean * math.sqrt(n / (n - 1)), bias / mean * n / (n - 1))
 
 
-def judged(
-    measurement: Measurement, output: int, unit: str, cv_rmse: float | None, nmbe: float | None
-) -> Judged:
+def judged(measurement: Measurement, output: int, unit: str, fit: OutputFit) -> Judged:
     """Put the limits beside measures that are known.
 
     Args:
         measurement: What was measured.
         output: Position of the output.
         unit: Unit of the output.
-        cv_rmse: CV(RMSE), None where it says nothing. [1]
-        nmbe: NMBE, None likewise. [1]
+        fit: How it differs.
     """
+    cv_rmse, nmbe = fit.cv_rmse, fit.nmbe
     name, time = measurement.output_names[output], measurement.samples[output].time
     if cv_rmse is None or nmbe is None or not _is_energy_or_power(unit):
         return Judged(name, cv_rmse, nmbe, None)

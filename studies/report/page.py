@@ -1,73 +1,27 @@
 """The page: one HTML file that opens anywhere, with its pictures and the library that draws them."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
+from simulation.whole_file import whole_file
+from studies.report.contents import sections_of
 from studies.report.data import ReportData
-from studies.report.drawing import Figure
-from studies.report.tables import Table
+from studies.report.sentences import headline
 
 
-@dataclass(frozen=True)
-class KeyNumber:
-    """A headline number: the value, and what it is."""
-
-    value: str
-    meaning: str
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture: name, caption, and what it shows."""
-
-    name: str
-    caption: str
-    figure: Figure
-
-    @property
-    def file(self) -> str:
-        """Name of the CSV file of its values."""
-        return f"figure-{self.name}.csv"
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page; the reader opens folded ones, a leading one stands above the headline numbers."""
-
-    anchor: str
-    heading: str
-    pictures: tuple[Picture, ...] = ()
-    tables: tuple[Table, ...] = ()
-    folded: tuple[Section, ...] = ()
-    paragraphs: tuple[str, ...] = ()
-    is_leading: bool = False
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is nothing to show."""
-        return not (self.pictures or self.tables or self.folded or self.paragraphs)
-
-
-def page(data: ReportData, lead: str, numbers: Sequence[KeyNumber], sections: Sequence[Section]) -> str:
-    """Write the page.
+def write_page(data: ReportData, file: Path) -> None:
+    """Write a report as one page, in one step.
 
     Args:
-        data: Label, title, note and provenance.
-        lead: The result in one sentence.
-        numbers: The headline numbers.
-        sections: What follows; an empty one is left out.
-
-    Returns:
-        A complete HTML document.
+        data: What to show.
+        file: Where to; its folder is made.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -79,11 +33,13 @@ def page(data: ReportData, lead: str, numbers: Sequence[KeyNumber], sections: Se
     environment.filters["packed"] = _packed
     program = _library() + files("studies.report").joinpath("charts.js").read_text(encoding="utf-8")
     digest = base64.b64encode(sha256(program.encode()).digest()).decode("ascii")
-    shown = [section for section in sections if not section.is_empty]
-    template = environment.get_template("page.html")
-    return template.render(
-        head=data, lead=lead, numbers=numbers, sections=shown, program=Markup(program), digest=digest
+    best = data.headline
+    lead = "Nothing has been calibrated yet." if best is None else f"{headline(data.case, best)}."
+    text = environment.get_template("page.html").render(
+        data=data, lead=lead, sections=sections_of(data), program=Markup(program), digest=digest
     )
+    with whole_file(file) as stream:
+        stream.write(text.encode())
 
 
 def _packed(specification: Mapping[str, Any]) -> str:

@@ -3,13 +3,11 @@
 Shapes use m trials, e epochs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from studies.report.records import Booleans, Floats, Integers
+from simulation.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -25,12 +23,12 @@ class TrialsRecord:
         is_best: True for the trial chosen by validation error, at most one per size. Shape (m,).
     """
 
-    n_train: Integers
+    n_train: IntArray
     state: tuple[str, ...]
-    validation_mae: Floats
-    test_mae: Floats
-    test_p90: Floats
-    is_best: Booleans
+    validation_mae: FloatArray
+    test_mae: FloatArray
+    test_p90: FloatArray
+    is_best: BoolArray
 
 
 @dataclass(frozen=True)
@@ -45,9 +43,9 @@ class ErrorLine:
     """
 
     name: str
-    n_train: Integers
-    mae: Floats
-    p90: Floats
+    n_train: IntArray
+    mae: FloatArray
+    p90: FloatArray
 
 
 @dataclass(frozen=True)

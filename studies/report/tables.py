@@ -1,106 +1,48 @@
-"""Tables of results, each written as Markdown, CSV and HTML from the same cells."""
+"""The tables of results, for the terminal and the page alike; every cell is written here."""
 
-from __future__ import annotations
-
-import csv
-import io
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from simulation.parameters import ParameterSpace
 from simulation.time_unit import period_text
-from studies.report.data import ReportData
-from studies.report.records import CalibrationRecord
+from studies.blocks import Column, Table
+from studies.report.data import Calibrations, best_of
+from studies.report.guideline14 import judged
 from studies.report.records_tuning import TunedSize
-from studies.report.validation import ValidationRecord
 from studies.report.wording import (
     MISSING,
+    axis_label,
+    bound_at,
+    cell_text,
     count,
+    declared,
     difference_unit,
+    digits_between,
     percent,
+    shown_unit,
     significant,
+    square_of,
 )
-from studies.sobol import mean_over_time
+from studies.sobol import SobolIndices, mean_over_time
+from studies.stages.pipeline import Outcome
+from studies.stages.stage_results import Calibration, Uncertainty
 
-Cell = float | int | str | None
+if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
+    from simulation.case import Case
 
-
-@dataclass(frozen=True)
-class Column:
-    """One column: its key in files, its title for readers, its unit, and how a cell is written.
-
-    In a narrow terminal columns with a larger `spare` are left out first; 0 is always shown.
-    """
-
-    key: str
-    title: str
-    unit: str = ""
-    write: Callable[[float], str] = significant
-    spare: int = 0
-
-    def text(self, cell: Cell, digits: int = 3) -> str:
-        """Write one cell for a reader.
-
-        Args:
-            cell: What stands there.
-            digits: Digits of a number that the column does not write in a way of its own.
-        """
-        if cell is None or isinstance(cell, str):
-            return MISSING if cell is None else cell
-        if self.write is not significant:
-            return self.write(cell)
-        return count(cell) if isinstance(cell, int) else significant(cell, digits)
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with its cells as plain values.
-
-    Attributes:
-        name: File name without ending.
-        title: For readers.
-        columns: What stands where.
-        rows: One cell per column each.
-        emphasized: Position of the row to point out, if any.
-        digits: Significant digits of each row's numbers, where rows differ in that.
-    """
-
-    name: str
-    title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    emphasized: int | None = None
-    digits: tuple[int, ...] = ()
-
-    def records(self) -> list[dict[str, Cell]]:
-        """Return the rows as dictionaries of plain values; what is not finite becomes None."""
-        keys = [column.key for column in self.columns]
-        return [dict(zip(keys, map(_plain, row), strict=True)) for row in self.rows]
-
-    def to_csv(self) -> str:
-        """Write the cells in full precision; an unknown or infinite one is left empty."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([f"{c.key} [{c.unit}]" if c.unit else c.key for c in self.columns])
-        for row in self.rows:
-            writer.writerow(["" if (cell := _plain(value)) is None else cell for value in row])
-        return text.getvalue()
-
-    def texts(self) -> list[list[str]]:
-        """Write all cells for a reader."""
-        digits = self.digits or (3,) * len(self.rows)
-        return [
-            [column.text(cell, n) for column, cell in zip(self.columns, row, strict=True)]
-            for row, n in zip(self.rows, digits, strict=True)
-        ]
-
-    def is_numeric(self, column: int) -> bool:
-        """Return whether a column holds numbers alone."""
-        return not any(isinstance(row[column], str) for row in self.rows)
-
-
-def _plain(cell: Cell) -> Cell:
-    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
+FAR = 2.0
+"""So many standard deviations from what was known, the data contradict it."""
+HOW_KNOWN = {
+    "determined": "determined",
+    "narrowed": "narrowed",
+    "open": "not determined",
+    "prior": "as known before",
+    "unsure": "too few calls",
+}
+Columns = Sequence[tuple[Column, Callable[[Outcome[Calibration]], str]]]
 
 
 def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
@@ -112,104 +54,239 @@ def tuning_table(tuned: Sequence[TunedSize]) -> Table | None:
     errors = dict.fromkeys(name for one in found for name in one.metrics)
     outputs = [name for name in errors if name.startswith("test/mae_")]
     columns = (
-        Column("n_train", "n_train", "", count),
-        *(Column(name, name) for name in names),
-        Column("test_mae", "MAE", unit),
-        Column("test_p90", "P90", unit),
-        *(
-            Column(name.replace("/", "_"), name.removeprefix("test/").replace("_", " ", 1))
-            for name in outputs
-        ),
-        Column("gain", "gain", "", percent),
-        Column("pca_gp_test_mae", "PCA+GP MAE", unit, spare=1),
-        Column("pca_gp_test_p90", "PCA+GP P90", unit, spare=2),
-        Column("n_complete", "complete", "", count, 3),
-        Column("n_pruned", "pruned", "", count, 3),
-        Column("n_failed", "failed", "", count, 4),
-        Column("validation_mae", "MAE val", unit, spare=5),
+        Column("n_train", True),
+        *(Column(name, True) for name in names),
+        Column(axis_label("MAE", unit), True),
+        Column(axis_label("P90", unit), True),
+        *(Column(name.removeprefix("test/").replace("_", " ", 1), True) for name in outputs),
+        Column("gain", True),
+        Column(axis_label("PCA+GP MAE", unit), True, 1),
+        Column(axis_label("PCA+GP P90", unit), True, 2),
+        Column("complete", True, 3),
+        Column("pruned", True, 3),
+        Column("failed", True, 4),
+        Column(axis_label("MAE val", unit), True, 5),
     )
-    rows = tuple(
-        (
-            one.n_train,
-            *(one.params.get(name) for name in names),
-            one.mae,
-            one.p90,
-            *(one.metrics.get(name) for name in outputs),
-            one.gain,
-            one.baseline.get("test/mae"),
-            one.baseline.get("test/p90"),
-            one.n_complete,
-            one.n_pruned,
-            one.n_failed,
-            one.metrics["val/mae"],
-        )
+    rows = [
+        [
+            count(one.n_train),
+            *(cell_text(one.params.get(name)) for name in names),
+            significant(one.mae),
+            significant(one.p90),
+            *(significant(one.metrics.get(name)) for name in outputs),
+            percent(one.gain),
+            significant(one.baseline.get("test/mae")),
+            significant(one.baseline.get("test/p90")),
+            *(count(n) for n in (one.n_complete, one.n_pruned, one.n_failed)),
+            significant(one.metrics["val/mae"]),
+        ]
         for one in found
-    )
+    ]
     title = "Best surrogate per training-set size by validation error (MAE, P90: test set; gain over default)"
-    return Table("tuning", title, columns, rows)
+    return Table(title, columns, rows)
 
 
-def sensitivity_table(data: ReportData) -> Table | None:
-    """Tabulate Sobol indices averaged over time; None without a sensitivity analysis."""
-    sensitivity = data.sensitivity
-    if sensitivity is None:
-        return None
-    columns = (
-        Column("output", "output"),
-        Column("name", "parameter"),
-        Column("first_order", "first order", "", _index),
-        Column("first_order_ci", "±", "", _index),
-        Column("total_order", "total order", "", _index),
-        Column("total_order_ci", "±", "", _index),
-    )
-    s = sensitivity
-    means = [mean_over_time(v) for v in (s.first_order, s.first_order_ci, s.total_order, s.total_order_ci)]
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (output, s.names[i], *(float(mean[k, i]) for mean in means))
-        for k, output in enumerate(s.output_names)
-        for i in s.order(k)
-    )
-    return Table("sensitivity", "Sobol indices, averaged over time", columns, rows)
-
-
-def validation_table(calibration: CalibrationRecord, record: ValidationRecord) -> Table:
-    """Tabulate the parameter sets on the validation period, one row per set and output.
-
-    Args:
-        calibration: The calibration.
-        record: How it did on the validation period.
-    """
-    unit = record.measurement.mse_unit
-    columns = (
-        Column("parameters", "parameters"),
-        Column("mse_window", "MSE, calibrated part", unit),
-        Column("mse", "MSE, validation", unit),
-        Column("output", "output"),
-        Column("unit", "unit"),
-        Column("n_samples", "samples", "", count, 4),
-        Column("rmse", "RMSE"),
-        Column("bias", "bias", spare=1),
-        Column("cv_rmse", "CV(RMSE)", "", percent, 3),
-        Column("nmbe", "NMBE", "", percent, 3),
-        Column("guideline_14", "ASHRAE guideline 14", spare=2),
-    )
-    units = list(map(difference_unit, record.measurement.units))
-    rows: list[tuple[Cell, ...]] = []
-    for name, point in record.points.items():
-        errors: tuple[Cell, Cell] = (point.mse_window, point.mse)
-        for k, ((output, fit), judged) in enumerate(
-            zip(point.outputs.items(), record.judged(point), strict=True)
-        ):
-            verdict = None if judged.is_met is None else "met" if judged.is_met else "not met"
-            rows.append(
-                (name, *(errors if k == 0 else (None, None)), output, units[k], fit.n_samples, fit.rmse,
-                 fit.bias, fit.cv_rmse, fit.nmbe, verdict)
-            )  # fmt: skip
-        if not point.outputs:
-            rows.append((name, *errors, "failed", "", None, None, None, None, None, None))
-    title = f"Validation on {period_text(record.period_d)} (bias: simulated minus measured)"
-    return Table(f"validation-{calibration.name}", title, columns, tuple(rows))
+def sensitivity_table(found: SobolIndices) -> Table:
+    """Tabulate Sobol indices averaged over time."""
+    titles = ("first order", "±", "total order", "±")
+    columns = (Column("output"), Column("parameter"), *(Column(title, True) for title in titles))
+    indices = (found.first_order, found.first_order_ci, found.total_order, found.total_order_ci)
+    means = [mean_over_time(one) for one in indices]
+    rows = [
+        [output, found.names[i], *(_index(float(mean[k, i])) for mean in means)]
+        for k, output in enumerate(found.output_names)
+        for i in found.order(k)
+    ]
+    return Table("Sobol indices, averaged over time", columns, rows)
 
 
 def _index(value: float) -> str:
-    return MISSING if math.isnan(value) else f"{value:.3f}"
+    return MISSING if np.isnan(value) else f"{value:.3f}"
+
+
+def calibrations_table(case: "Case", calibrations: Calibrations) -> Table:
+    """Tabulate calibrations, one row each (Table 4 of the paper, with all simulations counted beside)."""
+    unit, mse_unit = difference_unit(case.outputs[0].unit), square_of(case.outputs[0].unit)
+    with_surrogate: Columns = [
+        (Column("training set", True), lambda one: count(one.result.n_train)),
+        (Column(axis_label("test MAE", unit), True), partial(_error, name="test/mae")),
+        (Column(axis_label("test P90", unit), True, 3), partial(_error, name="test/p90")),
+        (Column(axis_label("MSE surrogate", mse_unit), True, 2), partial(_screened, name="mse_surrogate")),
+        (Column(axis_label("MSE screened", mse_unit), True), partial(_screened, name="mse")),
+        (Column(axis_label("gap", mse_unit), True, 4), partial(_screened, name="gap")),
+        (Column("polish calls", True), lambda one: count(one.result.ledger["n_polish"])),
+    ]
+    has_surrogate = any(not one.result.is_adaptive for one in calibrations)
+    columns: Columns = [
+        *(with_surrogate if has_surrogate else []),
+        (Column(axis_label("final MSE", mse_unit), True), lambda one: significant(one.result.mse)),
+        (Column("calls, paper's count", True), lambda one: count(one.result.n_calls_paper)),
+        (Column("calls, all", True, 1), lambda one: count(one.result.n_calls)),
+        *(
+            (Column(f"calls to {known.mse:g}", True), partial(_calls_to, mse=known.mse))
+            for known in case.references
+            if known.is_target
+        ),
+        (Column("stored before", True, 6), lambda one: count(one.result.n_warm_start or 0)),
+        (Column("time [s]", True, 5), lambda one: significant(one.wall_s, 2)),
+        (Column("method", False, 5), lambda one: one.result.method),
+    ]
+    rows = [[read(one) for _, read in columns] for one in calibrations]
+    best = best_of(calibrations)
+    emphasized = calibrations.index(best) if best is not None and len(rows) > 1 else None
+    title = (
+        "Calibrations. MSE surrogate and MSE screened are both at the screened point: by the surrogate and "
+        "by the model. The paper's count leaves out validation and test sets; no count has simulations "
+        "stored before"
+    )
+    return Table(title, [one for one, _ in columns], rows, emphasized=emphasized)
+
+
+def _error(one: Outcome[Calibration], name: str) -> str:
+    errors = {} if one.result.screening is None else one.result.screening.errors
+    return significant(errors.get(name), 2)
+
+
+def _screened(one: Outcome[Calibration], name: str) -> str:
+    return significant(getattr(one.result.screening, name, None))
+
+
+def _calls_to(one: Outcome[Calibration], mse: float) -> str:
+    calls = one.result.history.calls_to(mse)
+    return MISSING if calls is None else count(calls)
+
+
+def parameters_table(case: "Case", found: Calibration) -> Table:
+    """Tabulate the parameters of one calibration with their bounds, and what is to be said of each."""
+    screened, space = found.screening, case.parameter_space
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        Column("estimate", True),
+        *([] if screened is None else [Column("screened", True, 2)]),
+        Column(found.final, True),
+        Column("lower bound", True, 1),
+        Column("upper bound", True, 1),
+        Column(""),
+    )
+    places = space.to_unit(found.point)
+    rows = [
+        [
+            one.name,
+            shown_unit(one.unit),
+            _six(one.estimate),
+            *([] if screened is None else [_six(screened.theta[one.name])]),
+            _six(found.theta[one.name]),
+            _six(one.lower),
+            _six(one.upper),
+            _note(found, one.name, float(u)),
+        ]
+        for one, u in zip(space.parameters, places, strict=True)
+    ]
+    how = "adaptively" if found.is_adaptive else f"from {count(found.n_train, 'training simulation')}"
+    return Table(f"Parameters, calibrated {how}", columns, rows)
+
+
+def _six(value: float | None) -> str:
+    """Write a number as it can be typed into a case file."""
+    return MISSING if value is None else f"{value:.6g}"
+
+
+def _note(found: Calibration, name: str, u: float) -> str:
+    """Say what judges a calibrated value that lies at `u` between its bounds."""
+    note = "" if found.determined_by_data is None else found.determined_by_data.note(name)
+    if name in found.without_effect:
+        # A bound that it happens to lie at says nothing.
+        note = "the error hardly depends on it"
+    elif not note and (bound := bound_at(u)):
+        note = f"at the {bound} bound: widen it?"
+    known = None if found.prior is None else found.prior.parameters.get(name)
+    if known is None:
+        return note
+    before = f"known before: {known.in_words}, moved by {known.moved_deviations:+.2f} deviations"
+    if abs(known.moved_deviations) > FAR:
+        before += ": the data contradict it"
+    return "; ".join(filter(None, (note, before)))
+
+
+def validation_table(case: "Case", found: Calibration) -> Table | None:
+    """Tabulate the parameter sets on the validation period, one row per set and output; None without one."""
+    if found.validation is None or case.validation is None:
+        return None
+    unit = square_of(case.outputs[0].unit)
+    columns = (
+        Column("parameters"),
+        Column(axis_label("MSE, calibrated part", unit), True),
+        Column(axis_label("MSE, validation", unit), True),
+        Column("output"),
+        Column("unit"),
+        Column("samples", True, 4),
+        Column("RMSE", True),
+        Column("bias", True, 1),
+        Column("CV(RMSE)", True, 3),
+        Column("NMBE", True, 3),
+        Column("ASHRAE guideline 14", False, 2),
+    )
+    rows: list[list[str]] = []
+    for name, point in found.validation.points.items():
+        errors = [significant(point.mse_window), significant(point.mse)]
+        if not point.outputs:
+            rows.append([name, *errors, "failed", "", *[MISSING] * 6])
+        for k, (output, fit) in enumerate(point.outputs.items()):
+            declared_unit = case.outputs[k].unit
+            one = judged(case.validation.measurement, k, declared_unit, fit)
+            rows.append(
+                [
+                    name,
+                    *(errors if k == 0 else [MISSING] * 2),
+                    output,
+                    difference_unit(declared_unit),
+                    count(fit.n_samples),
+                    significant(fit.rmse),
+                    significant(fit.bias),
+                    percent(fit.cv_rmse),
+                    percent(fit.nmbe),
+                    MISSING if one.is_met is None else "met" if one.is_met else "not met",
+                ]
+            )
+    title = (
+        f"Validation on {period_text(case.validation.window_d)}, which the calibration did not see (bias: "
+        "simulated minus measured). No count of calls includes its simulations"
+    )
+    return Table(title, columns, rows)
+
+
+def intervals_table(space: ParameterSpace, found: Uncertainty) -> Table:
+    """Tabulate the intervals, one row per parameter; no two ends of an interval look equal."""
+    share = percent(found.level)
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        Column("calibrated", True),
+        Column(f"{share} from", True),
+        Column("to", True),
+        Column("linearised from", True, 2),
+        Column("to", True, 2),
+        Column("lower bound", True, 1),
+        Column("upper bound", True, 1),
+        Column("by the data"),
+    )
+    rows = []
+    for one, known, interval in zip(
+        space.parameters, found.parameters.values(), found.interval.T.tolist(), strict=True
+    ):
+        ends = [*interval, *known.linear]
+        pairs = [pair for pair in (interval, known.linear) if np.isfinite(pair[0])]
+        digits = max(digits_between(low, high, least=4) for low, high in pairs)
+        rows.append(
+            [
+                one.name,
+                shown_unit(one.unit),
+                *(significant(value, digits) for value in (known.calibrated, *ends)),
+                declared(one.lower),
+                declared(one.upper),
+                HOW_KNOWN[known.known if found.sample.is_trusted else "unsure"],
+            ]
+        )
+    title = f"{share} intervals of the parameters ({found.calibration})"
+    return Table(title, columns, rows)

@@ -11,21 +11,9 @@ AT_BOUND = 0.01
 """Closer to a bound than this share of the range is at the bound."""
 
 
-def noun_of(n: int, noun: str, several: str = "") -> str:
-    """Return the noun in singular or plural: call, calls.
-
-    Args:
-        n: How many there are.
-        noun: What one of them is called.
-        several: What several are called where an s is not enough.
-    """
-    return noun if n == 1 else several or f"{noun}s"
-
-
-def significant(value: float, digits: int = 3) -> str:
+def significant(value: float | None, digits: int = 3) -> str:
     """Write a number with so many significant digits, without an exponent where it stays readable."""
-    value = float(value)
-    if math.isnan(value):
+    if value is None or math.isnan(value):
         return MISSING
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
@@ -45,6 +33,13 @@ def setting(value: Any, digits: int = 3) -> str:
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
+def cell_text(value: object) -> str:
+    """Write a value of a table whose kind is not known beforehand."""
+    if isinstance(value, float):
+        return significant(value)
+    return MISSING if value is None else f"{value:,}" if type(value) is int else str(value)
+
+
 def digits_between(low: float, high: float, least: int = 3) -> int:
     """Return with how many digits the ends of an interval differ, two of its width among them."""
     width, largest = abs(high - low), max(abs(low), abs(high))
@@ -55,20 +50,18 @@ def digits_between(low: float, high: float, least: int = 3) -> int:
 
 def declared(value: float) -> str:
     """Write a number as it was declared, without rounding and without the noise of floating point."""
-    return MISSING if math.isnan(value) else f"{value:,.10g}"
+    return f"{value:,.10g}"
 
 
 def count(value: float, noun: str = "", plural: str = "") -> str:
     """Write a count with its noun, e.g. "1 call", "4,096 calls"."""
-    number = f"{round(value):,}"
-    if not noun:
-        return number
-    return f"{number} {noun_of(round(value), noun, plural)}"
+    n = round(value)
+    return f"{n:,} {noun if n == 1 else plural or f'{noun}s'}" if noun else f"{n:,}"
 
 
-def percent(fraction: float) -> str:
+def percent(fraction: float | None) -> str:
     """Write a fraction as a percentage; a nearly-all or nearly-none is not rounded to all or none."""
-    if math.isnan(fraction):
+    if fraction is None or math.isnan(fraction):
         return MISSING
     size, sign = abs(fraction), "-" if fraction < 0 else ""
     if 0 < size < 0.001 or 0.999 < size < 1:
@@ -106,18 +99,18 @@ def squared(unit: str) -> str:
     return f"({unit})²" if any(sign in unit for sign in " ./*²") else f"{unit}²"
 
 
+def square_of(unit: str) -> str:
+    """Return the unit of the mean squared error of an output in `unit`."""
+    return squared(difference_unit(unit))
+
+
 def quantity(value: float, unit: str, digits: int = 3) -> str:
     """Write a number with its unit."""
     return f"{significant(value, digits)} {unit}".strip()
 
 
-def mse_text(value: float | None) -> str:
-    """Write a mean squared error without its unit; None is that of a simulation that failed."""
-    return "failed" if value is None else significant(value, 4)
-
-
 def axis_label(what: str, unit: str) -> str:
-    """Write an axis label, e.g. "TAir [°C]"."""
+    """Write the label of an axis or a column, e.g. "TAir [°C]"."""
     return f"{what} [{unit}]" if unit else what
 
 

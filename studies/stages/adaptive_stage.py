@@ -20,14 +20,14 @@ from studies.calibration.row_choice import best_and_far
 from studies.console import OnBar
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.provenance import provenance_of
-from studies.report.wording import count, difference_unit, quantity, squared
-from studies.stages.calibrated_point import determined, fits
+from studies.report.wording import count, quantity, square_of
+from studies.stages.calibrated_point import calibration_at
 from studies.stages.equations_found import asked_twice, equations_found, learned_ode_of
-from studies.stages.knowledge import case_inputs, prior_found, prior_of
+from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, StageError, Study, digest_of
 from studies.stages.stage_results import ADAPTIVE, Calibration
 from studies.stages.stage_runs import log_calibration
-from studies.stages.validate import validate_calibration, validation_inputs
+from studies.stages.validate import validation_inputs, with_validation
 from studies.stages.warm_start import ChooseRows, WarmStart, stored_in_box
 
 MAX_CALLS = 100
@@ -145,12 +145,11 @@ def calibrate_adaptively(
         start: which stored simulations to start from, None for none.
         state_equations: whether to learn the model's state equations.
     """
-    case, seed, prior = study.case, study.profile.seed, prior_of(study.case)
-    measurement, names = case.measurement, case.parameter_space.names
+    case, names = study.case, study.case.parameter_space.names
     n_first = min(settings.n_parallel, MOST_AT_FIRST)
     opened = open_watched_model(study, n_first=n_first) if state_equations else open_physical_model(study)
     with opened as physical, study.console.bars() as bars:
-        problem = CalibrationProblem(physical, measurement, prior)
+        problem = CalibrationProblem(physical, case.measurement, prior_of(case))
         learned_ode = learned_ode_of(physical, problem)
         rows = known = None
         if start is not None:
@@ -160,7 +159,7 @@ def calibrate_adaptively(
         n_read = physical.n_reused
         result = settings.minimize(
             problem,
-            seed=seed,
+            seed=study.profile.seed,
             known=known,
             learned_ode=learned_ode,
             on_progress=_reporter(study, physical, bars),
@@ -169,26 +168,20 @@ def calibrate_adaptively(
         raise _hopeless(study, physical)
     say_reused(study, STAGE, physical, n_repeated=n_read)
     ledger = Ledger(n_adaptive=result.n_calls + asked_twice(physical))
-    return Calibration(
-        case=case.name,
+    found = calibration_at(
+        study,
+        physical,
+        y=result.y,
+        theta=result.theta,
+        slopes=result.slopes,
         method="adaptive",
         n_train=0,
-        seed=seed,
         settings=asdict(settings),
-        theta=dict(zip(names, result.theta.tolist(), strict=True)),
-        units={one.name: one.unit for one in case.parameter_space.parameters},
-        output_unit=case.outputs[0].unit,
         mse=result.mse,
         stop_reason=result.stop_reason,
         converged=result.converged,
         left=result.left,
-        outputs=fits(case, result.y),
         ledger=ledger.to_dict(),
-        n_failed=len(physical.failures),
-        first_failure=next(iter(physical.failures), None),
-        n_simulated=physical.n_simulated,
-        time=measurement.time,
-        y=result.y,
         history_calls=result.history.n_calls,
         history_mse=result.history.best_mse,
         n_rounds=result.n_rounds,
@@ -196,12 +189,10 @@ def calibrate_adaptively(
         expected_gain=result.expected_gain if np.isfinite(result.expected_gain) else None,
         without_effect=tuple(name for name, is_so in zip(names, result.is_flat, strict=True) if is_so),
         state_equations=equations_found(learned_ode, physical),
-        determined_by_data=determined(names, measurement, prior, y=result.y, slopes=result.slopes),
-        prior=prior_found(case, result.theta),
         start_theta=None if rows is None else rows.theta,
         start_watched=None if rows is None else rows.watched,
-        **validate_calibration(study, {"calibrated": result.theta}),
     )
+    return with_validation(study, found, {"calibrated": result.theta})
 
 
 def _say_start(study: Study, physical: StoredModel, n_start: int | None) -> None:
@@ -216,7 +207,7 @@ def _say_start(study: Study, physical: StoredModel, n_start: int | None) -> None
 
 def _reporter(study: Study, physical: StoredModel, bars: OnBar) -> Callable[[Progress], None]:
     """Return what reports every round, on a bar or now and then in a line, and ends a hopeless search."""
-    unit = squared(difference_unit(study.case.outputs[0].unit))
+    unit = square_of(study.case.outputs[0].unit)
     last_said = time.monotonic()
 
     def report(now: Progress) -> None:

@@ -11,13 +11,13 @@ from studies.calibration.two_phase import calibrate_two_phase
 from studies.paths import size_name
 from studies.physical_model import open_physical_model, say_reused
 from studies.provenance import provenance_of
-from studies.stages.calibrated_point import determined, fits
-from studies.stages.knowledge import case_inputs, prior_found, prior_of
+from studies.stages.calibrated_point import calibration_at
+from studies.stages.knowledge import case_inputs, prior_of
 from studies.stages.pipeline import Outcome, Stage, Study
 from studies.stages.stage_results import Calibration, Screened
 from studies.stages.stage_runs import log_calibration
 from studies.stages.tuned_trials import tuned_by_size
-from studies.stages.validate import validate_calibration, validation_inputs
+from studies.stages.validate import validation_inputs, with_validation
 from studies.surrogate_model import SurrogateModel
 from studies.tracking.registry import load_surrogate
 from studies.tracking.stage_run import run_store
@@ -106,8 +106,8 @@ def calibrate(study: Study, surrogate: Surrogate, n_train: int) -> Calibration:
         surrogate: what the box is screened with.
         n_train: size of its training set.
     """
-    case, profile, prior = study.case, study.profile, prior_of(study.case)
-    measurement, space, names = case.measurement, case.parameter_space, case.parameter_space.names
+    case, profile = study.case, study.profile
+    measurement, space = case.measurement, case.parameter_space
     with open_physical_model(study) as physical, study.console.bars() as bars:
         result = calibrate_two_phase(
             SurrogateModel(surrogate, space, measurement.output_names, measurement.time, n_jobs=study.n_jobs),
@@ -119,43 +119,34 @@ def calibrate(study: Study, surrogate: Surrogate, n_train: int) -> Calibration:
             n_train=n_train,
             n_validation=profile.data.n_validation,
             n_test=profile.data.n_test,
-            prior=prior,
+            prior=prior_of(case),
             on_progress=lambda now: bars(PHASES[now.phase], now.n_done, now.n_total or now.n_done),
         )
     say_reused(study, f"calibrate-{size_name(n_train)}", physical)
-    screening = Screened(
-        theta=dict(zip(names, result.theta_screened.tolist(), strict=True)),
-        mse_surrogate=result.mse_surrogate,
-        mse=result.mse_screened,
-        stop_reason=result.screen_stop_reason,
-    )
-    return Calibration(
-        case=case.name,
+    found = calibration_at(
+        study,
+        physical,
+        y=result.y_polished,
+        theta=result.theta,
+        slopes=result.slopes,
         method="paper",
         n_train=n_train,
-        seed=profile.seed,
         settings={
             **{f"screening.{name}": value for name, value in asdict(profile.screening).items()},
             **{f"polish.{name}": value for name, value in asdict(profile.polish).items()},
         },
-        theta=dict(zip(names, result.theta.tolist(), strict=True)),
-        units={one.name: one.unit for one in case.parameter_space.parameters},
-        output_unit=case.outputs[0].unit,
         mse=result.mse_polished,
         stop_reason=result.polish_stop_reason,
         converged=result.polish_converged,
-        outputs=fits(case, result.y_polished),
         ledger=result.ledger.to_dict(),
-        n_failed=len(physical.failures),
-        first_failure=next(iter(physical.failures), None),
-        n_simulated=physical.n_simulated,
-        time=measurement.time,
-        y=result.y_polished,
         history_calls=result.polish_history.n_calls,
         history_mse=result.polish_history.best_mse,
-        determined_by_data=determined(names, measurement, prior, y=result.y_polished, slopes=result.slopes),
-        prior=prior_found(case, result.theta),
-        screening=screening,
+        screening=Screened(
+            theta=dict(zip(space.names, result.theta_screened.tolist(), strict=True)),
+            mse_surrogate=result.mse_surrogate,
+            mse=result.mse_screened,
+            stop_reason=result.screen_stop_reason,
+        ),
         y_screened=result.y_screened,
-        **validate_calibration(study, {"screened": result.theta_screened, "polished": result.theta}),
     )
+    return with_validation(study, found, {"screened": result.theta_screened, "polished": result.theta})

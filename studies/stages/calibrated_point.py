@@ -1,22 +1,64 @@
-"""What is judged of a calibrated point without another simulation: fits of the outputs, open parameters.
+"""What is said of a calibrated point without another simulation: fits of the outputs, open parameters.
 
 `studies uncertainty` says how far open parameters may go.
 """
 
 from collections import Counter
+from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.measurement import Measurement
+from simulation.store.stored_model import StoredModel
 from studies.calibration.prior import Prior
-from studies.stages.stage_results import Determined, Fit
+from studies.stages.knowledge import prior_found, prior_of
+from studies.stages.pipeline import Study
+from studies.stages.stage_results import Calibration, Determined, Fit
 from studies.uncertainty.identifiability import judged_slopes
 from studies.uncertainty.noise import noise_of
 
 CLEAR_PAIR = 0.9
 """A pair is named that makes up so much of an open direction's squared length."""
+
+
+def calibration_at(
+    study: Study,
+    physical: StoredModel,
+    *,
+    y: FloatArray,
+    theta: FloatArray,
+    slopes: FloatArray | None,
+    **more: Any,
+) -> Calibration:
+    """Return a calibration with all that follows from its point.
+
+    Args:
+        study: The study.
+        physical: The model that was asked.
+        y: The simulation at the point. Shape (t, k). [per output]
+        theta: The point. Shape (p,). [per parameter]
+        slopes: Of the residuals there, in an orthonormal basis. Shape (m, p). [first output's unit per range]
+        more: The other fields of the calibration.
+    """
+    case, names, prior = study.case, study.case.parameter_space.names, prior_of(study.case)
+    return Calibration(
+        case=case.name,
+        seed=study.profile.seed,
+        theta=dict(zip(names, theta.tolist(), strict=True)),
+        units={one.name: one.unit for one in case.parameter_space.parameters},
+        output_unit=case.outputs[0].unit,
+        outputs=fits(case, y),
+        n_failed=len(physical.failures),
+        first_failure=next(iter(physical.failures), None),
+        n_simulated=physical.n_simulated,
+        time=case.measurement.time,
+        y=y,
+        determined_by_data=determined(names, case.measurement, prior, y=y, slopes=slopes),
+        prior=prior_found(case, theta),
+        **more,
+    )
 
 
 def fits(case: Case, y: FloatArray) -> dict[str, Fit]:

@@ -11,7 +11,6 @@ from optuna.trial import FrozenTrial
 from pelsvae.config import VARIANTS
 from pelsvae.device import resolve_device
 from simulation.errors import InputError
-from studies.page_tables import terminal_table
 from studies.provenance import provenance_of
 from studies.report.tables import tuning_table
 from studies.report.wording import count, difference_unit, quantity
@@ -134,7 +133,7 @@ def declarations(study: Study, simulated: SimulatedSets) -> list[Declaration]:
             output_names=tuple(sets["train"].output_names),
             output_unit=study.case.outputs[0].unit,
             output_scales=tuple(study.case.measurement.error_scales.tolist()),
-            files={name: study.paths.relative(files[name]) for name in SETS},
+            files={name: study.paths.recorded(files[name]) for name in SETS},
             digests={"case": study.case.digest, "fmu": study.case.fmu.sha256, **digests},
             device=budget.device,
             max_trial_s=budget.max_trial_s,
@@ -163,18 +162,13 @@ def _settings(surrogate: str, changes: dict[str, Any]) -> dict[str, Any]:
 
 def _progress(
     spec: Declaration, trials: Sequence[FrozenTrial], n_trials: int
-) -> tuple[float, int, float | None]:
+) -> tuple[int, int, float | None]:
     """Return what is done of a study, what there is to do, and its best error so far."""
     latest = places(trials)
     total = max(1 if spec.is_baseline else n_trials, len(latest))
     done = sum(trial.state.is_finished() for trial in latest)
-    parts = sum(
-        min(trial.last_step / spec.base_config.max_epochs, 1.0)
-        for trial in latest
-        if trial.last_step is not None and not trial.state.is_finished()
-    )
     values = [t.value for t in latest if t.state.name == "COMPLETE" and t.value is not None]
-    return done + parts, total, min(values, default=None)
+    return done, total, min(values, default=None)
 
 
 def _outcome(
@@ -188,4 +182,4 @@ def _outcome(
 def show_tuning(study: Study, found: Tuned) -> None:
     """Print the best surrogate of each size."""
     if (table := tuning_table(found.studies)) is not None:
-        study.console.show([terminal_table(table)])
+        study.console.show([table])

@@ -40,6 +40,7 @@ class Result(Protocol):
 
 
 R = TypeVar("R", bound=Result)
+T = TypeVar("T")
 
 
 class StageError(RuntimeError):
@@ -83,7 +84,7 @@ class Study:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome(Generic[R]):
+class Outcome(Generic[T]):
     """What a stage came to, and what made it.
 
     Args:
@@ -99,7 +100,7 @@ class Outcome(Generic[R]):
     """
 
     stage: str
-    result: R
+    result: T
     digest: str
     inputs: Mapping[str, Any] = field(default_factory=dict)
     reused: bool = False
@@ -126,7 +127,7 @@ def digest_of(inputs: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def read_outcome(folder: Path, stage: str, kind: type[R]) -> Outcome[R] | None:
+def read_outcome(folder: Path, stage: str, kind: type[T]) -> Outcome[T] | None:
     """Read what a finished stage has left; None where there is nothing.
 
     Args:
@@ -270,7 +271,7 @@ class Work(Generic[R]):
             "digest": stage.digest,
             "case_file": study.paths.recorded(study.case.path),
             "inputs": stage.inputs,
-            "files": {study.paths.relative(made): made.stat().st_size for made in files},
+            "files": {study.paths.recorded(made): made.stat().st_size for made in files},
             "seed": study.profile.seed,
             "wall_s": outcome.wall_s,
             "finished": outcome.finished,

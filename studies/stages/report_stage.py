@@ -1,21 +1,22 @@
 """The last stage: everything that lies on disk on one page."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from simulation.arrays import FloatArray
 from simulation.errors import InputError
-from simulation.time_unit import period_text
 from studies.provenance import file_digest
-from studies.report import Provenance, ReportData, build
+from studies.report.data import ReportData
+from studies.report.page import write_page
+from studies.row_set import RowSet
 from studies.stages.finished import stored_calibrations, stored_indices, stored_uncertainties
-from studies.stages.pipeline import Outcome, Stage, Study
-from studies.stages.report_records import coverage_set, uncertainty_record
-from studies.stages.shown import report_of
-from studies.stages.stage_results import Reported
+from studies.stages.pipeline import Outcome, Stage, Study, read_outcome
+from studies.stages.stage_results import Reported, SimulatedSets
 from studies.stages.stage_runs import log_report
 from studies.stages.tuned_trials import trials_record, tuned_by_size, tuned_sizes
 from studies.tracking.origin import versions
+
+N_COVERAGE = 256
+"""Trajectories drawn of the training set, as in the paper's Fig. 4."""
 
 
 def report_stage(study: Study) -> Outcome[Reported]:
@@ -24,18 +25,17 @@ def report_stage(study: Study) -> Outcome[Reported]:
     Raises:
         InputError: there is no calibration to report.
     """
-    if not any(stored_calibrations(study)):
+    calibrations, uncertainties = tuple(stored_calibrations(study)), tuple(stored_uncertainties(study))
+    if not calibrations:
         raise InputError(
             f"{study.label} has no calibration to report; type: studies calibrate {study.command}"
         )
-    folder = study.paths.report(study.label)
+    stages = ["simulate", "sensitivity", *(one.stage for one in calibrations)]
+    stages += [one.stage for one in uncertainties]
+    files = [study.results / f"{stage}.json" for stage in stages]
     inputs = {
-        "case": study.case.digest,
-        "title": study.case.title,
-        "note": study.case.note,
-        "references": [vars(known) for known in study.case.references],
-        "parameters": [vars(parameter) for parameter in study.case.parameter_space.parameters],
-        "results": {file.name: file_digest(file) for file in _source_files(study)},
+        "case": [study.case.digest, file_digest(study.case.path)],
+        "results": {file.name: file_digest(file) for file in files if file.is_file()},
         "trials": [
             [one.spec.name, [(trial.number, trial.state, trial.value) for trial in one.trials]]
             for baseline in (False, True)
@@ -44,16 +44,26 @@ def report_stage(study: Study) -> Outcome[Reported]:
         "versions": versions(),
     }
 
-    index = folder / "index.html"
+    index = study.paths.report(study.label) / "index.html"
     stage = Stage(study, "report", f"tables and figures of {study.label}", inputs, Reported)
     before = stage.finished()
     if before is not None:
         return before
     with stage.work() as work:
-        build(_report_data(study), folder)
+        data = ReportData(
+            study.label,
+            study.case,
+            calibrations,
+            coverage=_coverage(study),
+            sensitivity=stored_indices(study),
+            tuned=tuned_sizes(study),
+            trials=trials_record(tuned_by_size(study)),
+            uncertainties=tuple(one.result for one in uncertainties),
+            commands=tuple(dict.fromkeys(str(one.provenance["command"]) for one in calibrations)),
+        )
+        write_page(data, index)
         study.console.say(f"report: {study.paths.show(index)} is written; now into MLflow")
-        found = Reported(study.paths.recorded(index))
-        return work.keep(found, [index], log=log_report)
+        return work.keep(Reported(study.paths.recorded(index)), [index], log=log_report)
 
 
 def show_report(study: Study, found: Reported) -> None:
@@ -61,55 +71,10 @@ def show_report(study: Study, found: Reported) -> None:
     study.console.result(f"Report: {study.paths.root / found.index}")
 
 
-def _report_data(study: Study) -> ReportData:
-    tuned = tuned_by_size(study)
-    return report_of(
-        study,
-        list(stored_calibrations(study)),
-        coverage=coverage_set(study),
-        sensitivity=stored_indices(study),
-        uncertainties=tuple(uncertainty_record(stored.result) for stored in stored_uncertainties(study)),
-        tuned=tuned_sizes(study),
-        trials=trials_record(tuned),
-        provenance=_provenance(study),
-    )
-
-
-def _provenance(study: Study) -> Provenance:
-    case, stored = study.case, list(stored_calibrations(study))
-    commands = dict.fromkeys(str(one.provenance["command"]) for one in stored)
-    settings = {
-        "window": period_text(case.window_d),
-        "communication step": f"{case.communication_step_s:g} s",
-    }
-    settings |= _flat(study.profile.to_dict())
-    for one in stored:
-        settings |= _flat(one.result.settings, f"{one.name}.")
-    return Provenance(
-        commands=(*commands, f"studies ui  # {study.label} in MLflow"),
-        settings=tuple(settings.items()),
-        digests=(
-            ("case", case.digest),
-            ("FMU", case.fmu.sha256),
-            ("measurement", case.measurement.digest),
-        ),
-        versions=tuple(versions().items()),
-    )
-
-
-def _flat(settings: Mapping[str, Any], before: str = "") -> dict[str, str]:
-    """Return nested settings by dotted names, those without a value left out."""
-    found: dict[str, str] = {}
-    for name, value in settings.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{before}{name}.")
-        elif value not in (None, "", (), []):
-            found[f"{before}{name}"] = str(value)
-    return found
-
-
-def _source_files(study: Study) -> list[Path]:
-    stages = ["simulate", "sensitivity", *(one.stage for one in stored_calibrations(study))]
-    stages += [one.stage for one in stored_uncertainties(study)]
-    files = [study.results / f"{stage}.json" for stage in stages]
-    return [file for file in files if file.is_file()]
+def _coverage(study: Study) -> FloatArray | None:
+    """Return the first rows of the training design, None where nothing was simulated. Shape (n, t, k)."""
+    outcome = read_outcome(study.results, "simulate", SimulatedSets)
+    if outcome is None or outcome.inputs["case"] != study.case.digest:
+        return None
+    file: Path = study.paths.root / outcome.result.files["train"]
+    return RowSet.load(file).read(N_COVERAGE).y if file.is_file() else None

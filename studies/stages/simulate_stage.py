@@ -1,6 +1,6 @@
 """Stages that ask the physical model for data: the simulated sets and the Sobol indices."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from simulation.arrays import FloatArray
@@ -12,7 +12,7 @@ from studies.physical_model import open_physical_model, say_reused, store_file
 from studies.profile import Profile
 from studies.provenance import provenance_of
 from studies.report.wording import count
-from studies.row_set import RowSet, SetContent, content_of
+from studies.row_set import RowSet, content_of
 from studies.sobol import SobolIndices, sobol_indices
 from studies.stages.pipeline import Outcome, Stage, Study, digest_of
 from studies.stages.stage_results import SimulatedSets
@@ -67,24 +67,29 @@ def simulate_stage(study: Study) -> Outcome[SimulatedSets]:
     if before is not None:
         return before
     with stage.work() as work:
-        sets, contents, n_done = dict[str, RowSet](), dict[str, SetContent](), 0
-        with (
-            open_physical_model(study) as model,
-            study.console.progress("simulations", total) as advance,
-        ):
+        sets, digests, failed, n_done = dict[str, RowSet](), dict[str, str](), dict[str, list[str]](), 0
+        with open_physical_model(study) as model, study.console.progress("simulations", total) as advance:
             for name, theta in _designs(study).items():
                 model.complete(theta, on_progress=_after(n_done, total, advance))
                 n_done += len(theta)
                 sets[name] = RowSet(theta, model.store.file, _set_file(study, name, theta))
                 sets[name].save()
-                contents[name] = content_of(model.store.stream(theta))
+                digests[name], reasons = content_of(model.store.stream(theta))
+                failed[name] = [reason for reason in reasons if reason]
         say_reused(study, "simulate", model)
-        found = _found(study, sets, contents, model.n_reused)
-        if n_failed := sum(found.n_failed.values()):
-            reasons = "; ".join(found.first_failures)
-            study.console.warn(
-                f"{count(n_failed, 'simulation')} failed, left out: {reasons} (--retry-failed repeats them)"
-            )
+        first = tuple(sorted({reason for reasons in failed.values() for reason in reasons})[:3])
+        if n_failed := sum(map(len, failed.values())):
+            how_many, why = count(n_failed, "simulation"), "; ".join(first)
+            study.console.warn(f"{how_many} failed, left out: {why} (--retry-failed repeats them)")
+        found = SimulatedSets(
+            n=sizes,
+            n_failed={name: len(reasons) for name, reasons in failed.items()},
+            first_failures=first,
+            files={name: study.paths.recorded(rows.file) for name, rows in sets.items()},
+            digests=digests,
+            store=study.paths.recorded(store_file(study.paths, study.case)),
+            n_reused=model.n_reused,
+        )
         return work.keep(found, [rows.file for rows in sets.values()])
 
 
@@ -106,21 +111,6 @@ def _after(before: int, total: int, advance: OnProgress) -> Callable[[int], None
 def _set_file(study: Study, name: str, theta: FloatArray) -> Path:
     identity = digest_of({"case": study.case.digest, "set": name, "theta": theta.tobytes().hex()})
     return study.paths.generated(study.case.name) / "sets" / f"{name}-n{len(theta):05d}-{identity[:12]}.npz"
-
-
-def _found(
-    study: Study, sets: Mapping[str, RowSet], contents: Mapping[str, SetContent], n_reused: int
-) -> SimulatedSets:
-    failed = {name: [reason for reason in one.failures if reason] for name, one in contents.items()}
-    return SimulatedSets(
-        n={name: rows.n for name, rows in sets.items()},
-        n_failed={name: len(reasons) for name, reasons in failed.items()},
-        first_failures=tuple(sorted({reason for reasons in failed.values() for reason in reasons})[:3]),
-        files={name: study.paths.relative(rows.file) for name, rows in sets.items()},
-        digests={name: one.digest for name, one in contents.items()},
-        store=study.paths.relative(store_file(study.paths, study.case)),
-        n_reused=n_reused,
-    )
 
 
 def show_sets(study: Study, found: SimulatedSets) -> None:

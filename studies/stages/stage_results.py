@@ -10,8 +10,7 @@ import numpy as np
 from simulation.arrays import BoolArray, FloatArray, IntArray
 from studies.calibration.recorder import History
 from studies.report.records_tuning import TunedSize
-from studies.report.validation import ValidatedPoint
-from studies.report.wording import count, listed, mse_text, percent
+from studies.report.wording import count, listed, percent, significant
 from studies.stages.saved import WITH_ARRAYS, Error
 from studies.uncertainty.findings import Compensation
 from studies.uncertainty.identifiability import DETERMINED, Pair
@@ -22,9 +21,42 @@ ADAPTIVE = "adaptive"
 Setting = bool | int | float | str | None
 
 
-def error_text(mse: float) -> str:
-    """Write a mean squared error without its unit; an infinite one is that of a simulation that failed."""
-    return mse_text(mse if math.isfinite(mse) else None)
+@dataclass(frozen=True)
+class OutputFit:
+    """How one simulated output differs from its measurement.
+
+    Attributes:
+        n_samples: Samples compared.
+        rmse: Root mean square difference. [output's unit]
+        bias: Mean of simulated minus measured. [output's unit]
+        cv_rmse: rmse over the size of the mean measured value; None where that says nothing: for
+            temperatures, whose zero is a convention, and for means of zero. [1]
+        nmbe: bias over its size, positive where the model is too high; None likewise. [1]
+    """
+
+    n_samples: int
+    rmse: float
+    bias: float
+    cv_rmse: float | None
+    nmbe: float | None
+
+
+@dataclass(frozen=True)
+class ValidatedPoint:
+    """One parameter set on both periods.
+
+    Attributes:
+        mse_window: Error over the calibrated window; None where the simulation does not report it, or failed.
+            [first output's unit squared]
+        mse: Error over the validation period, None where the simulation failed. [first output's unit squared]
+        failure: Why it failed, "" when it did not.
+        outputs: The fit by the outputs' names; empty where the simulation failed.
+    """
+
+    mse_window: float | None
+    mse: float | None
+    failure: str
+    outputs: dict[str, OutputFit]
 
 
 @dataclass(frozen=True)
@@ -69,16 +101,6 @@ class Tuned:
     """
 
     studies: tuple[TunedSize, ...]
-
-    @property
-    def news(self) -> str:
-        """How many trials there are."""
-        return f"{count(sum(one.n_trials for one in self.studies), 'trial')} reused"
-
-    @property
-    def has_failures(self) -> bool:
-        """Whether a simulation failed: it has none."""
-        return False
 
 
 @dataclass(frozen=True)
@@ -377,7 +399,7 @@ class Calibration:
     @property
     def news(self) -> str:
         """Its error."""
-        return f"final MSE {error_text(self.mse)}"
+        return f"final MSE {significant(self.mse, 4) if math.isfinite(self.mse) else 'failed'}"
 
     @property
     def has_failures(self) -> bool:
@@ -388,6 +410,16 @@ class Calibration:
     def is_adaptive(self) -> bool:
         """Whether it needed no surrogate."""
         return self.method == ADAPTIVE
+
+    @property
+    def shown_name(self) -> str:
+        """What readers call it."""
+        return ADAPTIVE if self.is_adaptive else f"n = {self.n_train}"
+
+    @property
+    def final(self) -> str:
+        """What its last point is called."""
+        return "calibrated" if self.is_adaptive else "polished"
 
     @property
     def believes_equations(self) -> bool:
@@ -515,8 +547,6 @@ class Uncertainty:
         particles_theta: Points of equal weight by the surrogate. Shape (c, p). [per parameter]
         simulated: Band of the simulated outputs. Shape (2, t, k). [per output]
         predictive: Band of a measurement. Shape (2, t, k). [per output]
-        start_theta: Stored simulations that it started from. Shape (n, p). [per parameter]
-        start_watched: Which of them are stored with the model's states. Shape (n,).
     """
 
     __pydantic_config__ = WITH_ARRAYS
@@ -544,8 +574,6 @@ class Uncertainty:
     particles_theta: FloatArray
     simulated: FloatArray
     predictive: FloatArray
-    start_theta: FloatArray
-    start_watched: BoolArray
 
     @property
     def news(self) -> str:
@@ -556,6 +584,17 @@ class Uncertainty:
     def has_failures(self) -> bool:
         """Whether a row failed."""
         return self.n_failed > 0
+
+    @property
+    def linear(self) -> FloatArray:
+        """Linearised intervals. Shape (2, p). [per parameter]."""
+        return np.array([one.linear for one in self.parameters.values()]).T
+
+    @property
+    def interval(self) -> FloatArray:
+        """Intervals of the posterior, NaN where its sample is not trusted. Shape (2, p). [per parameter]."""
+        interval = np.array([one.interval for one in self.parameters.values()]).T
+        return interval if self.sample.is_trusted else np.full_like(interval, np.nan)
 
     @property
     def point(self) -> FloatArray:

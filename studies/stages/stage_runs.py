@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from studies.report.drawing import write_png
+from studies.report.drawing import Figure, write_png
 from studies.report.figures_calibration import calibration_figure, calls_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
-from studies.report.wording import difference_unit, squared
 from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome, Work
-from studies.stages.report_records import calibration_record, measured_series, uncertainty_record
 from studies.stages.saved import plain
 from studies.stages.stage_results import Calibration, Reported, Uncertainty
 from studies.tracking.origin import environment
@@ -46,55 +44,50 @@ def log_calibration(work: Work[Calibration], outcome: Outcome[Calibration]) -> N
             "calls/polish": found.ledger["n_polish"],
             **screened.errors,
         }
-    record, measured = calibration_record(outcome), measured_series(study.case)
-    unit = squared(difference_unit(measured.units[0]))
     curve = zip(found.history_calls.tolist(), found.history_mse.tolist(), strict=True)
-    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        figures = [Path(scratch) / "calibration.png", Path(scratch) / "convergence.png"]
-        write_png(calibration_figure(measured, record), figures[0], footnote=study.label)
-        write_png(calls_figure(record, (), mse_unit=unit), figures[1], footnote=study.label)
-        _log(
-            work,
-            outcome,
-            "calibration",
-            name=f"{outcome.name} calibration",
-            params={"n_train": found.n_train, "seed": found.seed, **found.settings},
-            metrics=metrics,
-            curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
-            tags=tags,
-            figures=figures,
-        )
+    _log(
+        work,
+        outcome,
+        "calibration",
+        name=f"{outcome.name} calibration",
+        params={"n_train": found.n_train, "seed": found.seed, **found.settings},
+        metrics=metrics,
+        curves={"mse/over_calls": [(int(n), mse) for n, mse in curve if np.isfinite(mse)]},
+        tags=tags,
+        pictures={
+            "calibration": calibration_figure(study.case, found),
+            "convergence": calls_figure(study.case, found),
+        },
+    )
 
 
 def log_uncertainty(work: Work[Uncertainty], outcome: Outcome[Uncertainty]) -> None:
     """Log a finished uncertainty, with its figures."""
     found, study = outcome.result, work.stage.study
-    record = uncertainty_record(found)
     known = Counter(one.known for one in found.parameters.values())
-    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
-        figures = [Path(scratch) / "bands.png", Path(scratch) / "intervals.png"]
-        write_png(band_figure(measured_series(study.case), record), figures[0], footnote=study.label)
-        write_png(interval_figure(study.case.parameter_space, record), figures[1], footnote=study.label)
-        _log(
-            work,
-            outcome,
-            "uncertainty",
-            name=f"{outcome.name} uncertainty",
-            params={
-                "noise": found.noise.kind,
-                "max_calls": found.max_calls,
-                "seed": found.seed,
-                "level": found.level,
-            },
-            metrics={
-                "sample/n": found.sample.n,
-                "sample/n_effective": found.sample.n_effective,
-                "calls/all": found.ledger.total,
-                "parameters/determined": known["determined"],
-            },
-            tags={"calibration": found.calibration},
-            figures=figures,
-        )
+    _log(
+        work,
+        outcome,
+        "uncertainty",
+        name=f"{outcome.name} uncertainty",
+        params={
+            "noise": found.noise.kind,
+            "max_calls": found.max_calls,
+            "seed": found.seed,
+            "level": found.level,
+        },
+        metrics={
+            "sample/n": found.sample.n,
+            "sample/n_effective": found.sample.n_effective,
+            "calls/all": found.ledger.total,
+            "parameters/determined": known["determined"],
+        },
+        tags={"calibration": found.calibration},
+        pictures={
+            "bands": band_figure(study.case, found),
+            "intervals": interval_figure(study.case.parameter_space, found),
+        },
+    )
 
 
 def log_sensitivity(work: Work[SobolIndices], outcome: Outcome[SobolIndices]) -> None:
@@ -124,6 +117,7 @@ def _log(
     metrics: Mapping[str, float | None] | None = None,
     tags: Mapping[str, Any] | None = None,
     artifacts: Sequence[Path] = (),
+    pictures: Mapping[str, Figure] | None = None,
     **more: Any,
 ) -> None:
     """Log what every stage has, and more."""
@@ -131,18 +125,24 @@ def _log(
     about = {"case": study.case.name, "case_sha256": study.case.digest, **(tags or {})}
     finite = {k: v for k, v in (metrics or {}).items() if v is not None and math.isfinite(v)}
     made = {**outcome.provenance, "environment": environment(), "result": plain(outcome.result)}
-    run = StageRun(
-        study.label,
-        kind,
-        name or outcome.stage,
-        outcome.digest,
-        metrics=finite,
-        tags=about,
-        artifacts=[*artifacts, *([arrays] if arrays.is_file() else [])],
-        started_s=work.started_s,
-        wall_s=outcome.wall_s,
-        note=study.case.note,
-        record=made if outcome.provenance else {},
-        **more,
-    )
-    log_stage(study.paths, run)
+    with tempfile.TemporaryDirectory(prefix="studies-figures-") as scratch:
+        figures = [
+            write_png(figure, Path(scratch) / f"{picture}.png", footnote=study.label)
+            for picture, figure in (pictures or {}).items()
+        ]
+        run = StageRun(
+            study.label,
+            kind,
+            name or outcome.stage,
+            outcome.digest,
+            metrics=finite,
+            tags=about,
+            artifacts=[*artifacts, *([arrays] if arrays.is_file() else [])],
+            figures=figures,
+            started_s=work.started_s,
+            wall_s=outcome.wall_s,
+            note=study.case.note,
+            record=made if outcome.provenance else {},
+            **more,
+        )
+        log_stage(study.paths, run)

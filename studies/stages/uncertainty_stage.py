@@ -15,7 +15,7 @@ from simulation.store.stored_model import StoredModel
 from studies.calibration.problem import CalibrationProblem
 from studies.physical_model import open_physical_model, open_watched_model, say_reused
 from studies.provenance import provenance_of
-from studies.report.uncertainty_record import FITS_BETTER
+from studies.report.sentences import FITS_BETTER
 from studies.report.wording import count, listed
 from studies.stages.equations_found import learned_ode_of
 from studies.stages.finished import stored_calibrations
@@ -23,7 +23,7 @@ from studies.stages.knowledge import case_inputs, prior_of, sensor_inputs
 from studies.stages.pipeline import Outcome, Stage, StageError, Study
 from studies.stages.stage_results import ADAPTIVE, Calibration, Cost, Covered, Known, SampleFound, Uncertainty
 from studies.stages.stage_runs import log_uncertainty
-from studies.stages.warm_start import StartRows, WarmStart
+from studies.stages.warm_start import WarmStart
 from studies.uncertainty.assess import STEP, Assessment, assess, sampling_within
 from studies.uncertainty.bands import bands_of, noise_of_outputs, share_within
 from studies.uncertainty.density import Posterior
@@ -162,14 +162,14 @@ def _judge(
     # The point is asked first, to know the noise, and then among the stored rows once more.
     n_repeated = int(np.all(rows.theta == theta, axis=1).sum())
     say_reused(study, f"uncertainty-{calibration.name}", physical, n_repeated=n_repeated)
-    return _result(problem, found, physical, rows, calibration.name, study.profile.seed, max_calls)
+    return _result(problem, found, physical, len(rows.theta), calibration.name, study.profile.seed, max_calls)
 
 
 def _result(
     problem: CalibrationProblem,
     assessed: Assessment,
     physical: StoredModel,
-    rows: StartRows,
+    n_warm_start: int,
     calibration: str,
     seed: int,
     max_calls: int,
@@ -192,14 +192,10 @@ def _result(
         sensor=sensor if np.isfinite(sensor) else None,
         has_prior=problem.prior is not None,
         parameters={
-            name: Known(
-                calibrated=float(theta[j]),
-                linear=(float(linear[j, 0]), float(linear[j, 1])),
-                interval=(float(ends[j, 0]), float(ends[j, 2])),
-                median=float(ends[j, 1]),
-                known=known[name],
+            name: Known(value, (lower, upper), (low, high), median, known[name])
+            for name, value, (lower, upper), (low, median, high) in zip(
+                space.names, theta.tolist(), linear.tolist(), ends.tolist(), strict=True
             )
-            for j, name in enumerate(space.names)
         },
         pairs=compensations(space, u),
         null_directions=local.null_directions,
@@ -222,7 +218,7 @@ def _result(
             n_taught=found.n_taught,
             n_sample=n,
             total=assessed.n_calls,
-            n_warm_start=len(rows.theta),
+            n_warm_start=n_warm_start,
             by_equations=assessed.by_equations,
         ),
         n_failed=len(physical.failures),
@@ -234,6 +230,4 @@ def _result(
         particles_theta=space.from_unit(u),
         simulated=bands.simulated,
         predictive=bands.predictive,
-        start_theta=rows.theta,
-        start_watched=rows.watched,
     )

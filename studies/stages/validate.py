@@ -4,20 +4,18 @@ Its simulations are a few per calibration and decide nothing: the ledger does no
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, TypedDict
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from simulation.arrays import FloatArray
 from simulation.case import Case
 from simulation.forward_model import ForwardModel
-from simulation.measurement import Measurement
 from studies.physical_model import open_physical_model
-from studies.report.guideline14 import relative
-from studies.report.validation import OutputFit, ValidatedPoint
+from studies.report.guideline14 import output_fit
 from studies.stages.pipeline import Study
-from studies.stages.stage_results import Validated
+from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,11 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
                 mse_window=float(mse_window[row]) if np.isfinite(mse_window[row]) else None,
                 mse=float(mse[row]) if np.isfinite(mse[row]) else None,
                 failure=answer.failures[row],
-                outputs=_fits(case, measurement, answer.y[row]) if np.isfinite(mse[row]) else {},
+                outputs={
+                    output.name: output_fit(measurement, k, output.unit, answer.y[row])
+                    for k, output in enumerate(case.outputs)
+                    if np.isfinite(mse[row])
+                },
             )
             for row, name in enumerate(points)
         },
@@ -70,48 +72,26 @@ def validate(case: Case, model: ForwardModel, points: Mapping[str, FloatArray]) 
     )
 
 
-def _fits(case: Case, measurement: Measurement, y: FloatArray) -> dict[str, OutputFit]:
-    fits = {}
-    for k, output in enumerate(case.outputs):
-        difference = measurement.differences(y[None], k)[0]
-        rmse, bias = float(np.sqrt(np.mean(difference**2))), float(np.mean(difference))
-        cv_rmse, nmbe = relative(rmse, bias, measurement, k, output.unit)
-        fits[output.name] = OutputFit(len(difference), rmse, bias, cv_rmse, nmbe)
-    return fits
-
-
-class OfCalibration(TypedDict, total=False):
-    """The fields of a `Calibration` that its validation fills."""
-
-    validation: Validated
-    validation_time: FloatArray
-    validation_y: FloatArray
-    validation_y_screened: FloatArray
-
-
-def validate_calibration(study: Study, found: Mapping[str, FloatArray]) -> OfCalibration:
-    """Validate a finished calibration of a study.
+def with_validation(study: Study, found: Calibration, points: Mapping[str, FloatArray]) -> Calibration:
+    """Return a calibration with how it does on the validation period, unchanged where the case has none.
 
     Args:
         study: The study.
-        found: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
-
-    Returns:
-        Fields of the calibration's result; none without a validation period.
+        found: The calibration.
+        points: What it found by name, the calibrated parameters last. Shape (p,) each. [per parameter]
     """
     case = study.case
     if case.validation is None:
-        return {}
+        return found
     with open_physical_model(study, case=case.validation) as model:
-        validation = validate(case, model, {**_estimates(case), **found})
-    fields: OfCalibration = {
-        "validation": Validated(case.validation.window_d, validation.points),
-        "validation_time": validation.time,
-        "validation_y": validation.y[list(found)[-1]],
-    }
-    if "screened" in found:
-        fields["validation_y_screened"] = validation.y["screened"]
-    return fields
+        validation = validate(case, model, {**_estimates(case), **points})
+    return replace(
+        found,
+        validation=Validated(case.validation.window_d, validation.points),
+        validation_time=validation.time,
+        validation_y=validation.y[list(points)[-1]],
+        validation_y_screened=validation.y.get("screened"),
+    )
 
 
 def validation_inputs(case: Case) -> dict[str, Any]:

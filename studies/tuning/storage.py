@@ -12,7 +12,6 @@ from optuna.storages import RDBStorage
 from simulation.errors import InputError, MachineError
 from simulation.file_lock import FileLock
 from studies.paths import ProjectPaths, cannot_open
-from studies.storage_url import hide_passwords
 from studies.tuning.attempts import run_again
 
 # Two heartbeats may be missed before a worker on another machine counts as dead.
@@ -88,10 +87,9 @@ def _prepare_schemas(storage: str) -> None:
             for schema in ("optuna", "mlflow"):
                 connection.execute(f"create schema if not exists {schema}".encode())
     except psycopg.Error as error:
-        said = next(iter(hide_passwords(str(error)).splitlines()), type(error).__name__)
+        said = next(iter(str(error).splitlines()), type(error).__name__)
         kind = MachineError if "refused" in said or "timeout" in said else InputError
-        shown = hide_passwords(storage)
-        raise kind(f"the storage {shown} cannot be used ({said}); correct it or start it") from None
+        raise kind(f"the storage {storage} cannot be used ({said}); correct it or start it") from None
 
 
 @contextmanager

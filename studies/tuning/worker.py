@@ -27,7 +27,6 @@ from simulation.pool.family import end_with_parent
 from studies.paths import ProjectPaths, find_project
 from studies.provenance import file_digest
 from studies.search_space import OF_NETWORKS, OF_PCA_GP, suggested
-from studies.storage_url import hide_passwords
 from studies.tracking.origin import environment
 from studies.tracking.registry import SURROGATE
 from studies.tracking.runs import RunStore
@@ -208,7 +207,7 @@ def main() -> int:
         for name in chosen.studies:
             Worker(find_project(None), name).run(until_s=chosen.until)
     except InputError as error:
-        sys.stderr.write(f"{hide_passwords(str(error))}\n")
+        sys.stderr.write(f"{error}\n")
         return 2
     return 0
 

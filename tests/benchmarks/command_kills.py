@@ -147,8 +147,7 @@ def held(project: Path) -> dict[str, Any]:
     import pyarrow.parquet as pq
 
     found: dict[str, Any] = {}
-    results, reports = project / "mlruns" / "results", project / "mlruns" / "reports"
-    for file in sorted([*results.rglob("*"), *reports.rglob("report.json")]):
+    for file in sorted((project / "mlruns" / "results").rglob("*")):
         name = str(file.relative_to(project))
         if file.suffix == ".json":
             found[name] = record_of(json.loads(file.read_text()))
@@ -160,7 +159,7 @@ def held(project: Path) -> dict[str, Any]:
                     if not key.endswith(VOLATILE)
                 }
     given = [file for place in ("fmus", "data") for file in (project / place).rglob("*")]
-    for file in [*given, *reports.rglob("*")]:
+    for file in [*given, *(project / "mlruns" / "reports").rglob("*")]:
         if file.is_file() and "generated" not in file.parts:
             content = hashlib.sha256(file.read_bytes()).hexdigest() if file in given else "there"
             found.setdefault(str(file.relative_to(project)), content)

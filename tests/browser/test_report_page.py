@@ -49,6 +49,16 @@ def test_every_picture_is_drawn_as_wide_as_its_place(page: "Page") -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= page.viewport_size["width"]  # type: ignore[index]
 
 
+def test_the_values_of_a_picture_are_a_csv_file(page: "Page", tmp_path: Path) -> None:
+    with page.expect_download() as saved:
+        page.locator("a.values").first.click()
+    assert saved.value.suggested_filename.endswith(".csv")
+    saved.value.save_as(tmp_path / "values.csv")
+    header, *rows = (tmp_path / "values.csv").read_text("utf-8").splitlines()
+    assert header.startswith("panel,series,x,y")
+    assert len(rows) > 100
+
+
 def test_the_value_next_to_the_pointer_is_shown(page: "Page") -> None:
     picture = page.locator("figure canvas").first
     picture.hover(position={"x": 150, "y": 120})

@@ -80,7 +80,7 @@ def test_every_command_works_on_the_storage_that_is_named(
     """A storage that cannot be one shows which commands open it before they do anything."""
     answer = studies(*examples(help_of(command)[1])[0], "--storage", "sqlite:///other.db")
     assert (answer.code, answer.out) == (2, "")
-    assert "the storage sqlite://... is no PostgreSQL URL" in answer.err
+    assert "the storage is no PostgreSQL URL" in answer.err
 
 
 def test_version(studies: Run) -> None:

@@ -88,7 +88,7 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
     page = studies("report", "wall", "--json")
     assert page.code == 0, page.err
     text = Path(project / page.document["stages"][0]["index"]).read_text(encoding="utf-8")
-    assert f"beside {N_BEFORE} stored simulations" in text
+    assert f"begun with {N_BEFORE} stored simulations" in text
     assert "--from-stored --max-calls 3" in text
     again = studies("reproduce", "wall-quick/adaptive")
     assert again.code == 0, again.err
@@ -97,7 +97,7 @@ def test_everything_that_looks_at_it_says_what_it_began_with(project: Path, stud
     assert studies(*WALL, "--from-stored", "--target", "0.5", "--json").stage["ledger"]["total_paper"] == 0
     page = studies("report", "wall", "--json")
     text = Path(project / page.document["stages"][0]["index"]).read_text(encoding="utf-8")
-    assert f"No model call beside {N_BEFORE} stored simulations" in text
+    assert f"after 0 model calls, begun with {N_BEFORE} stored simulations" in text
 
 
 def test_who_begins_anew_is_before_what_is_stored(project: Path, studies: Run) -> None:

@@ -18,10 +18,9 @@ from studies.cli import main
 from studies.paths import ProjectPaths
 from studies.report.drawing import write_png
 from studies.report.figures_uncertainty import interval_figure
-from studies.report.tables_of_calibrations import intervals_table
-from studies.report.uncertainty_record import sentences
+from studies.report.sentences import uncertainty_sentences
+from studies.report.tables import intervals_table
 from studies.stages.pipeline import read_outcome
-from studies.stages.report_records import uncertainty_record
 from studies.stages.stage_results import Uncertainty
 from studies.tracking.quiet_mlflow import connect
 
@@ -89,11 +88,11 @@ def test_it_says_how_sure_the_calibration_is(
 
     page = studies("report", "wall", "--json")
     assert page.code == 0, page.err
-    folder = (project / page.document["stages"][0]["index"]).parent
-    drawn = {"figure-bands-adaptive.csv", "figure-intervals-adaptive.csv", "uncertainty-adaptive.csv"}
-    assert drawn <= {file.name for file in folder.iterdir()}
-    table = (folder / "uncertainty-adaptive.csv").read_text(encoding="utf-8").splitlines()
-    assert [line.partition(",")[0] for line in table[1:]] == list(stage["parameters"])
+    text = (project / page.document["stages"][0]["index"]).read_text(encoding="utf-8")
+    drawn = ("90 % bands of the outputs", "Intervals of the parameters between their bounds")
+    assert all(f"<figure><h3>{title}</h3>" in text for title in drawn)
+    (table,) = re.findall("<table><caption>90 % intervals of the parameters.*?</table>", text, re.DOTALL)
+    assert re.findall("<tr><td>(.*?)</td>", table) == list(stage["parameters"])
     client = connect(ProjectPaths(project).tracking_uri)
     experiment = client.get_experiment_by_name("wall-quick")
     assert experiment is not None
@@ -129,16 +128,15 @@ def test_a_sample_that_is_worth_nothing_gives_no_interval(
     outcome = read_outcome(folder, "uncertainty-adaptive", Uncertainty)
     assert outcome is not None
     sample = replace(outcome.result.sample, is_trusted=is_trusted)
-    record = uncertainty_record(replace(outcome.result, sample=sample))
-    said = sentences(record, ("degC", "W"))
+    found = replace(outcome.result, sample=sample)
+    said = uncertainty_sentences(found, "K")
     assert ("The data determine" in " ".join(said)) == is_trusted
     assert said[0].startswith("Noise model" if is_trusted else "The sample of")
-    assert np.isfinite(record.interval).all() == is_trusted
-    assert (set(record.known) == {"unsure"}) != is_trusted
+    assert np.isfinite(found.interval).all() == is_trusted
     box = load_case(undisturbed / "fmus" / "wall").parameter_space
-    table = intervals_table(box, record)
-    assert [row["known"] == "too few calls" for row in table.records()] == [not is_trusted] * 7
-    assert write_png(interval_figure(box, record), tmp_path / "intervals.png").stat().st_size > 10_000
+    table = intervals_table(box, found)
+    assert [row[-1] == "too few calls" for row in table.rows] == [not is_trusted] * 7
+    assert write_png(interval_figure(box, found), tmp_path / "intervals.png").stat().st_size > 10_000
 
 
 def test_killed_at_any_call_it_goes_on_and_simulates_nothing_twice(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from project_for_tests import REPOSITORY
 
 from simulation.foreign_text import MOST_QUOTED, escaped, quoted
-from studies.console import Column, Console, Said, Table
+from studies.console import Column, Console, Table
 
 CLEAR = "\x1b[2J\x1b]0;title\x07"
 HOSTILE = f"a{CLEAR}\x9b31m\u202eb\u2066c\r\x00d\x08\x7f\u2028e"
@@ -47,10 +47,8 @@ def test_nothing_that_the_console_writes_is_obeyed(capsys: pytest.CaptureFixture
         write(f"{HOSTILE} umlaut ä, K², 日本")
     console.show(
         [
-            Said(HOSTILE, "bad"),
-            Table(
-                HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [Said(HOSTILE, "warn"), None]]
-            ),
+            HOSTILE,
+            Table(HOSTILE, [Column(HOSTILE), Column("n", True)], [[HOSTILE, 3], [HOSTILE, None]]),
         ]
     )
     said = capsys.readouterr()

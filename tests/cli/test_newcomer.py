@@ -48,7 +48,7 @@ def test_from_a_foreign_fmu_to_calibrated_values(
 
     run = studies("run", "heatedtank", "--profile", "smoke", "--n-train", "32")
     assert run.code == 0, run.err
-    assert re.search(r"UA\s+W/K\s+12\s+", run.out[run.out.index("calibrated parameters") :])
+    assert re.search(r"UA\s+W/K\s+12\s+", run.out[run.out.index("Parameters, calibrated") :])
     assert (project / "mlruns" / "reports" / "heatedtank-smoke" / "index.html").is_file()
 
     stored = studies("calibrate", "heatedtank", "--profile", "smoke", "--n-train", "32", "--json")

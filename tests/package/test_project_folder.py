@@ -12,7 +12,7 @@ from studies.cli import main
 from studies.commands.study import _keep_compiled_loops
 from studies.console import Console
 from studies.embedded import adopt_cases
-from studies.marker import MARKER, mark_project
+from studies.marker import mark_project
 from studies.paths import ProjectPaths, find_case, find_project
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -43,12 +43,6 @@ def test_the_nearest_marker_above_makes_the_project(folder: Path, monkeypatch: p
     assert find_project(None).root == folder.parent.parent
     monkeypatch.setenv("STUDIES_ROOT", str(folder))
     assert find_project(None).root == folder.parent
-
-
-def test_a_marker_of_another_version_is_refused(folder: Path) -> None:
-    (folder / MARKER).write_text("schema = 2", encoding="utf-8")
-    with pytest.raises(InputError, match="schema is 2"):
-        find_project(None)
 
 
 @pytest.mark.parametrize("words", [["status"], ["best"], ["new", str(WALL), "--list"], ["check", "nothing"]])

@@ -13,35 +13,36 @@ import pytest
 from PIL import Image
 from records_for_tests import (
     calibration,
+    case,
     coverage,
-    measured,
     parameter_box,
-    report_data,
     sensitivity,
     trials,
     uncertainty,
 )
 
-from simulation.case import KnownError
+from simulation.case import Case
 from simulation.measurement import Samples
 from simulation.time_unit import period_text
-from studies.report import CalibrationRecord, MeasuredSeries, captions
-from studies.report.captions import enclosed_fraction
 from studies.report.drawing import Axis, Figure, Panel, Series, time_axis, with_gaps, write_png
-from studies.report.figures_calibration import calibration_figure, calls_figure, residual_reach
-from studies.report.figures_model import coverage_figure, sensitivity_figure
+from studies.report.figures_calibration import (
+    calibration_figure,
+    calls_figure,
+    residual_reach,
+    validation_figure,
+)
+from studies.report.figures_model import coverage_caption, coverage_figure, sensitivity_figure
 from studies.report.figures_tuning import mae_over_n_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
-
-REFERENCES = (KnownError("best known", 0.0103, is_target=False), KnownError("target", 0.0121, is_target=True))
+from studies.stages.stage_results import Calibration, Validated, ValidatedPoint
 
 FIGURES: dict[str, Callable[[], Figure]] = {
-    "calibration": lambda: calibration_figure(measured(), calibration()),
-    "calls": lambda: calls_figure(calibration(), REFERENCES, mse_unit="K²"),
-    "coverage": lambda: coverage_figure(measured(), coverage()),
+    "calibration": lambda: calibration_figure(case(), calibration()),
+    "calls": lambda: calls_figure(case(), calibration()),
+    "coverage": lambda: coverage_figure(case(), coverage()),
     "sensitivity": lambda: sensitivity_figure(sensitivity()),
     "trials": lambda: mae_over_n_figure(trials(), unit="K"),
-    "bands": lambda: band_figure(measured(), uncertainty()),
+    "bands": lambda: band_figure(case(), uncertainty()),
     "intervals": lambda: interval_figure(parameter_box(), uncertainty()),
 }
 
@@ -70,18 +71,29 @@ def test_picture_is_not_blank_and_has_the_same_bytes_each_time(name: str, tmp_pa
 
 
 def test_a_figure_has_its_values_as_csv() -> None:
-    c, m = calibration(), measured()
-    figure = calibration_figure(m, c)
-    assert values(figure, "polished") == pytest.approx(c.y_polished[:, 0], rel=1e-6)
+    c, m = calibration(), case().measurement
+    figure = calibration_figure(case(), c)
+    assert values(figure, "polished") == pytest.approx(c.y[:, 0], rel=1e-6)
     assert values(figure, "measured", "x") == pytest.approx(m.time / 86400.0, rel=1e-6)
-    residual = m.residual(c.y_polished, 0)
+    residual = m.differences(c.y[None], 0)[0]
     assert values(figure, "residual") == pytest.approx(residual, rel=1e-6)
+
+
+def test_the_validation_period_has_a_picture_of_its_own() -> None:
+    c = calibration()
+    point = ValidatedPoint(None, 0.25, "", {})
+    validated = Validated((10.0, 12.0), {"polished": point})
+    later = replace(c, validation=validated, validation_y=c.y, validation_y_screened=c.y)
+    figure = validation_figure(replace(case(), validation=case()), later)
+    assert figure is not None
+    assert figure.title == "The part that was not calibrated: MSE 0.250 K²"
+    assert values(figure, "polished") == pytest.approx(c.y[:, 0], rel=1e-6)
+    assert validation_figure(case(), c) is None
 
 
 def test_importing_the_room_loads_no_drawing_library() -> None:
     code = (
-        "import sys, studies.report, studies.report.figures_calibration;"
-        "assert not {'vl_convert', 'matplotlib', 'jinja2'} & set(sys.modules)"
+        "import sys, studies.report.page;assert not {'vl_convert', 'matplotlib', 'jinja2'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -93,34 +105,37 @@ def test_a_failed_drawing_leaves_no_file(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def without_improvement() -> CalibrationRecord:
+def without_improvement() -> Calibration:
     c = calibration()
+    assert c.screening is not None
+    assert c.y_screened is not None
+    mse = c.screening.mse
     return replace(
-        c, theta_polished=c.theta_screened, y_polished=c.y_screened, mse_polished=c.mse_screened,
-        history_mse=np.full_like(c.history_mse, c.mse_screened),
-    )  # fmt: skip
-
-
-def without_polish() -> CalibrationRecord:
-    c = without_improvement()
-    return replace(c, n_polish=0, history_calls=np.array([65]), history_mse=np.array([c.mse_screened]))
-
-
-def failed_check() -> CalibrationRecord:
-    c = calibration()
-    history = c.history_mse.copy()
-    history[:16] = np.inf
-    return replace(c, mse_screened=np.inf, y_screened=np.full_like(c.y_screened, np.nan), history_mse=history)
-
-
-def failed_throughout() -> CalibrationRecord:
-    c, nothing = failed_check(), np.full_like(calibration().y_polished, np.nan)
-    return replace(
-        c, mse_polished=np.inf, y_polished=nothing, history_mse=np.full_like(c.history_mse, np.inf)
+        c, theta=c.screening.theta, y=c.y_screened, mse=mse, history_mse=np.full_like(c.history_mse, mse)
     )
 
 
-def empty_history() -> CalibrationRecord:
+def without_polish() -> Calibration:
+    c = without_improvement()
+    ledger = c.ledger | {"n_polish": 0, "total_paper": 65}
+    return replace(c, ledger=ledger, history_calls=np.array([65]), history_mse=np.array([c.mse]))
+
+
+def failed_check() -> Calibration:
+    c = calibration()
+    history, nothing = c.history_mse.copy(), np.full_like(c.y, np.nan)
+    history[:16] = np.inf
+    assert c.screening is not None
+    return replace(c, screening=replace(c.screening, mse=np.inf), y_screened=nothing, history_mse=history)
+
+
+def failed_throughout() -> Calibration:
+    c = failed_check()
+    nothing = np.full_like(c.y, np.nan)
+    return replace(c, mse=np.inf, y=nothing, history_mse=np.full_like(c.history_mse, np.inf))
+
+
+def empty_history() -> Calibration:
     return replace(calibration(), history_calls=np.empty(0, dtype=np.int64), history_mse=np.empty(0))
 
 
@@ -128,24 +143,22 @@ CASES = [without_improvement, without_polish, failed_check, failed_throughout, e
 
 
 @pytest.mark.parametrize("make", CASES)
-def test_calibrations_that_went_badly_are_drawn(
-    make: Callable[[], CalibrationRecord], tmp_path: Path
-) -> None:
+def test_calibrations_that_went_badly_are_drawn(make: Callable[[], Calibration], tmp_path: Path) -> None:
     c = make()
-    assert ink(calibration_figure(measured(), c), tmp_path / "c.png") > 0.01
-    assert ink(calls_figure(c, REFERENCES, mse_unit="K²"), tmp_path / "p.png") > 0.01
-    assert ink(calls_figure(c, (), mse_unit=""), tmp_path / "p.png") > 0.01
+    assert ink(calibration_figure(case(), c), tmp_path / "c.png") > 0.01
+    assert ink(calls_figure(case(), c), tmp_path / "p.png") > 0.01
+    assert ink(calls_figure(replace(case(), references=()), c), tmp_path / "p.png") > 0.01
 
 
 def test_a_large_training_set_does_not_squeeze_the_polish() -> None:
-    (panel,) = calls_figure(calibration(4096, n_polish=65), (), mse_unit="K²").panels
+    (panel,) = calls_figure(case(), calibration(4096, n_polish=65)).panels
     first, last = panel.x.scale["domain"]
     assert 4096 - 65 < first < 4096 < 4096 + 65 < last
 
 
 def test_the_screened_point_stands_where_the_polish_begins() -> None:
     c = calibration()
-    figure = calls_figure(c, (), mse_unit="K²")
+    figure = calls_figure(case(), c)
     assert values(figure, "by the model, as screened", "x") == [c.history_calls[0]]
     assert values(figure, "0.00642 K² polished", "x")[0] == c.history_calls[0]
 
@@ -162,47 +175,47 @@ def test_a_residual_is_no_line_within_a_wide_band() -> None:
 @pytest.mark.parametrize("n_outputs", [1, 2])
 def test_several_outputs_get_panels_of_their_own(n_outputs: int) -> None:
     k = n_outputs
-    assert len(calibration_figure(measured(k), calibration(n_outputs=k)).panels) == 2 * k
-    assert len(coverage_figure(measured(k), coverage(8, n_outputs=k)).panels) == k
+    assert len(calibration_figure(case(k), calibration(n_outputs=k)).panels) == 2 * k
+    assert len(coverage_figure(case(k), coverage(8, n_outputs=k)).panels) == k
     assert len(sensitivity_figure(sensitivity(6, n_outputs=k)).panels) == 2 * k
 
 
 def test_undeclared_uncertainty_draws_no_band() -> None:
-    known = measured()
+    known = case()
     unknown = replace(known, measurement=replace(known.measurement, uncertainty=np.array([np.nan])))
     assert values(calibration_figure(known, calibration()), "sensor ±0.5 K", "high") == [0.5]
     assert "sensor" not in calibration_figure(unknown, calibration()).to_csv()
 
 
 def test_no_line_spans_a_gap(tmp_path: Path) -> None:
-    uneven, c = with_gap(measured(2)), calibration(n_outputs=2)
+    uneven, c, y = with_gap(case(2)), calibration(n_outputs=2), coverage(8, n_outputs=2)
     assert ink(calibration_figure(uneven, c), tmp_path / "c.png") > 0.02
-    assert np.isnan(values(coverage_figure(uneven, coverage(8, n_outputs=2)), "measured")).any()
+    assert np.isnan(values(coverage_figure(uneven, y), "measured")).any()
     _, broken = with_gaps(np.array([0.0, 1.0, 2.0, 6.0, 7.0]), np.arange(5.0))
     assert np.isnan(broken).tolist() == [False, False, False, True, False, False]
-    assert "of the values of TWall lie within" in captions.calibration_caption(uneven, c)
-    assert 0.0 <= enclosed_fraction(uneven.measurement, coverage(8, n_outputs=2).y) <= 1.0
+    assert " % of the measured values lie between" in coverage_caption(uneven, y)
 
 
-def with_gap(series: MeasuredSeries) -> MeasuredSeries:
+def with_gap(whole: Case) -> Case:
     """The first output at odd moments with two days missing, the second half as often."""
-    first, second = series.samples
+    first, second = whole.measurement.samples
     kept = np.flatnonzero((first.time < 3 * 86400) | (first.time > 5 * 86400))[1:-1]
     samples = (
         Samples(first.time[kept] + 411.0, first.values[kept]),
         Samples(second.time[::2], second.values[::2]),
     )
-    return replace(series, measurement=replace(series.measurement, samples=samples))
+    return replace(whole, measurement=replace(whole.measurement, samples=samples))
 
 
 def test_failed_rows_are_left_out_of_the_bands(tmp_path: Path) -> None:
-    some, m = coverage(16), measured()
-    others = np.delete(some.y, 3, axis=0)[:, :, 0]
-    some.y[3] = np.nan
-    figure = coverage_figure(m, some)
+    some = coverage(16)
+    others = np.delete(some, 3, axis=0)[:, :, 0]
+    some[3] = np.nan
+    figure = coverage_figure(case(), some)
     assert values(figure, "lowest to highest", "low") == pytest.approx(others.min(axis=0), rel=1e-6)
-    some.y[:] = np.nan
-    assert ink(coverage_figure(m, some), tmp_path / "c.png") > 0.005
+    assert coverage_caption(case(), some).endswith(" 1 simulation failed.")
+    some[:] = np.nan
+    assert ink(coverage_figure(case(), some), tmp_path / "c.png") > 0.005
 
 
 @pytest.mark.parametrize(("p", "n_undefined"), [(14, 480), (14, 0), (2, 1), (1, 0), (7, 0)])
@@ -243,8 +256,7 @@ def test_names_from_files_are_drawn_as_they_are(tmp_path: Path) -> None:
 
 
 def test_two_cases_at_once_do_not_share_a_picture() -> None:
-    data = report_data()
-    first, second = (calibration_figure(data.measurement, one).to_csv() for one in data.calibrations[:2])
+    first, second = (calibration_figure(case(), calibration(n)).to_csv() for n in (32, 64))
     assert first != second
 
 

@@ -1,0 +1,207 @@
+"""What results mean, in sentences that the terminal and the page share."""
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simulation.time_unit import period_text
+from studies.calibration.misfit_threshold import misfit_threshold
+from studies.console import format_seconds
+from studies.report.guideline14 import Judged, guideline_sentence, judge, judged
+from studies.report.wording import (
+    count,
+    difference_unit,
+    listed,
+    percent,
+    quantity,
+    significant,
+    square_of,
+    squared,
+)
+from studies.stages.pipeline import Outcome
+from studies.stages.stage_results import Calibration, Uncertainty
+from studies.uncertainty.noise import Noise
+
+if TYPE_CHECKING:  # numba and FMPy, which `studies best` does without
+    from simulation.case import Case
+
+UNCORRELATED = 0.9
+"""Samples that are worth this share of their number are said to be uncorrelated."""
+FITS_BETTER = 0.99
+"""Share of a calibration's error below which another parameter set is said to fit better."""
+
+
+def headline(case: "Case", outcome: Outcome[Calibration]) -> str:
+    """Say what a calibration came to, what it cost and why it ended."""
+    found, unit = outcome.result, square_of(case.outputs[0].unit)
+    cost = count(found.n_calls_paper, "model call")
+    if found.settings.get("n_parallel", 1) != 1:
+        cost += f" in {count(found.n_rounds or 0, 'round')}"
+    if found.n_warm_start:
+        cost += f", begun with {count(found.n_warm_start, 'stored simulation')}"
+    return (
+        f"MSE {quantity(found.mse, unit, 4)} after {cost} ({format_seconds(outcome.wall_s)}); it ended "
+        f"because {found.stop_reason}"
+    )
+
+
+def calibration_sentences(case: "Case", found: Calibration) -> list[str]:
+    """Say what a calibration means, from how its state equations did to the limits of ASHRAE guideline 14."""
+    said = [] if found.state_equations is None else [found.state_equations.sentence]
+    if not math.isfinite(found.mse):
+        return said
+    said.append(_fit(case, found))
+    said += [] if found.determined_by_data is None else found.determined_by_data.sentences
+    if (prior := found.prior) is not None:
+        unit = square_of(case.outputs[0].unit)
+        said.append(
+            f"One standard deviation of a prior weighs as much as {quantity(prior.weight, unit)} of MSE "
+            f"({prior.n_independent:.4g} independent samples); all priors together "
+            f"{quantity(prior.penalty, unit)}, which no MSE shown here includes"
+        )
+    days = {"calibrated": case, "validation": case.validation}
+    for name, verdicts in judged_periods(case, found).items():
+        period = days[name]
+        if period is not None and (verdict := guideline_sentence(verdicts)):
+            said.append(f"On {period_text(period.window_d)} ({name}): {verdict}")
+    return said
+
+
+def _fit(case: "Case", found: Calibration) -> str:
+    parts = []
+    for output in case.outputs:
+        fit, unit = found.outputs[output.name], difference_unit(output.unit)
+        part = f"{output.name} differs by {quantity(fit.rmse, unit)} (RMS)"
+        if fit.uncertainty is not None and fit.share_within is not None:
+            sensor = f"±{fit.uncertainty:g} {unit}".strip()
+            part += f", {percent(fit.share_within)} of it within the sensor's {sensor}"
+        parts.append(part)
+    return f"On {period_text(case.window_d)} {'; '.join(parts)}"
+
+
+def judged_periods(case: "Case", found: Calibration) -> Mapping[str, tuple[Judged, ...]]:
+    """Judge a calibration by ASHRAE guideline 14.
+
+    Returns:
+        The verdicts by period: "calibrated" and, where the case has one, "validation"; none of a failed one.
+    """
+    units = [output.unit for output in case.outputs]
+    if not np.isfinite(found.y).all():
+        return {}
+    periods = {"calibrated": judge(case.measurement, units, found.y)}
+    if case.validation is not None and found.validation is not None:
+        fits = found.validation.final.outputs.values()
+        periods["validation"] = tuple(
+            judged(case.validation.measurement, k, unit, fit)
+            for k, (unit, fit) in enumerate(zip(units, fits, strict=False))
+        )
+    return periods
+
+
+def noise_sentence(noise: Noise, unit: str) -> str:
+    """State the noise model.
+
+    Args:
+        noise: Kind and numbers.
+        unit: Unit of a difference of the first output.
+    """
+    m, n = count(noise.n_samples, "sample"), count(noise.n_independent)
+    size = f"{significant(noise.deviation)} {unit}".strip()
+    if noise.kind == "sensor":
+        worth = "all independent" if noise.n_independent == noise.n_samples else f"worth {n}"
+        return (
+            f"Noise model: the sensor's declared uncertainty, {size} as one standard deviation; {m}, {worth}."
+        )
+    if noise.kind == "white":
+        return f"Noise model: white, {size} as the residuals scatter; {m}, all independent."
+    if noise.n_independent > UNCORRELATED * noise.n_samples:
+        return f"Noise model: {size} as the residuals scatter; they do not follow each other, {m} count."
+    return (
+        f"Noise model: {size} as the residuals scatter; they follow each other (first-order autoregressive), "
+        f"so {m} are worth {n} independent."
+    )
+
+
+def uncertainty_sentences(found: Uncertainty, unit: str) -> list[str]:
+    """Say plainly what the data determine and what they do not.
+
+    Args:
+        found: The uncertainty.
+        unit: Unit of a difference of the first output.
+    """
+    noise, best, is_trusted = found.noise, found.sample.best_mse, found.sample.is_trusted
+    said = [noise_sentence(noise, unit)]
+    sensor = math.inf if found.sensor is None else found.sensor
+    doubtful = misfit_threshold(sensor)
+    if noise.kind != "sensor" and doubtful is not None and best > doubtful:
+        said[0] += (
+            f" The best fit is off by {significant(math.sqrt(best) / sensor)} times the sensor's "
+            "uncertainty: rather a failed fit, or a model that lacks something, than noise. All that follows "
+            "takes it for noise."
+        )
+    if is_trusted:
+        said += _known(found)
+    (low, high), point = found.interval, found.point
+    is_outside = (point < low) | (point > high)
+    outside = [name for name, is_out in zip(found.parameters, is_outside, strict=True) if is_out]
+    if found.has_prior and noise.kind != "sensor" and outside:
+        said.append(
+            f"The calibrated {listed(outside)} may lie outside: a calibration weighs priors by the sensor's "
+            "uncertainty, and here the noise is as large as the residuals; --noise sensor weighs both alike."
+        )
+    if best < FITS_BETTER * found.mse:
+        said.append(
+            f"A simulated set fits better than the calibration: MSE {significant(best)} instead of "
+            f"{significant(found.mse)} {squared(unit)}; calibrate with --from-stored begins with it."
+        )
+    # What nothing below may be trusted without comes first.
+    said.insert(len(said) if is_trusted else 0, _sample(found))
+    return said
+
+
+def _known(found: Uncertainty) -> list[str]:
+    kinds = (
+        ("determined", "The data determine {names}."),
+        ("narrowed", "They narrow down {names}."),
+        ("open", "They say next to nothing about {names}: any value in the bounds fits as well."),
+        ("prior", "They leave {names} about as uncertain as the prior did."),
+    )
+    said = []
+    for kind, text in kinds:
+        if names := [name for name, one in found.parameters.items() if one.known == kind]:
+            said.append(text.format(names=listed(names)))
+        elif kind == "determined":
+            said.append("The data determine no parameter on its own.")
+    said += [f"{pair.in_words}." for pair in found.pairs]
+    return said + [
+        f"Near the calibrated point moving these together hardly changes any output: {direction} (shares of "
+        "the ranges, rounded)."
+        for direction in found.null_directions
+    ]
+
+
+def _sample(found: Uncertainty) -> str:
+    """Say what the sample is worth and what it cost."""
+    ledger, sample = found.ledger, found.sample
+    cost = count(ledger.total, "model call")
+    if ledger.by_equations:
+        cost += "; the model's state equations gave the rest"
+    else:
+        cost += (
+            f": {ledger.n_differences} differences, {ledger.n_taught} that taught the surrogate, "
+            f"{ledger.n_sample} of the sample; {count(ledger.n_warm_start, 'simulation')} stored before "
+            "taught it, too"
+        )
+    worth = (
+        f"The sample of {count(sample.n, 'simulated parameter set')} is worth {sample.n_effective:.0f} of "
+        f"equal weight ({cost})."
+    )
+    if not sample.is_trusted:
+        worth += (
+            " That is too few: the surrogate does not know the posterior yet, so no interval is given but "
+            "the linearised ones, and bands are not to be trusted; go on with more --max-calls, and see "
+            "whether a prior contradicts the data."
+        )
+    return worth
