@@ -46,6 +46,7 @@ COMMANDS = (
     "tune",
     "calibrate",
     "uncertainty",
+    "predict",
     "report",
     "status",
     "best",

@@ -60,6 +60,7 @@ class CalibratedValues:
     @property
     def about(self) -> dict[str, Any]:
         """What made the values, as JSON values."""
+        changed = {"made_before_change_of": [*self.finished.changed_since]}
         return {
             "case": self.case.name,
             "case_digest": self.case.digest,
@@ -67,6 +68,7 @@ class CalibratedValues:
             "finished": self.finished.outcome.finished,
             "mse": self.finished.found.mse,
             "mse_unit": squared(difference_unit(self.finished.found.output_unit)),
+            **(changed if self.finished.changed_since else {}),
         }
 
     @property

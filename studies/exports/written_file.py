@@ -1,5 +1,7 @@
 """The file that `studies best --write` leaves: its formats, its name, and that nothing is overwritten."""
 
+import errno
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -56,11 +58,16 @@ def write_best(project: Project, words: Sequence[str], n_train: int | None) -> P
         name, content = f"{found.case.name}-calibrated", written(found)
     file = Path(files[0]) if files else Path(f"{folder_name(name)}.{ending}")
     _refuse_existing(file)
-    with whole_file(file) as stream:
-        stream.write(content)
+    try:
+        with whole_file(file) as stream:
+            stream.write(content)
+    except OSError as error:
+        if error.errno == errno.ENOSPC:  # a fault of the machine
+            raise
+        raise InputError(f"{file}: cannot be written ({error.strerror}); name another file") from None
     return file
 
 
 def _refuse_existing(file: Path) -> None:
-    if file.exists() or file.is_symlink():
+    if os.path.lexists(file):
         raise InputError(f"{file} exists; name another file after the format, or remove it")

@@ -14,6 +14,7 @@ from studies.report.figures_calibration import calibration_figure, calls_figure
 from studies.report.figures_uncertainty import band_figure, interval_figure
 from studies.sobol import SobolIndices
 from studies.stages.pipeline import Outcome, Work
+from studies.stages.prediction import Prediction
 from studies.stages.saved import plain
 from studies.stages.stage_results import Calibration, Reported, Uncertainty
 from studies.tracking.origin import environment
@@ -101,6 +102,22 @@ def log_sensitivity(work: Work[SobolIndices], outcome: Outcome[SobolIndices]) ->
     }
     params = {"n_base": found.n_base, "seed": study.profile.seed}
     _log(work, outcome, "sensitivity", params=params, metrics=metrics)
+
+
+def log_prediction(work: Work[Prediction], outcome: Outcome[Prediction]) -> None:
+    """Log a calibrated model with other inputs: its table and its picture."""
+    found, root = outcome.result, work.stage.study.paths.root
+    table = root / found.table
+    _log(
+        work,
+        outcome,
+        "prediction",
+        params={"inputs": found.inputs},
+        metrics={"sample/n": found.n_sample},
+        tags={"calibration": found.calibration},
+        figures=[table.with_suffix(".png")],
+        artifacts=[table],
+    )
 
 
 def log_report(work: Work[Reported], outcome: Outcome[Reported]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from records_for_tests import adaptive, calibration, report_data, uncertainty
 
-from studies.report import build
+from studies.report.page import write_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -23,8 +23,9 @@ WIDTHS = """() => [...document.querySelectorAll("figure canvas")].map(
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     calibrations = (calibration(32), calibration(64), adaptive())
-    data = report_data(calibrations=calibrations, uncertainties=(uncertainty(),))
-    return build(data, tmp_path_factory.mktemp("report"))
+    file = tmp_path_factory.mktemp("report") / "index.html"
+    write_page(report_data(*calibrations, uncertainties=(uncertainty(),)), file)
+    return file
 
 
 @pytest.fixture(params=[1300, 420])

@@ -199,3 +199,11 @@ def test_a_changed_case_is_refused(
     assert load_case(file).digest != found.case.digest
     assert main(["best", "--write", "ssv"]) == 2
     assert "changed since 'studies calibrate" in capsys.readouterr().err
+
+
+def test_a_place_that_cannot_be_written_is_refused_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("file").touch()
+    for place in ("/proc/values.csv", "file/values.csv", "x" * 300):
+        assert main(["best", "--write", "csv", place]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"studies: error: {place}: cannot be written (")

@@ -1,0 +1,66 @@
+"""The model of a case driven by another recording of its inputs, without any measurement."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from simulation.case import Case
+from simulation.case_data import CaseData
+from simulation.case_parts import conversions, input_values
+from simulation.case_periods import MOST_STEPS
+from simulation.case_reading import read_case_file
+from simulation.errors import InputError
+from simulation.fmi.fmu import FmuSettings
+from simulation.recording import read_recording
+from simulation.scenario import Scenario
+from simulation.timestamps import zero_of, zone_named
+
+
+def settings_with_inputs(case: Case, recording: Path) -> FmuSettings:
+    """Return the settings of a case's model for the whole time of another recording of its inputs.
+
+    The simulation starts with the first row, with the start values and the fixed values of the case. Times in
+    seconds are the model's own. Timestamps count from the case's `zero`, or from the first row.
+
+    Args:
+        case: The case.
+        recording: A CSV file with every column that drives an input of the case, or a folder with files of
+            the names in the case file; the file of the first input sets the time.
+
+    Raises:
+        InputError: The case has no inputs, a column is missing, has gaps, or is shorter than an output step.
+    """
+    file = read_case_file(case.path)
+    if not file.inputs:
+        raise InputError(
+            f"{case.path}: the model has no [[inputs]]; there is nothing that {recording} drives"
+        )
+    columns: dict[Path, list[str]] = {}
+    places = {one.file: recording / one.file if recording.is_dir() else recording for one in file.inputs}
+    for table in file.inputs:
+        columns.setdefault(places[table.file], []).extend(table.weights)
+    recordings = {
+        place: read_recording(
+            place, list(dict.fromkeys(names)), time_column=file.time_column, timezone=file.timezone
+        )
+        for place, names in columns.items()
+    }
+    first = recordings[places[file.inputs[0].file]]
+    zero_s = 0.0 if first.clock == "seconds" else float(first.time[0])
+    if file.time.zero is not None:
+        zero_s = zero_of(file.time.zero, first.clock, zone_named(file.timezone))
+    begin_s, end_s = (first.time[[0, -1]] - zero_s).tolist()
+    step, every = case.communication_step_s, case.scenario.output_every
+    n_outputs = int((end_s - begin_s) / case.output_step_s * (1.0 + 1e-9))
+    if not 1 <= n_outputs <= MOST_STEPS // every:
+        raise InputError(
+            f"{recording}: has {n_outputs:,} output steps of {case.output_step_s:g} s; 1 to "
+            f"{MOST_STEPS // every:,} can be simulated, so record longer or cut the file"
+        )
+    edges = begin_s + step * np.arange(n_outputs * every + 1, dtype=np.float64)
+    data = CaseData({name: recordings[place].since(zero_s) for name, place in places.items()}, 0.0)
+    changes = conversions(case.fmu, "input", file.inputs)
+    inputs, at_edges = input_values(file, case.fmu, data, changes, edges)
+    scenario = Scenario(edges, inputs, case.scenario.input_names, every, inputs_at_edges=at_edges)
+    return replace(case.settings, scenario=scenario, warmup_theta=None)

@@ -1,0 +1,59 @@
+"""Simulate a calibrated model with other inputs.
+
+What happens: the command simulates the calibrated parameters over the whole time of another CSV file. The
+file has the time and every column that drives an input of the case. If these stand in several files, name a
+folder that holds files of the same names. The simulation starts with the first row, with the start values
+and the fixed values of the case. After studies uncertainty it also simulates the
+equally good parameter sets, one simulation each. The result then has bands: of the simulated outputs, and of
+a measurement with its noise. Each simulation is stored: after an interruption, the same command goes on.
+
+Results: mlruns/results/<label>/predict-<calibration>-<file>.csv and .png, and a run in MLflow.
+
+Examples:
+  studies predict office --inputs next-winter.csv
+  studies predict office --inputs next-winter.csv --method paper --n-train 64
+"""
+
+import argparse
+from pathlib import Path
+
+from studies.commands import options
+from studies.commands.study import hand_over, open_study
+from studies.console import Console
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Say what may be typed after the command."""
+    options.add_case(command)
+    options.add_simulation(command)
+    command.add_argument(
+        "--inputs",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="CSV file with the columns of the inputs, or a folder of such files",
+    )
+    command.add_argument(
+        "--method",
+        choices=("paper", "adaptive"),
+        help="method of the calibration; default: adaptive if there is one",
+    )
+    options.add_sizes(command, "the calibration with this training-set size; default: the best")
+
+
+def run(chosen: argparse.Namespace, console: Console) -> int:
+    """Do it and return the exit code."""
+    from studies.stages.predict_stage import predict_stage
+    from studies.stages.uncertainty_stage import calibration_to_judge
+
+    study = open_study(chosen, console)
+    calibration = calibration_to_judge(study, chosen.method, chosen.n_train)
+    outcome = predict_stage(study, calibration, chosen.inputs)
+    found, table = outcome.result, study.paths.root / outcome.result.table
+    console.result(f"Table: {study.paths.show(table)}")
+    console.result(f"Picture: {study.paths.show(table.with_suffix('.png'))}")
+    if found.level is None:
+        console.result(f"No bands: type studies uncertainty {study.command}, then this command again")
+    if found.n_failed:
+        console.warn(f"{found.n_failed} of {found.n_sample} simulations of the bands failed and are left out")
+    return hand_over(study, "predict", [outcome])

@@ -1,0 +1,154 @@
+"""A calibrated model with other inputs: its own inputs give the calibration again, others something else."""
+
+import csv
+import json
+import shutil
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import mlflow
+import numpy as np
+import pytest
+from mlflow_store_for_tests import give_store
+
+from simulation.case import load_case
+from simulation.errors import InputError
+from simulation.other_inputs import settings_with_inputs
+from studies.cli import main
+from studies.paths import find_project
+from studies.stages.pipeline import read_outcome
+from studies.stages.stage_results import Calibration, Uncertainty
+
+ROOT = Path(__file__).resolve().parents[2]
+INPUTS = ROOT / "data" / "wall" / "inputs.csv"
+RESULTS = Path("mlruns/results/wall-quick")
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a calibrated wall whose uncertainty is known, and without predictions."""
+    root = tmp_path_factory.mktemp("prediction") / "project"
+    give_store(root)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(root)
+        assert main(["calibrate", "wall", "--max-calls", "30", "--jobs", "1", "-q"]) == 0
+        assert main(["uncertainty", "wall", "--max-calls", "30", "--jobs", "1", "-q"]) == 0
+    return root
+
+
+@pytest.fixture
+def here(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(project, tmp_path / "project")
+    monkeypatch.chdir(tmp_path / "project")
+    return tmp_path / "project"
+
+
+def predicted(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    capsys.readouterr()
+    assert main(["predict", "wall", "--jobs", "1", "--json", *words]) == 0
+    (stage,) = json.loads(capsys.readouterr().out)["stages"]
+    assert isinstance(stage, dict)
+    return stage
+
+
+def table_of(stage: dict[str, Any]) -> dict[str, np.ndarray]:
+    header, *rows = csv.reader(Path(stage["table"]).read_text("utf-8").splitlines())
+    return dict(zip(header, np.array(rows, dtype=np.float64).T, strict=True))
+
+
+def test_its_own_inputs_give_calibration_and_bands_again(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stage = predicted(capsys, "--inputs", str(INPUTS))
+    table = table_of(stage)
+    calibrated = read_outcome(RESULTS, "calibrate-adaptive", Calibration)
+    judged = read_outcome(RESULTS, "uncertainty-adaptive", Uncertainty)
+    assert calibrated is not None
+    assert judged is not None
+    rows = np.isin(table["time_s"], calibrated.result.time)
+    assert rows.sum() == len(calibrated.result.time) < len(rows)
+    for k, name in enumerate(("TMasonry", "QRoom")):
+        np.testing.assert_array_equal(table[name][rows], calibrated.result.y[:, k])
+        for band in ("simulated", "predictive"):
+            ends = np.stack([table[f"{name} {band} {end}"][rows] for end in ("low", "high")])
+            np.testing.assert_allclose(ends, getattr(judged.result, band)[:, :, k], rtol=1e-9, atol=1e-9)
+    assert stage["level"] == judged.result.level
+    assert stage["n_sample"] == len(judged.result.weights)
+
+    again = predicted(capsys, "--inputs", str(INPUTS))
+    assert again["finished_before"]
+    assert table_of(again).keys() == table.keys()
+
+
+def test_a_run_of_mlflow_has_table_and_picture(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stage = predicted(capsys, "--inputs", str(INPUTS))
+    mlflow.set_tracking_uri(find_project(None).tracking_uri)
+    (run,) = mlflow.search_runs(
+        search_all_experiments=True, filter_string="tags.role = 'prediction'", output_format="list"
+    )
+    files = {one.path for one in mlflow.artifacts.list_artifacts(run_id=run.info.run_id)}
+    inside = {Path(file).name for file in files}
+    assert Path(stage["table"]).name in inside
+    figures = [
+        one.path for one in mlflow.artifacts.list_artifacts(run_id=run.info.run_id, artifact_path="figures")
+    ]
+    assert [Path(one).name for one in figures] == ["predict-adaptive-inputs.png"]
+
+
+def test_other_inputs_give_other_outputs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = INPUTS.read_text("utf-8").splitlines()
+    warmer = [f"{t},{room},{float(out) + 5.0}" for t, room, out in (one.split(",") for one in lines[1:97])]
+    Path("warm & dry.csv").write_text("\n".join([lines[0], *warmer]) + "\n", encoding="utf-8")
+    stage = predicted(capsys, "--inputs", "warm & dry.csv")
+    assert Path(stage["table"]).name == "predict-adaptive-warm___dry.csv"
+    cold, warm = table_of(predicted(capsys, "--inputs", str(INPUTS))), table_of(stage)
+    assert len(warm["time_s"]) == 95 * 3 + 1
+    assert warm["TMasonry"][-1] > cold["TMasonry"][len(warm["time_s"]) - 1] + 0.5
+
+
+def test_without_an_uncertainty_there_are_no_bands(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (RESULTS / "uncertainty-adaptive.json").unlink()
+    assert list(table_of(predicted(capsys, "--inputs", str(INPUTS)))) == ["time_s", "TMasonry", "QRoom"]
+    assert main(["predict", "wall", "--inputs", str(INPUTS)]) == 0
+    assert "No bands: type studies uncertainty wall, then this command again" in capsys.readouterr().out
+
+
+def test_times_may_be_timestamps_and_files_may_stand_in_a_folder(tmp_path: Path) -> None:
+    case = load_case(ROOT / "fmus" / "wall")
+    header, *lines = INPUTS.read_text("utf-8").splitlines()
+    begin = datetime(2026, 1, 1)
+    rows = (line.partition(",") for line in lines)
+    stamped = [f"{(begin + timedelta(seconds=float(t))).isoformat()},{rest}" for t, _, rest in rows]
+    text = "\n".join([header.replace("time_s", "time"), *stamped]) + "\n"
+    (tmp_path / "inputs.csv").write_text(text, encoding="utf-8")
+    first, second = (settings_with_inputs(case, one).scenario for one in (INPUTS, tmp_path))
+    np.testing.assert_array_equal(first.time_communication, second.time_communication)
+    np.testing.assert_array_equal(first.inputs, second.inputs)
+    n_steps = len(case.scenario.inputs)
+    np.testing.assert_array_equal(first.inputs[:n_steps], case.scenario.inputs)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time_s,TRoom_degC\n0,20\n1800,20\n", "TOutdoor_degC"),
+        ("time_s,TRoom_degC,TOutdoor_degC\n0,20,5\n300,20,5\n", "has 0 output steps of 600 s; 1 to"),
+        (
+            "time_s,TRoom_degC,TOutdoor_degC\n0,20,5\n600,20,5\n1200,,5\n1800,20,5\n2400,20,5\n3000,20,5\n",
+            "line 4",
+        ),
+    ],
+)
+def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "other.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        settings_with_inputs(load_case(ROOT / "fmus" / "wall"), tmp_path / "other.csv")
+
+
+def test_a_case_without_a_calibration_says_what_to_type(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["predict", "wall", "--inputs", str(INPUTS)]) == 2
+    assert "type: studies calibrate wall" in capsys.readouterr().err
