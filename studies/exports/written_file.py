@@ -46,8 +46,6 @@ def write_best(project: Project, words: Sequence[str], sizes: Sequence[int] | No
         raise InputError(
             f"--write {quoted(' '.join(words))}: give one of {', '.join(FORMATS)}, then at most one file"
         )
-    if sizes and kind != "onnx":
-        raise InputError("--n-train chooses among surrogates, which --write onnx writes; remove --n-train")
     # Before the work, which may take seconds.
     if files:
         _refuse_existing(Path(files[0]))

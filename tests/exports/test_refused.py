@@ -7,9 +7,6 @@ import pytest
 from simulation.errors import InputError
 from studies.cli import main
 from studies.exports.value_texts import identifiers
-from studies.exports.written_file import write_best
-from studies.paths import find_project
-from studies.project import read_project
 
 
 @pytest.fixture(autouse=True)
@@ -61,12 +58,6 @@ def test_bad_use_gets_a_line_with_the_remedy(
     (line,) = capsys.readouterr().err.splitlines()
     assert remedy in line
     assert not list(Path().iterdir())
-
-
-def test_a_size_chooses_no_calibration() -> None:
-    project = read_project(find_project(None))
-    with pytest.raises(InputError, match="which --write onnx writes; remove --n-train"):
-        write_best(project, ["csv"], [64])
 
 
 def test_a_project_without_a_calibration_says_what_to_type(
