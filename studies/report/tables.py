@@ -10,7 +10,6 @@ from simulation.parameters import ParameterSpace
 from simulation.time_unit import period_text
 from studies.blocks import Column, Table
 from studies.report.data import Calibrations, best_of
-from studies.report.guideline14 import judged
 from studies.report.records_tuning import TunedSize
 from studies.report.wording import (
     MISSING,
@@ -225,28 +224,24 @@ def validation_table(case: "Case", found: Calibration) -> Table | None:
         Column("bias", True, 1),
         Column("CV(RMSE)", True, 3),
         Column("NMBE", True, 3),
-        Column("ASHRAE guideline 14", False, 2),
     )
     rows: list[list[str]] = []
     for name, point in found.validation.points.items():
         errors = [significant(point.mse_window), significant(point.mse)]
         if not point.outputs:
-            rows.append([name, *errors, "failed", "", *[MISSING] * 6])
+            rows.append([name, *errors, "failed", "", *[MISSING] * 5])
         for k, (output, fit) in enumerate(point.outputs.items()):
-            declared_unit = case.outputs[k].unit
-            one = judged(case.validation.measurement, k, declared_unit, fit)
             rows.append(
                 [
                     name,
                     *(errors if k == 0 else [MISSING] * 2),
                     output,
-                    difference_unit(declared_unit),
+                    difference_unit(case.outputs[k].unit),
                     count(fit.n_samples),
                     significant(fit.rmse),
                     significant(fit.bias),
                     percent(fit.cv_rmse),
                     percent(fit.nmbe),
-                    MISSING if one.is_met is None else "met" if one.is_met else "not met",
                 ]
             )
     title = (
