@@ -65,7 +65,6 @@ class Limit:
 
 CASE: Final = Limit("a case file", 1)
 PROFILE: Final = Limit("a profile", 1)
-PROJECT: Final = Limit("a file studies.toml", 1)
 RECORDING: Final = Limit("a recording", 64)
 RECORD: Final = Limit("a record", 256)
 FMU: Final = Limit("an FMU", 500)
